@@ -61,8 +61,8 @@ paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/rep
 figures: .venv/.ready  ## the figures of README and docs/theory.md: docs/figures
 	PYTHONPATH=tools .venv/bin/python tools/figures.py
 
-safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
-	PYTHONPATH=tools .venv/bin/python -m safety
+safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip; BOARD=pico: on the Pico's: docs/safety-table.md
+	PYTHONPATH=tools .venv/bin/python -m safety $(if $(BOARD),--board $(BOARD))
 
 soak: .venv/.ready firmware  ## HOURS=8 of the devices' time, run after run, with faults at random; half an hour or so
 	PYTHONPATH=tools .venv/bin/python -m faults.soak --hours $(or $(HOURS),8)
@@ -76,8 +76,8 @@ faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and
 mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: each must fail a test: docs/mutant-table.md
 	PYTHONPATH=tools .venv/bin/python -m mutants
 
-firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
-	@$(MAKE) --no-print-directory -C firmware host uno chip
+firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/rig_pico.uf2), and the emulated board and chips
+	@$(MAKE) --no-print-directory -C firmware host uno chip pico pico-chip
 
 wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
 	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
@@ -92,8 +92,8 @@ lock: .venv/.ready  ## lock the packages anew
 clean:  ## remove what was built; run folders stay
 	$(MAKE) --no-print-directory -C firmware clean
 	rm -rf build dist .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf tests/hil/avr8js/node_modules
+	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json tools/setup.sh
+.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/setup.sh
 	./tools/setup.sh

@@ -1,7 +1,7 @@
-"""Builds the firmware of every Uno variant into a wheel of rig, so that `rig flash` needs no compiler there.
+"""Builds the firmware of every variant, of Uno and Pico, into a wheel of rig: `rig flash` needs no compiler there.
 
-hatchling runs it for each wheel. Without avr-gcc the wheel has none, and says so; with RIG_FIRMWARE=required that is an
-error.
+hatchling runs it for each wheel. Without both compilers the wheel has none, and says so; with RIG_FIRMWARE=required
+that is an error.
 """
 
 from __future__ import annotations
@@ -15,9 +15,12 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
+TOOLS = ("make", "cc", "avr-gcc", "avr-objcopy", "arm-none-eabi-gcc", "arm-none-eabi-objcopy", "sha256sum")
+PACKAGES = "make gcc gcc-avr avr-libc binutils-avr gcc-arm-none-eabi binutils-arm-none-eabi"
+
 
 class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
-    """Adds ``rig/_firmware/prebuilt``: the .hex files and SHA256SUMS."""
+    """Adds ``rig/_firmware/prebuilt``: the .hex and .uf2 files and SHA256SUMS."""
 
     PLUGIN_NAME = "custom"
 
@@ -25,11 +28,11 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         """Build the variants, unless the installation is editable."""
         if version == "editable":
             return
-        missing = [tool for tool in ("make", "avr-gcc", "avr-objcopy", "sha256sum") if shutil.which(tool) is None]
+        missing = [tool for tool in TOOLS if shutil.which(tool) is None]
         if missing:
             words = f"{', '.join(missing)} missing: this wheel carries no prebuilt firmware"
             if os.environ.get("RIG_FIRMWARE") == "required":
-                raise RuntimeError(f"{words}; Debian: apt-get install make gcc-avr avr-libc binutils-avr")
+                raise RuntimeError(f"{words}; Debian: apt-get install {PACKAGES}")
             self.app.display_warning(f"{words}; `rig flash` will need them")
             return
         self.folder = Path(tempfile.mkdtemp(prefix="rig-firmware-"))

@@ -15,6 +15,9 @@ LINEARITY_PERCENT = 1.0  # of the sensor's full range: the data sheet of a plain
 CALIBRATION_ERROR_RAD = 0.01  # of each angle: a printed protractor is good to half a degree
 SUPPLY_ERROR_PERCENT = 1.0  # of the motor supply: a hand-held meter
 
+ALL_COUNTS = (-(2**31), 2**31 - 1)  # of an encoder: as hard limits no limits, as rails no rails
+NO_TRAVEL_LIMITS = (-math.inf, math.inf)  # rad
+
 
 class Calibration:
     """Position sensor: counts to rad through two points or a table, linear in between.
@@ -171,7 +174,7 @@ class Scaling:
 
     calibration  readings of the position sensor, counts, to rad
     drive_map    V at the motor to units of the drive
-    rail_counts  (low, high): readings at or beyond are a broken sensor
+    rail_counts  (low, high): readings at or beyond are a broken sensor; ALL_COUNTS of an encoder
     counts_max   largest reading of the converter that the calibration was made for; None: not checked
     tachometer   readings of the velocity channel to rad/s; None: there is none, or it is not used
     """
@@ -182,22 +185,31 @@ class Scaling:
     counts_max: int | None = None
     tachometer: TachometerScale | None = None
 
+    @property
+    def is_encoder(self) -> bool:
+        """Whether the position is counted by an encoder, from wherever it was switched on."""
+        return self.rail_counts == ALL_COUNTS
+
 
 def hard_limits_in_counts(
     limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]
 ) -> tuple[int, int]:
-    """The hard limits as (lowest, highest) reading inside them, counts.
+    """The hard limits as (lowest, highest) reading inside them, counts; ALL_COUNTS without travel limits.
 
     Raises ValueError for limits that no device can hold with this sensor and this drive: 0 rad outside the hard limits,
     a hard limit that the sensor reads at its rail or beyond, drive beyond supply and bridge.
     """
     low_rad, high_rad = limits.hard_rad
+    if limits.hard_rad == NO_TRAVEL_LIMITS and rail_counts == ALL_COUNTS:
+        drive_map.to_units(limits.max_u_V)
+        return ALL_COUNTS
     if not low_rad < 0.0 < high_rad:
         raise ValueError(f"hard limits {low_rad:g} to {high_rad:g} rad must enclose 0, the centre of travel")
     low, high = sorted((calibration.to_counts(low_rad), calibration.to_counts(high_rad)))
     hard_lo, hard_hi = math.ceil(low - 1e-9), math.floor(high + 1e-9)
     rail_lo, rail_hi = rail_counts
-    if not 0 <= rail_lo < hard_lo <= hard_hi < rail_hi:
+    least = ALL_COUNTS[0] if rail_counts == ALL_COUNTS else 0
+    if not least <= rail_lo < hard_lo <= hard_hi < rail_hi:
         raise ValueError(
             f"hard limits {low_rad:g} to {high_rad:g} rad read {low:.1f} to {high:.1f} counts, which must lie "
             f"inside the sensor's rails at {rail_lo} and {rail_hi} counts"

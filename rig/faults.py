@@ -123,6 +123,28 @@ FAULTS: dict[str, FaultEntry] = {
         "bring the shaft inside with `rig jog`, then lower relay.target.amplitude_rad. If it happens at both ends, "
         "check the wires",
     ),
+    "DEVICE_ENCODER_LOST": FaultEntry(
+        "both channels of the encoder changed at once: counts are lost, and the device set 0 V",
+        "look for interference: twist the encoder's wires, away from the motor's, and add 1 nF from D2 and D3 to "
+        "ground. Then set zero anew with `rig home`",
+    ),
+    "DEVICE_ENCODER_RATE": FaultEntry(
+        "the encoder's edges came faster than the device can count, and it set 0 V",
+        "more than 40,000 edges a second are too fast for an Uno: an encoder with fewer counts, or a slower shaft. If "
+        "the shaft was slow, it is interference. Then set zero anew with `rig home`",
+    ),
+    "DEVICE_ENCODER_STILL": FaultEntry(
+        "one channel of the encoder changed while the other stood still, and the device set 0 V",
+        "check the wires at D2 and D3, and the encoder's supply. Then set zero anew with `rig home`",
+    ),
+    "DEVICE_NO_ZERO": FaultEntry(
+        "the device does not know where its encoder stands, so no travel limit would hold",
+        "type `rig home CONFIG`. A reset of the board, a new plug or a fault of the encoder ends the zero",
+    ),
+    "DEVICE_ESTOP_UNTRIED": FaultEntry(
+        "without travel limits the device arms only after its e-stop has been tried",
+        "press the e-stop and release it, then type `rig run CONFIG` again. A reset of the board asks for it again",
+    ),
     "DEVICE_RELAY": FaultEntry(
         "the relay or the stroke test in the device decided otherwise than rig's law on the same counts",
         "flash the firmware of this rig (`rig flash`). If the device has it already, report this run, and set "

@@ -120,7 +120,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
             linearity_percent=experiment.sensor.linearity_percent,
             full_range_rad=full_range_rad(experiment),
             calibration_error_rad=experiment.sensor.calibration_error_rad,
-            calibration_rad=tuple(sorted(point.rad for point in experiment.sensor.calibration)),
+            calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points)),
         ),
         failsafe="none: the device holds its last drive"
         if bench.driver.failsafe is None or watchdog_s is None

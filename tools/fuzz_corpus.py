@@ -22,7 +22,9 @@ from rig.backends.serial.frames import (
     pack_ack,
     pack_arm,
     pack_drive,
+    pack_zero,
 )
+from rig.calibration import ALL_COUNTS
 
 CORPUS = Path(__file__).resolve().parent.parent / "firmware" / "tests" / "corpus"
 
@@ -43,7 +45,7 @@ STROKES = StrokesSetup(((120, 600), (-150, 420), (60, 560), (-90, 450)), 40, 30,
 
 # the board's byte: 10-bit converter with contacts and supply; + what a situation changes
 BOARD = 4 | 8
-NO_CONTACTS, TWELVE_BITS, ENCODER, BEFORE_WRAP, LAGGING, FINE_DRIVE = -4, 1, 2, 16, 32, 64
+NO_CONTACTS, TWELVE_BITS, WIDE, BEFORE_WRAP, LAGGING, FINE_DRIVE, ENCODER = -4, 1, 2, 16, 32, 64, 128
 ESTOP, END_LOW, END_HIGH = 1, 2, 4  # of a step `contacts`
 
 
@@ -65,7 +67,7 @@ def wait(us: int) -> bytes:
 
 def reading(counts: int) -> bytes:
     """The position sensor's counts from now on."""
-    return step(2, 0, counts.to_bytes(4, "little"))
+    return step(2, 0, (counts % 2**32).to_bytes(4, "little"))
 
 
 def contacts(bits: int) -> bytes:
@@ -95,9 +97,9 @@ def raw(data: bytes) -> bytes:
     return b"".join(step(6, len(part), part) for at in range(0, len(data), 31) for part in [data[at : at + 31]])
 
 
-def board(streams: bool = True, reset: bool = False) -> bytes:
-    """Whether the board has time to send blocks, and whether it starts anew."""
-    return step(7, streams | reset << 1)
+def board(streams: bool = True, reset: bool = False, troubles: int = 0) -> bytes:
+    """Whether the board has time to send blocks, whether it starts anew, and what it finds wrong with its encoder."""
+    return step(7, streams | reset << 1 | troubles << 2)
 
 
 def drive(units: int) -> bytes:
@@ -117,9 +119,22 @@ ALL_SEEN = b"".join(
 )
 
 
+ENCODER_SEEN = b"".join(ack(code) for code in (Code.ENCODER_LOST, Code.ENCODER_RATE, Code.ENCODER_STILL))
+
+
 def armed(setup: Setup = SETUP) -> bytes:
     """Set up and armed, after a reset."""
     return frame(Kind.SETUP, setup.pack()) + ack(Code.RESET) + ARM
+
+
+def zero(counts: int = 0) -> bytes:
+    """A ZERO frame."""
+    return frame(Kind.ZERO, pack_zero(counts))
+
+
+def counted(setup: Setup) -> bytes:
+    """Set up and armed, of an encoder that stands at 0."""
+    return frame(Kind.SETUP, setup.pack()) + ack(Code.RESET) + zero() + ARM
 
 
 def relay(setup: RelaySetup = RELAY) -> bytes:
@@ -264,12 +279,14 @@ def core_corpus() -> dict[str, bytes]:
     }  # fmt: skip
     twelve = SETUP._replace(hard_lo=400, hard_hi=3600, rail_lo=20, rail_hi=4075, centre=2048)
     fine = SETUP._replace(max_drive=32767)
-    encoder = SETUP._replace(rail_lo=0, rail_hi=2**31 - 1)
-    far = encoder._replace(hard_lo=10**9 - 50000, hard_hi=10**9 + 50000)
-    about = encoder._replace(hard_lo=6 * 10**7 - 40000, hard_hi=6 * 10**7 + 40000)
+    wide = SETUP._replace(rail_lo=0, rail_hi=2**31 - 1)
+    far = wide._replace(hard_lo=10**9 - 50000, hard_hi=10**9 + 50000)
+    about = wide._replace(hard_lo=6 * 10**7 - 40000, hard_hi=6 * 10**7 + 40000)
+    limited = SETUP._replace(hard_lo=-900, hard_hi=900, rail_lo=0, rail_hi=0, centre=0)
+    endless = limited._replace(hard_lo=ALL_COUNTS[0], hard_hi=ALL_COUNTS[1])
     on_boards = {
-        "encoder": (
-            ENCODER,
+        "wide": (
+            WIDE,
             reading(10**9)
             + armed(far)
             + drive(100)
@@ -284,7 +301,7 @@ def core_corpus() -> dict[str, bytes]:
             + STOP,
         ),
         "far_relay": (
-            ENCODER,
+            WIDE,
             reading(6 * 10**7)
             + armed(about)
             + relay(RELAY._replace(centre=96 * 10**7))
@@ -297,12 +314,133 @@ def core_corpus() -> dict[str, bytes]:
             + STOP,
         ),
         "far_strokes": (
-            ENCODER,
+            WIDE,
             reading(10**9)
             + armed(far)
             + strokes(STROKES._replace(strokes=((120, 10**9 + 40000), (-150, 10**9 - 40000)), still_counts=65535))
             + to_and_fro(2, 10**9 - 41000, 10**9 + 41000)
             + STOP,
+        ),
+        "counted": (
+            ENCODER,
+            counted(limited)
+            + drive(100)
+            + ticks(3)
+            + reading(901)
+            + ticks(2)
+            + ALL_SEEN
+            + ARM
+            + drive(-50)
+            + reading(-400)
+            + ticks(2)
+            + strokes(STROKES._replace(strokes=((120, 300), (-150, -850))))
+            + to_and_fro(3, -870, 320)
+            + STOP,
+        ),
+        "counted_without_a_zero": (
+            ENCODER,
+            frame(Kind.SETUP, limited.pack())
+            + ack(Code.RESET)
+            + ARM
+            + drive(50)
+            + ticks(1)
+            + zero(-300)
+            + ARM
+            + drive(50)
+            + zero(100)
+            + ticks(2)
+            + board(reset=True)
+            + ack(Code.RESET)
+            + frame(Kind.SETUP, limited.pack())
+            + READ
+            + ARM
+            + drive(50)
+            + ticks(1),
+        ),
+        "counted_troubles": (
+            ENCODER,
+            counted(limited)
+            + b"".join(
+                drive(60) + board(troubles=bits) + ticks(2) + READ + ENCODER_SEEN + ARM + zero(9) + ARM
+                for bits in (1, 2, 4, 7)
+            )
+            + STOP
+            + b"".join(board(troubles=bits) + ticks(1) + READ + ENCODER_SEEN + zero() for bits in (4, 1, 2))
+            + ARM
+            + strokes(STROKES._replace(strokes=((120, 300), (-150, -300))))
+            + ticks(2)
+            + board(troubles=1)
+            + ticks(1)
+            + READ,
+        ),
+        "counted_homing": (
+            ENCODER,
+            frame(Kind.SETUP, endless._replace(homing=1).pack())
+            + frame(Kind.SETUP, limited._replace(homing=2).pack())
+            + frame(Kind.SETUP, limited._replace(homing=1).pack())
+            + ack(Code.RESET)
+            + ARM
+            + relay(RELAY._replace(centre=0))
+            + strokes(STROKES._replace(strokes=((120, 300), (-150, -300))))
+            + drive(60)
+            + ticks(2)
+            + contacts(END_HIGH)
+            + ticks(1)
+            + zero(700)
+            + ALL_SEEN
+            + frame(Kind.SETUP, limited.pack())
+            + ARM
+            + drive(-50)
+            + ticks(2),
+        ),
+        "counted_endless": (
+            ENCODER,
+            counted(endless)
+            + drive(60)
+            + ticks(1)
+            + contacts(ESTOP)
+            + ticks(1)
+            + contacts(0)
+            + ALL_SEEN
+            + ARM
+            + drive(100)
+            + reading(2**31 - 1)
+            + ticks(2)
+            + reading(2**31)
+            + ticks(2)
+            + READ
+            + drive(0)
+            + relay(RELAY._replace(centre=0))
+            + STOP
+            + zero(5 * 10**7)
+            + ARM
+            + relay(RELAY._replace(centre=80 * 10**7))
+            + ticks(3)
+            + reading(5 * 10**7 + 2**20 - 1)
+            + ticks(2)
+            + reading(5 * 10**7 + 2**20)
+            + ticks(2)
+            + READ,
+        ),
+        "counted_endless_strokes": (
+            ENCODER,
+            contacts(ESTOP)
+            + ticks(1)
+            + contacts(0)
+            + ALL_SEEN
+            + counted(endless)
+            + strokes(STROKES._replace(strokes=((120, 2**20), (-150, 0))))
+            + strokes(STROKES._replace(strokes=((120, 0), (-150, -(2**20)))))
+            + strokes(STROKES._replace(strokes=((120, 2**31 - 1), (-150, -(2**31)))))
+            + drive(0)
+            + strokes(STROKES._replace(strokes=((120, 2**20 - 1), (-150, -400))))
+            + to_and_fro(2, -500, 2**20 - 1)
+            + reading(2**20)
+            + ticks(2)
+            + READ
+            + ALL_SEEN
+            + ARM
+            + strokes(STROKES._replace(strokes=((120, 400), (-150, -400)))),
         ),
         "no_contacts": (NO_CONTACTS, armed() + contacts(ESTOP) + drive(100) + ticks(3)),
         "twelve_bits": (TWELVE_BITS, armed(twelve) + drive(100) + reading(3601) + ticks(2)),

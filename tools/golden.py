@@ -64,16 +64,26 @@ class Golden:
     is_virtual: bool = True
 
 
-_FIXED: dict[str, Any] = {"relay.target": None, "relay.gains": [{"h1_V": 0.42, "h2_V": 0.84}], "relay.cycles": 6}
+_TARGET: dict[str, Any] = {
+    "relay.until": None,
+    "relay.target": {"amplitude_rad": 0.5, "period_s": 1.0},
+    "relay.cycles": 12,
+}
+_FIXED: dict[str, Any] = {
+    **_TARGET,
+    "relay.target": None,
+    "relay.gains": [{"h1_V": 0.42, "h2_V": 0.84}],
+    "relay.cycles": 6,
+}
 _SHORT: dict[str, Any] = {"tracking.duration_s": 2.5, "tracking.methods": ["sampled-data"]}
 _CHIP: dict[str, Any] = {"daq.port": "emulated-chip", "limits.max_speed_rad_s": 4.6}
 
 RUNS: dict[str, Golden] = {
-    "simulated": Golden("simulated", {"relay.cycles": 4, **_SHORT}),
+    "simulated": Golden("simulated", {**_TARGET, "relay.cycles": 4, **_SHORT}),
     "simulated-hysteretic": Golden(
         "least-squares", {"relay.hysteretic": [{"d_V": 0.8, "eps_rad": 0.5}, {"d_V": 1.0, "eps_rad": 0.3}]}
     ),
-    "simulated-jog": Golden("simulated", {}, _jog),
+    "simulated-jog": Golden("simulated", _TARGET, _jog),
     "simulated-fault": Golden("simulated", {**_FIXED, "limits.max_speed_rad_s": 1.5, "tracking": None}),
     "host-board": Golden("demo", {**_FIXED, **_SHORT}, _halted, is_virtual=False),
     "chip": Golden("demo", {**_CHIP, **_FIXED, **_SHORT, "tracking.methods": ["triple-relay"]}),

@@ -37,7 +37,8 @@ need /usr/include/modbus/modbus.h libmodbus-dev
 # peer of the wake-up benchmark
 need cyclictest rt-tests
 install_missing
-# the second emulator of the chip; of what Debian's npm recommends nothing is needed
+# the Pico's firmware and the emulators that run on node; of what Debian recommends with them nothing is needed
+need arm-none-eabi-gcc gcc-arm-none-eabi
 need node nodejs
 need npm npm
 install_missing --no-install-recommends
@@ -56,7 +57,9 @@ VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
 .venv/bin/python -m rig.identify.ready
-# npm keeps its own stamp of what it has installed
-AVR8JS=tests/hil/avr8js
-[ "$AVR8JS/node_modules/.package-lock.json" -nt "$AVR8JS/package-lock.json" ] || (cd "$AVR8JS" && npm ci --loglevel=error >/dev/null)
+# the second emulator of the Uno's chip, and the Pico's; npm keeps its own stamp of what it has installed
+for folder in tests/hil/avr8js firmware/emulator/pico; do
+    [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
+        (cd "$folder" && npm ci --loglevel=error >/dev/null)
+done
 touch .venv/.ready

@@ -9,6 +9,7 @@
 #define DRIVE_LENGTH 2u
 #define RELAY_LENGTH 18u
 #define STROKES_LENGTH 56u /* room for STROKES_MAX strokes */
+#define ZERO_LENGTH 4u
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
@@ -145,7 +146,7 @@ static void put_setup(packet *out, const rig_setup *setup)
     put_u16(out, setup->max_drive);
     put_u16(out, setup->watchdog_ms);
     put_u8(out, (uint8_t)setup->polarity);
-    put_u8(out, 0);
+    put_u8(out, setup->homing);
 }
 
 static uint8_t status_of(const rig_core *core)
@@ -153,7 +154,9 @@ static uint8_t status_of(const rig_core *core)
     return (uint8_t)((core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
                      (core->latched != 0u ? (unsigned)RIG_STATUS_FAULT : 0u) |
                      (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
-                     (core->running ? (unsigned)RIG_STATUS_LAW : 0u));
+                     (core->running ? (unsigned)RIG_STATUS_LAW : 0u) |
+                     (core->has_zero ? (unsigned)RIG_STATUS_ZERO : 0u) |
+                     (core->estop_tried ? (unsigned)RIG_STATUS_ESTOP_TRIED : 0u));
 }
 
 static void put_state(packet *out, const rig_core *core)
@@ -185,10 +188,9 @@ static void disarm(rig_core *core)
     core->recovering = 0;
 }
 
-static uint16_t bit_of(enum rig_code code)
+static uint32_t bit_of(enum rig_code code)
 {
-    const uint32_t bit = (uint32_t)1u << (uint8_t)code;
-    return (uint16_t)bit;
+    return (uint32_t)1u << (uint8_t)code;
 }
 
 /* P7: the armed flag goes with the drive. The first fault is the one that is told; none is forgotten. */
@@ -205,11 +207,13 @@ static void latch(rig_core *core, enum rig_code code)
 
 static void unlatch(rig_core *core, enum rig_code code)
 {
-    core->latched &= (uint16_t)~bit_of(code);
+    core->latched &= ~bit_of(code);
     if (core->fault == code) {
         uint8_t next = (uint8_t)RIG_OK;
-        for (uint8_t other = 1; other <= (uint8_t)RIG_E_SESSION; other++) {
-            if (next == (uint8_t)RIG_OK && (core->latched & bit_of((enum rig_code)other)) != 0u) {
+        uint32_t bit = 1u;
+        for (uint8_t other = 1; other <= (uint8_t)RIG_E_ESTOP_UNTRIED; other++) {
+            bit <<= 1;
+            if (next == (uint8_t)RIG_OK && (core->latched & bit) != 0u) {
                 next = other;
             }
         }
@@ -235,6 +239,16 @@ static void read_sensors(rig_core *core)
     core->inputs = board->inputs != NULL ? board->inputs(board->context) : 0u;
 }
 
+static bool has_encoder(const rig_board *board)
+{
+    return board->set_position != NULL;
+}
+
+static bool is_endless(const rig_setup *setup)
+{
+    return setup->hard_lo == INT32_MIN && setup->hard_hi == INT32_MAX;
+}
+
 static bool is_set(const rig_core *core, enum rig_input contact)
 {
     return (core->inputs & (unsigned)contact) != 0u;
@@ -242,6 +256,9 @@ static bool is_set(const rig_core *core, enum rig_input contact)
 
 static bool at_rail(const rig_core *core)
 {
+    if (has_encoder(core->board)) {
+        return false;
+    }
     return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;
 }
 
@@ -281,6 +298,30 @@ static bool is_in_the_way(const rig_core *core, enum rig_code code)
     }
 }
 
+/* P13: whichever it is, the count is no longer the position. */
+static void latch_encoder(rig_core *core, enum rig_code code)
+{
+    core->has_zero = false;
+    latch(core, code);
+}
+
+static void sense_encoder(rig_core *core)
+{
+    const unsigned troubles = core->board->encoder_troubles(core->board->context);
+    if ((troubles & (unsigned)RIG_ENCODER_RATE) != 0u) {
+        latch_encoder(core, RIG_E_ENCODER_RATE);
+    }
+    if ((troubles & (unsigned)RIG_ENCODER_LOST) != 0u) {
+        latch_encoder(core, RIG_E_ENCODER_LOST);
+    }
+    if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u && core->armed) {
+        latch_encoder(core, RIG_E_ENCODER_STILL); /* at rest a shaft may tremble on an edge of one channel */
+    }
+    if (is_in_the_way(core, RIG_E_ESTOP)) {
+        core->estop_tried = true; /* P14 */
+    }
+}
+
 /* Reads all that the board senses. What must not be forgotten latches with it, armed or not: P10. Nothing else reads the
  * contacts, since a board may tell of a short opening only once. */
 static void sense(rig_core *core)
@@ -291,6 +332,9 @@ static void sense(rig_core *core)
         if (is_in_the_way(core, ALWAYS[i])) {
             latch(core, ALWAYS[i]);
         }
+    }
+    if (has_encoder(core->board)) {
+        sense_encoder(core);
     }
 }
 
@@ -358,9 +402,29 @@ static void close_block(rig_core *core)
     blocks_close(&core->blocks);
 }
 
+static bool is_near(const rig_core *core, int32_t counts)
+{
+    return !exceeds(counts, core->setup.centre, STROKES_REACH_MAX) &&
+           !exceeds(core->setup.centre, counts, STROKES_REACH_MAX);
+}
+
+/* Hard limits bound what a law has to count. Without them the shaft may turn farther. */
+static bool strokes_reach(const rig_core *core, int32_t counts)
+{
+    return !is_endless(&core->setup) || is_near(core, counts);
+}
+
+static bool law_reaches(const rig_core *core)
+{
+    return core->stroking ? strokes_reach(core, core->counts) : relay_reaches(&core->relay.setup, core->counts);
+}
+
 /* One tick of the law: its drive, unless the tick has already disarmed, and its row. */
 static void law_tick(rig_core *core)
 {
+    if (core->armed && !law_reaches(core)) {
+        latch(core, RIG_E_TRAVEL);
+    }
     if (core->armed) {
         const int16_t units =
             core->stroking ? strokes_step(&core->strokes, core->counts) : relay_step(&core->relay, core->counts);
@@ -389,10 +453,20 @@ static void end_law(rig_core *core)
 
 /* ---- requests ---- */
 
+static bool fits_sensor(const rig_setup *setup, const rig_board *board)
+{
+    if (has_encoder(board)) {
+        return setup->rail_lo == 0 && setup->rail_hi == 0 && setup->homing <= 1u &&
+               !(setup->homing == 1u && is_endless(setup));
+    }
+    return setup->rail_lo < setup->rail_hi && setup->rail_lo >= 0 &&
+           setup->rail_hi <= board->counts_max && /* a rail out of reach would void P5 */
+           setup->homing == 0u;
+}
+
 static bool is_valid(const rig_setup *setup, const rig_board *board)
 {
-    return setup->hard_lo < setup->hard_hi && setup->rail_lo < setup->rail_hi &&
-           setup->rail_lo >= 0 && setup->rail_hi <= board->counts_max && /* a rail out of reach would void P5 */
+    return setup->hard_lo < setup->hard_hi && fits_sensor(setup, board) &&
            setup->session != 0u &&
            setup->watchdog_ms >= 1u && setup->watchdog_ms <= RIG_WATCHDOG_MAX_MS &&
            setup->max_drive >= 1u && setup->max_drive <= board->drive_full &&
@@ -411,6 +485,7 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     wanted.max_drive = get_u16(&body[24]);
     wanted.watchdog_ms = get_u16(&body[26]);
     wanted.polarity = get_sign(body[28]);
+    wanted.homing = body[29];
     if (core->armed || !is_valid(&wanted, core->board)) {
         refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
         return;
@@ -437,6 +512,15 @@ static bool is_inward(const rig_core *core, const relay_setup *wanted)
     return lowers ? above <= 0 && below >= 0 : above >= 0 && below <= 0;
 }
 
+/* Wherever the shaft may be; without travel limits each tick looks. */
+static bool relay_reaches_all(const rig_core *core, const relay_setup *wanted)
+{
+    if (is_endless(&core->setup)) {
+        return relay_reaches(wanted, core->counts);
+    }
+    return relay_reaches(wanted, core->setup.hard_lo) && relay_reaches(wanted, core->setup.hard_hi);
+}
+
 /* Whether a law may start, of whatever it is made. */
 static enum rig_code may_start(const rig_core *core, uint8_t rows)
 {
@@ -446,7 +530,7 @@ static enum rig_code may_start(const rig_core *core, uint8_t rows)
     if (core->recovering != 0) {
         return RIG_E_TRAVEL; /* P6: its drive would go either way */
     }
-    if (core->running || rows < 1u || rows > BLOCK_ROWS_MAX) {
+    if (core->running || rows < 1u || rows > BLOCK_ROWS_MAX || core->setup.homing != 0u) {
         return RIG_E_SETUP; /* what runs does not change: DRIVE ends it first */
     }
     return RIG_OK;
@@ -475,8 +559,7 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
     if (code != RIG_OK) {
         return code;
     }
-    if (!relay_is_valid(wanted) || !relay_reaches(wanted, core->setup.hard_lo) ||
-        !relay_reaches(wanted, core->setup.hard_hi)) {
+    if (!relay_is_valid(wanted) || !relay_reaches_all(core, wanted)) {
         return RIG_E_SETUP;
     }
     for (uint8_t i = 0; i < 4u; i++) {
@@ -538,7 +621,7 @@ static enum rig_code start_strokes(rig_core *core, const uint8_t *body)
     }
     take_plan(core, body);
     const strokes_setup *wanted = &core->strokes.setup;
-    if (!strokes_are_valid(wanted)) {
+    if (!strokes_are_valid(wanted) || !strokes_reach(core, core->counts)) {
         return RIG_E_SETUP;
     }
     for (uint8_t i = 0; i < wanted->n; i++) {
@@ -546,7 +629,7 @@ static enum rig_code start_strokes(rig_core *core, const uint8_t *body)
         if (is_too_much(core, one->drive)) {
             return RIG_E_DRIVE_RANGE; /* P2 */
         }
-        if (one->turn < core->setup.hard_lo || one->turn > core->setup.hard_hi) {
+        if (one->turn < core->setup.hard_lo || one->turn > core->setup.hard_hi || !strokes_reach(core, one->turn)) {
             return RIG_E_SETUP; /* it would end at the limit, never at its turning point */
         }
     }
@@ -584,6 +667,12 @@ static enum rig_code arm(rig_core *core, uint32_t session)
     }
     if (session != core->setup.session) {
         return RIG_E_SESSION; /* P11 */
+    }
+    if (has_encoder(core->board) && !core->has_zero && core->setup.homing == 0u) {
+        return RIG_E_ZERO; /* P13 */
+    }
+    if (has_encoder(core->board) && is_endless(&core->setup) && !core->estop_tried) {
+        return RIG_E_ESTOP_UNTRIED; /* P14 */
     }
     core->recovering = side(core); /* P6 */
     core->farthest = core->counts;
@@ -627,10 +716,28 @@ static void on_stop(rig_core *core, uint16_t seq, packet *out)
     forget_refusal(core);
 }
 
+/* P13: the host says where an encoder stands, at rest and disarmed. */
+static void on_zero(rig_core *core, uint16_t seq, int32_t counts, packet *out)
+{
+    if (!has_encoder(core->board)) {
+        refuse(out, RIG_ZERO, seq, RIG_E_TYPE);
+        return;
+    }
+    if (core->armed) {
+        refuse(out, RIG_ZERO, seq, RIG_E_SETUP); /* positions never change under drive */
+        return;
+    }
+    core->board->set_position(core->board->context, counts);
+    core->has_zero = true;
+    sense(core);
+    head(out, RIG_ZERO | RIG_REPLY, seq);
+    put_state(out, core);
+}
+
 /* P7: somebody has seen this fault. Naming one that has not latched changes nothing: a reply may have got lost. */
 static void on_ack(rig_core *core, uint16_t seq, uint8_t named, packet *out)
 {
-    const enum rig_code code = named <= (uint8_t)RIG_E_SESSION ? (enum rig_code)named : RIG_OK;
+    const enum rig_code code = named <= (uint8_t)RIG_E_ESTOP_UNTRIED ? (enum rig_code)named : RIG_OK;
     sense(core);
     if (code == RIG_OK) {
         refuse(out, RIG_ACK, seq, RIG_E_SETUP);
@@ -664,6 +771,8 @@ static int8_t body_length(uint8_t type)
         return (int8_t)ARM_LENGTH;
     case RIG_ACK:
         return (int8_t)ACK_LENGTH;
+    case RIG_ZERO:
+        return (int8_t)ZERO_LENGTH;
     case RIG_DRIVE:
         return (int8_t)DRIVE_LENGTH;
     default:
@@ -710,6 +819,9 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
     case RIG_ACK:
         on_ack(core, seq, body[0], out);
         break;
+    case RIG_ZERO:
+        on_zero(core, seq, get_i32(body), out);
+        break;
     default: /* RIG_STOP: body_length knows no other but HELLO */
         on_stop(core, seq, out);
         break;
@@ -751,7 +863,7 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
 
 void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
 {
-    const rig_setup none = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+    const rig_setup none = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
     core->board = board;
     frame_receiver_init(&core->rx);
     core->setup = none;
@@ -759,6 +871,8 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->reset_cause = reset_cause;
     core->drive_seq = 0;
     core->farthest = 0;
+    core->has_zero = false; /* P13 */
+    core->estop_tried = false; /* P14 */
     core->running = false;
     core->law_acted = false;
     core->stroking = false;

@@ -28,6 +28,9 @@
  *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
  *    P11 ARM names the session that SETUP has begun; a reset ends it
  *    P12 a stroke drives no longer than its time; after two in a row that failed nothing drives
+ *    P13 an encoder counts from anywhere: nothing but a homing arms before ZERO has said where it stands; a reset ends
+ *        that, and so does a fault of the encoder, which latches whether armed or not (a still channel only while armed)
+ *    P14 without travel limits nothing arms until the e-stop has been open since the reset
  *
  * Two laws can run in the device, one at a time: the relay (relay.h), started by RELAY, and the stroke test (strokes.h),
  * started by STROKES. The law drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever disarms ends it;
@@ -51,7 +54,7 @@
 #define RIG_BUILD_LENGTH 16u
 #define RIG_WATCHDOG_MAX_MS 1000u
 
-enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2 };
+enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2, RIG_BOARD_PICO = 3 };
 
 /* What the board's outputs are wired for. */
 enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN2 = 2 };
@@ -59,9 +62,16 @@ enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
 /* A board's count from the first bit, the core's from the last. */
-enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_STROKES = 128 };
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_ENCODER = 4, RIG_FEATURE_STROKES = 128 };
 
-enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_LAW = 8 };
+enum rig_status {
+    RIG_STATUS_ARMED = 1,
+    RIG_STATUS_FAULT = 2,
+    RIG_STATUS_RECOVERING = 4,
+    RIG_STATUS_LAW = 8,
+    RIG_STATUS_ZERO = 16,       /* ZERO has said where the encoder stands */
+    RIG_STATUS_ESTOP_TRIED = 32 /* it has been open since the reset */
+};
 
 enum rig_type {
     RIG_HELLO = 0x01,
@@ -75,6 +85,7 @@ enum rig_type {
     RIG_BLOCK = 0x89, /* unasked, while a law runs */
     RIG_ACK = 0x0A,
     RIG_STROKES = 0x0B,
+    RIG_ZERO = 0x0C,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -95,8 +106,16 @@ enum rig_code {
     RIG_E_ESTOP = 12,
     RIG_E_END_SWITCH = 13,
     RIG_E_RESET = 14,
-    RIG_E_SESSION = 15 /* the last that a bit of rig_core.latched has room for */
+    RIG_E_SESSION = 15,
+    RIG_E_ENCODER_LOST = 16,  /* both channels changed at once: counts are lost */
+    RIG_E_ENCODER_RATE = 17,  /* edges come faster than they can be counted */
+    RIG_E_ENCODER_STILL = 18, /* one channel changes, the other does not */
+    RIG_E_ZERO = 19,          /* nobody has said where the encoder stands: does not latch */
+    RIG_E_ESTOP_UNTRIED = 20  /* does not latch; a bit of rig_core.latched has room for codes up to 31 */
 };
+
+/* What a board finds wrong with its encoder. */
+enum rig_encoder_trouble { RIG_ENCODER_LOST = 1, RIG_ENCODER_RATE = 2, RIG_ENCODER_STILL = 4 };
 
 /* Contacts that a board may have; a set bit is a contact that asks for a stop. */
 enum rig_input { RIG_INPUT_ESTOP = 1, RIG_INPUT_END_LOW = 2, RIG_INPUT_END_HIGH = 4 }; /* low, high: of the counts */
@@ -111,13 +130,16 @@ typedef struct {
     void (*transmit)(void *context, const uint8_t *bytes, uint8_t n);   /* queues; must not wait */
     uint8_t (*inputs)(void *context);                                   /* RIG_INPUT_*; NULL: the board has none */
     const char *build;                                                  /* shown in HELLO, first 16 characters */
-    int32_t counts_max;                                                 /* largest position */
+    int32_t counts_max;                                                 /* largest position; 0: an encoder, which has none */
     uint16_t drive_full;                                                /* units at full duty, 1 to 32767 */
     uint8_t board_id;
     uint8_t bridge; /* of enum rig_bridge */
     uint8_t features;
     uint32_t (*arrived_us)(void *context); /* when the byte that the core is given arrived: P3; NULL: just now */
     uint8_t (*supply)(void *context); /* motor supply, 255 for 20 V; NULL: not measured */
+    /* Of an encoder; both NULL: the position is absolute. */
+    void (*set_position)(void *context, int32_t counts); /* from now on the present position reads so */
+    uint8_t (*encoder_troubles)(void *context);          /* RIG_ENCODER_* since the last call */
     /* Where the tick is an interrupt: no tick until release, and memory as it was before. NULL: all is one context. */
     void (*hold_tick)(void *context);
     void (*release_tick)(void *context); /* what came due meanwhile runs now */
@@ -125,14 +147,15 @@ typedef struct {
 
 typedef struct {
     uint32_t session; /* chosen by the host, not 0 */
-    int32_t hard_lo;  /* counts; inside is hard_lo <= counts <= hard_hi */
+    int32_t hard_lo;  /* counts; inside is hard_lo <= counts <= hard_hi; INT32_MIN to INT32_MAX: no travel limits */
     int32_t hard_hi;
-    int32_t rail_lo; /* counts at or beyond are a broken sensor */
+    int32_t rail_lo; /* counts at or beyond are a broken sensor; an encoder has none: both 0 */
     int32_t rail_hi;
     int32_t centre; /* kept for the host: the limits alone say what is inward */
     uint16_t max_drive;
     uint16_t watchdog_ms;
     int8_t polarity; /* +1: positive drive raises counts */
+    uint8_t homing;  /* 1: the limits count from wherever an encoder was switched on; no relay */
 } rig_setup;
 
 typedef struct {
@@ -141,7 +164,7 @@ typedef struct {
     rig_setup setup;
     bool has_setup;
     bool armed;
-    uint16_t latched;    /* a bit for each fault, 1 << its code: while one is set nothing arms */
+    uint32_t latched;    /* a bit for each fault, 1 << its code: while one is set nothing arms */
     enum rig_code fault; /* the first that latched; RIG_E_NOT_ARMED is reported but does not latch */
     int8_t recovering;   /* 0, or the side of the hard limits we were armed on: +1 above, -1 below */
     int32_t farthest;    /* counts, while recovering: where inward drive began */
@@ -154,6 +177,8 @@ typedef struct {
     int32_t counts;
     uint16_t tach;
     uint8_t inputs;
+    bool has_zero;       /* ZERO has said where the encoder stands */
+    bool estop_tried;    /* it has been open since the reset */
     bool running;        /* a law of the device drives */
     bool law_acted;      /* since it was started */
     uint16_t delay_us;   /* from the sample to the drive, at its last switching */

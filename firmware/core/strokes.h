@@ -17,6 +17,7 @@
 #define STROKES_MAX 8u
 #define STROKES_FAILED_MAX 2u /* in a row */
 #define STROKES_TICKS_MAX 10000u
+#define STROKES_REACH_MAX 0xFFFFFu /* counts on either side of the centre, without travel limits: as far as the relay's */
 
 typedef struct {
     int32_t turn;  /* counts */

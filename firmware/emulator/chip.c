@@ -4,6 +4,8 @@
  *   - a byte takes it 11 bit times: it is told 10;
  *   - a pin set from outside is forgotten when the firmware writes the port: it is told of it as an external pull; an open
  *     contact is high by the chip's own pull-up alone;
+ *   - its cycle timers are the only clock there is: the encoder's pins turn at the instant at which the bench says, by one
+ *     edge at a time;
  *   - an interrupt that came while it was held back is lost to it: the tick's is raised again when it is let in;
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
  *   - its sleep waits for real time: not here;
@@ -39,7 +41,10 @@
 #define DRIVE_STEPS 32000 /* of the bridge's duty, as the bench counts it */
 #define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
 #define RUN_CYCLES 200u /* instructions of about so many cycles run without a look at the timers: none is due then */
-#define CONTACTS 0x70u /* of port D; at D2 and D3 libsimavr would look for low levels at each cycle */
+#define CONTACTS 0x70u /* of port D; at D2 and D3, until EICRA selects edges, libsimavr looks for low levels at each cycle */
+#define CHANNELS 0x0Cu /* of an encoder, at port D */
+#define LOOK_CYCLES 1600u /* at the shaft, at least so often: 100 us */
+#define HAND_CYCLES 800u /* between two edges of a shaft that was put elsewhere: 20,000 a second */
 #define ENTRY_CYCLES 4u /* of an interrupt: data sheet, section 7.7.1 */
 #define PAINT 0xA7u /* of memory that nobody has written */
 #define TIMED_CYCLES 4u /* within which the watchdog's register is open: section 11.9.2 */
@@ -91,6 +96,9 @@ struct virtual_board {
     avr_cycle_count_t stop;
     uint32_t sampled_channel;
     uint8_t open_pins;       /* of port D */
+    int64_t shown_steps;     /* of the encoder, at its pins */
+    uint8_t shown_open;      /* contacts, at theirs */
+    bool looks;              /* at the shaft, again and again */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
     uint8_t dead_of_timer2;  /* bits of TIMSK2, until the next reset */
     bool converter_is_dead;  /* the same */
@@ -415,16 +423,58 @@ static void watchdog_written(virtual_board *b, uint8_t value)
     b->wdtcsr = opens ? b->wdtcsr : value;
 }
 
-/* Which contacts read high: the open ones, where the pull-up is on. */
+static uint8_t open_contacts(const virtual_board *b)
+{
+    const unsigned estop = bench_estop_is_open(&b->bench) ? 0x10u : 0u;
+    const unsigned ends = (bench_end_is_open(&b->bench, false) ? 0x20u : 0u) | (bench_end_is_open(&b->bench, true) ? 0x40u : 0u);
+    return (uint8_t)(b->open_pins | estop | ends);
+}
+
+/* Which contacts read high: the open ones, where the pull-up is on. The encoder drives its pins itself. */
 static void tell_contacts(virtual_board *b)
 {
-    const uint8_t high = (uint8_t)(b->open_pins & b->avr->data[PORTD]);
-    avr_ioport_external_t pulls = {.name = 'D', .mask = CONTACTS, .value = high};
+    const bool has_encoder = b->params.encoder != 0;
+    const unsigned levels = has_encoder ? bench_encoder_levels(&b->bench, b->shown_steps) << 2 : 0u;
+    b->shown_open = open_contacts(b);
+    const uint8_t high = (uint8_t)((b->shown_open & b->avr->data[PORTD] & CONTACTS) | levels);
+    const uint8_t mask = has_encoder ? CONTACTS | CHANNELS : CONTACTS;
+    avr_ioport_external_t pulls = {.name = 'D', .mask = mask, .value = high};
     avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
-    for (int pin = 0; pin < 8; pin++) {
-        if (has(CONTACTS, (unsigned)pin)) {
-            avr_raise_irq(b->port_d + pin, has(high, (unsigned)pin) ? 1u : 0u);
+    for (unsigned pin = 0; pin < 8u; pin++) {
+        const uint32_t level = has(high, pin) ? 1u : 0u;
+        if (has(mask, pin) && (b->port_d[pin].value != level || has(b->avr->data[PIND], pin) != has(high, pin))) {
+            b->port_d[pin].value = 1u - level; /* a reset clears PIND and not this, and what is equal is not told */
+            avr_raise_irq(b->port_d + pin, level);
         }
+    }
+}
+
+/* Turns the encoder's pins by one edge, if the shaft has, and comes again when the next one is due. */
+static avr_cycle_count_t look_at_shaft(avr_t *avr, avr_cycle_count_t when, void *context)
+{
+    virtual_board *b = context;
+    (void)when;
+    advance_bench(b);
+    double to_next;
+    const int64_t steps = bench_encoder_steps(&b->bench, &to_next);
+    const int64_t behind = steps > b->shown_steps ? steps - b->shown_steps : b->shown_steps - steps;
+    if (behind != 0 || open_contacts(b) != b->shown_open) {
+        b->shown_steps += steps > b->shown_steps ? 1 : steps < b->shown_steps ? -1 : 0;
+        tell_contacts(b);
+    }
+    const double period = b->hz / fabs(b->bench.v_rad_per_s / b->params.rad_per_count);
+    if (behind > 1) { /* it was put here, or pushed: no two edges come closer than those of its speed */
+        return avr->cycle + (period < HAND_CYCLES ? (avr_cycle_count_t)period + 1u : HAND_CYCLES);
+    }
+    const double cycles = behind == 1 ? fmax(to_next, 0.5) * period : to_next * period;
+    return avr->cycle + (cycles < LOOK_CYCLES ? (avr_cycle_count_t)cycles + 1u : LOOK_CYCLES);
+}
+
+static void begin_to_look(virtual_board *b)
+{
+    if (b->params.encoder != 0 && !b->looks) {
+        b->looks = true;
+        avr_cycle_timer_register(b->avr, 1u, look_at_shaft, b);
     }
 }
 
@@ -539,6 +589,7 @@ static void after_reset(avr_t *avr)
     b->stop = 0;
     expect_byte(b);
     pins_may_have_changed(b);
+    b->looks = false; /* not here: libsimavr may be in the midst of its timers */
 }
 
 static avr_uart_t *find_uart(avr_t *avr)
@@ -669,6 +720,8 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
         return "libsimavr's serial port or clock is not where it should be";
     }
     connect(b);
+    double to_next;
+    b->shown_steps = bench_encoder_steps(&b->bench, &to_next);
     tell_contacts(b);
     memset(b->avr->data + RAM, PAINT, b->avr->ramend + 1u - RAM);
     b->avr->custom.data = b;
@@ -788,7 +841,7 @@ static void step(virtual_board *b)
     if (!was_asleep && avr->state == cpu_Sleeping) {
         hold_to(b, avr->data[SMCR] == (1u << SE), "asleep not in idle mode, or not enabled, section 10.11.1");
     }
-    if (!was_asleep) {
+    if (!was_asleep && avr->state != cpu_Sleeping) { /* falling asleep takes libsimavr up to its next timer */
         b->awake_cycles += avr->cycle - from;
     }
     if (b->measures) {
@@ -833,6 +886,7 @@ void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
             expect_byte(b);
         }
         b->look_again = false;
+        begin_to_look(b);
         stop_at(b, next_ns);
         const avr_cycle_count_t stop = cycle_of(b, next_ns);
         while (b->avr->cycle < stop && !b->look_again) {
@@ -1002,7 +1056,9 @@ double virtual_longest_pulse_s(virtual_board *b)
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
 {
     advance_bench(b);
-    return bench_rewire(&b->bench, drive, sensor);
+    const char *wrong = bench_rewire(&b->bench, drive, sensor);
+    tell_contacts(b);
+    return wrong;
 }
 
 void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)

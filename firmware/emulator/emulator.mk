@@ -1,6 +1,8 @@
 # The Uno's chip with the bench around it; needs libsimavr-dev. For tests only (libsimavr is GPL 3).
 #   make chip    in virtual time a shared library, in real time a process
-#   make load    what the firmware takes of the chip: stack, interrupts; part of `make size`
+#   make load    what the firmware takes of the chip: stack, interrupts; part of `make size`. With ENCODER=1 the encoder
+#                turns with EDGES edges a second
+EDGES ?= 12500
 CHIP_OUT := $(BUILD)/chip
 CHIP_SOURCES := emulator/chip.c emulator/timer1.c boards/host/bench.c boards/host/real_motor.c boards/host/wire.c
 CHIP_HEADERS := emulator/chip.h emulator/timer1.h boards/host/bench.h boards/host/real_motor.h boards/host/wire.h boards/host/process.h Makefile emulator/emulator.mk
@@ -22,6 +24,6 @@ $(CHIP_OUT):
 	mkdir -p $@
 
 load: $(CHIP_OUT)/report $(UNO).hex
-	@$(CHIP_OUT)/report $(UNO).hex $(BAUD)
+	@$(CHIP_OUT)/report $(UNO).hex $(BAUD) $(if $(filter 1,$(ENCODER)),$(EDGES))
 
 size: load

@@ -2,8 +2,9 @@
  * interrupts masked, and bytes lost, while the host asks for everything as fast as the wire carries it and a relay runs,
  * and while strokes run. Fails beyond the bounds below.
  *
- *     report HEX [BAUD]
+ *     report HEX [BAUD] [EDGES]    of an encoder that turns with so many edges a second
  */
+#include <math.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -15,6 +16,10 @@
 static const uint8_t SESSION[4] = {1, 0, 0, 0};
 static const uint8_t SETUP[30] = {1,    0, 0, 0, 49, 0, 0, 0, 0xCF, 3,   0, 0,   5, 0, 0,
                                   0, 0xFA, 3, 0, 0,  0, 2, 0, 0,    200, 0, 100, 0, 1, 0};
+/* Of an encoder: no rails, limits far away, zero where it stands; here it turns without end. */
+static const uint8_t ENCODER_SETUP[30] = {1, 0, 0, 0, 0, 0, 0xF1, 0xFF, 0,   0, 15,  0, 0, 0, 0,
+                                          0, 0, 0, 0, 0, 0, 0,    0,    0,   200, 0, 100, 0, 1, 0};
+static const uint8_t ZERO[4] = {0, 0, 0, 0};
 static const uint8_t RESET[1] = {RIG_E_RESET};
 static const uint8_t WATCHDOG[1] = {RIG_E_WATCHDOG};
 /* +-60 and +-20 units about 512 counts, blocks of ten rows */
@@ -58,12 +63,15 @@ static void start_strokes(virtual_board *b)
     ask(b, RIG_STROKES, body, sizeof body);
 }
 
-static void arm(virtual_board *b)
+static void arm(virtual_board *b, bool has_encoder)
 {
     ask(b, RIG_STOP, NULL, 0);
     ask(b, RIG_ACK, RESET, sizeof RESET);
     ask(b, RIG_ACK, WATCHDOG, sizeof WATCHDOG);
-    ask(b, RIG_SETUP, SETUP, sizeof SETUP);
+    ask(b, RIG_SETUP, has_encoder ? ENCODER_SETUP : SETUP, sizeof SETUP);
+    if (has_encoder) {
+        ask(b, RIG_ZERO, ZERO, sizeof ZERO);
+    }
     ask(b, RIG_ARM, SESSION, sizeof SESSION);
     (void)pause(b, 10000000);
 }
@@ -71,6 +79,8 @@ static void arm(virtual_board *b)
 int main(int argc, char **argv)
 {
     const long baud = argc > 2 ? strtol(argv[2], NULL, 10) : 115200;
+    const bool has_encoder = argc > 3; /* it turns at 1 rad/s, whatever drives it */
+    const double edges_1_s = has_encoder ? fmax(strtod(argv[3], NULL), 1e-3) : 1.0;
     virtual_board *b = virtual_new();
     if (argc < 2 || b == NULL || baud < 1) {
         fprintf(stderr, "usage: report HEX [BAUD]\n");
@@ -80,6 +90,15 @@ int main(int argc, char **argv)
     const char *const options[][2] = {{"hex", argv[1]},     {"measure", "1"},     {"fc-plus-V", "0.5"},
                                       {"fc-minus-V", "0.5"}, {"fs-plus-V", "0.5"}, {"fs-minus-V", "0.5"}};
     const char *wrong = NULL;
+    if (has_encoder) {
+        char rad_per_count[32];
+        (void)snprintf(rad_per_count, sizeof rad_per_count, "%.9g", 1.0 / edges_1_s);
+        const char *const turning[][2] = {{"encoder", "1"}, {"tau-s", "1e9"}, {"rad-per-count", rad_per_count},
+                                          {"stop-low-rad", "-1e9"}, {"stop-high-rad", "1e9"}};
+        for (unsigned i = 0; i < sizeof turning / sizeof turning[0] && wrong == NULL; i++) {
+            wrong = virtual_option(b, turning[i][0], turning[i][1]);
+        }
+    }
     for (unsigned i = 0; i < sizeof options / sizeof options[0] && wrong == NULL; i++) {
         wrong = virtual_option(b, options[i][0], options[i][1]);
     }
@@ -89,10 +108,13 @@ int main(int argc, char **argv)
         return 2;
     }
     virtual_view idle, armed, run, view;
+    if (has_encoder) {
+        virtual_place(b, 0.0, 1.0);
+    }
     (void)pause(b, 1000000000);
     virtual_look(b, &idle);
 
-    arm(b); /* as in a run: KEEP at each tick of the host's loop */
+    arm(b, has_encoder); /* as in a run: KEEP at each tick of the host's loop */
     virtual_look(b, &armed);
     ask(b, RIG_RELAY, RELAY, sizeof RELAY);
     uint32_t bytes = 0;
@@ -103,11 +125,11 @@ int main(int argc, char **argv)
     virtual_look(b, &run);
     const double relay_awake = (run.awake_share * run.t_s - armed.awake_share * armed.t_s) / (run.t_s - armed.t_s);
 
-    arm(b); /* everything there is, without a pause on the host's wire, first without and then with the relay */
+    arm(b, has_encoder); /* everything there is, without a pause on the host's wire, first without and then with the relay */
     for (unsigned i = 0; i < 400u; i++) {
         if (i == 200u) {
             (void)pause(b, 20000000); /* behind the receiver there is room for 255 bytes */
-            arm(b);
+            arm(b, has_encoder);
             ask(b, RIG_RELAY, RELAY, sizeof RELAY);
         }
         if (i < 200u) {
@@ -120,7 +142,7 @@ int main(int argc, char **argv)
         (void)pause(b, 40 * byte_ns); /* the longer answers need longer */
     }
     (void)pause(b, 200000000); /* the watchdog ends it */
-    arm(b);
+    arm(b, has_encoder);
     start_strokes(b);
     uint32_t stroke_bytes = 0;
     for (unsigned i = 0; i < 40u; i++) {

@@ -15,11 +15,12 @@ enum step {
     STEP_FRAME,    /* u8 bytes of content; its CRC and stuffing are put in */
     STEP_DAMAGED,  /* u8 bytes, u8 where, u8 which bits change, then as STEP_FRAME */
     STEP_RAW,      /* n bytes as they are */
-    STEP_BOARD     /* n & 1: the board has time to stream from now on; n & 2: it is reset */
+    STEP_BOARD     /* n & 1: the board has time to stream from now on; n & 2: it is reset; n >> 2: RIG_ENCODER_* found */
 };
 
 #define RECOVERED_COUNTS 3
 #define LAG_US 500u
+#define REACH 0x100000 /* counts from the centre, without limits */
 #define OUTWARD_DIVISOR 32 /* of the hard range: so far out is a wrong polarity */
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -28,6 +29,7 @@ static struct {
     uint32_t now_us;
     int32_t counts;
     uint8_t inputs;
+    uint8_t troubles; /* of an encoder, that the core has not asked for yet */
     bool streams;
     int16_t pin;
     unsigned drives, replies, blocks; /* since the last call into the core */
@@ -43,20 +45,24 @@ static struct {
     bool permitted;  /* armed, and nothing since that ends it */
     int recovering;  /* the end at which it was armed, +1 or -1, or 0 */
     int32_t outmost; /* counts, while recovering: as far out as it was without a drive */
-    int32_t hard_lo, hard_hi, rail_lo, rail_hi;
+    int32_t hard_lo, hard_hi, rail_lo, rail_hi, centre;
+    bool homing;
+    bool has_zero;    /* of an encoder */
+    bool estop_tried; /* its board */
     uint16_t max_drive, watchdog_ms;
     uint32_t session;
     unsigned latched; /* bits of what must not be forgotten until it is acknowledged */
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
     struct {
-        bool run;
+        bool run; /* else the relay, about `relay_centre` */
         uint8_t body[56];        /* as they were confirmed */
         int way;                 /* of the drive at the last tick: +1, -1 or 0 */
         unsigned one_way;        /* ticks in a row that it drives this way */
         int32_t counts;          /* at the last tick */
         unsigned still;          /* ticks in a row in which the reading did not change and no stroke could turn */
     } strokes;
+    int32_t relay_centre; /* counts */
 } witness;
 
 static rig_core core;
@@ -109,7 +115,44 @@ static uint16_t give_tachometer(void *context)
 static uint8_t give_inputs(void *context)
 {
     (void)context;
+    if ((board.inputs & RIG_INPUT_ESTOP) != 0u) {
+        witness.estop_tried = true;
+    }
     return board.inputs;
+}
+
+static bool counts_an_encoder(void)
+{
+    return hardware.set_position != NULL;
+}
+
+static void take_position(void *context, int32_t counts)
+{
+    (void)context;
+    REQUIRE(board.held && !core.armed && board.pin == 0); /* positions never change under drive */
+    board.counts = counts;
+    witness.has_zero = true;
+}
+
+/* P13: what is found ends the zero and latches; a still channel only while armed. */
+static uint8_t give_troubles(void *context)
+{
+    const unsigned found = board.troubles;
+    (void)context;
+    board.troubles = 0;
+    if ((found & RIG_ENCODER_LOST) != 0u) {
+        witness.latched |= 1u << RIG_E_ENCODER_LOST;
+    }
+    if ((found & RIG_ENCODER_RATE) != 0u) {
+        witness.latched |= 1u << RIG_E_ENCODER_RATE;
+    }
+    if (found == RIG_ENCODER_STILL && core.armed) {
+        witness.latched |= 1u << RIG_E_ENCODER_STILL;
+    }
+    if ((found & (RIG_ENCODER_LOST | RIG_ENCODER_RATE)) != 0u || (found != 0u && core.armed)) {
+        witness.has_zero = false;
+    }
+    return (uint8_t)found;
 }
 
 static uint8_t give_supply(void *context)
@@ -213,7 +256,8 @@ static bool is_in_the_way(unsigned code)
     case RIG_E_ESTOP:
         return (board.inputs & RIG_INPUT_ESTOP) != 0u;
     case RIG_E_SENSOR:
-        return witness.set_up && (board.counts <= witness.rail_lo || board.counts >= witness.rail_hi);
+        return witness.set_up && !counts_an_encoder() &&
+               (board.counts <= witness.rail_lo || board.counts >= witness.rail_hi);
     case RIG_E_END_SWITCH:
         return witness.set_up && is_high() && is_low();
     default:
@@ -228,6 +272,18 @@ static void note_look(void)
         witness.latched |= is_in_the_way(code) ? 1u << code : 0u;
     }
     witness.latched |= is_in_the_way(RIG_E_SENSOR) ? 1u << RIG_E_SENSOR : 0u;
+}
+
+static bool is_endless(void)
+{
+    return witness.hard_lo == INT32_MIN && witness.hard_hi == INT32_MAX;
+}
+
+/* As far as a law can count. */
+static bool is_within_reach(int32_t centre, int32_t counts)
+{
+    const int64_t away = (int64_t)counts - (int64_t)centre;
+    return away < REACH && away > -REACH;
 }
 
 /* After any call. */
@@ -267,9 +323,14 @@ static void hold_after_tick(void)
         return;
     }
     REQUIRE(board.now_us - witness.t_voice_us < witness.watchdog_ms * 1000u);                  /* P3 */
-    REQUIRE(board.counts > witness.rail_lo && board.counts < witness.rail_hi);                 /* P5 */
+    REQUIRE(!is_in_the_way(RIG_E_SENSOR));                                                     /* P5 */
     REQUIRE((board.inputs & RIG_INPUT_ESTOP) == 0u);                                           /* P9 */
     REQUIRE(end() == witness.recovering || end() == 0);                                        /* P4, P9 */
+    REQUIRE(witness.has_zero || witness.homing || !counts_an_encoder());                       /* P13 */
+    REQUIRE(witness.estop_tried || !is_endless() || !counts_an_encoder());                     /* P14 */
+    if (core.running && is_endless()) {
+        REQUIRE(is_within_reach(witness.strokes.run ? witness.centre : witness.relay_centre, board.counts));
+    }
     const bool raises = (board.pin > 0) == witness.positive_raises;
     REQUIRE(raises ? !is_high() : !is_low()); /* P6: never further out, nor does the shaft go there */
     if (witness.recovering != 0) {
@@ -336,11 +397,14 @@ static void note_setup(const uint8_t *body)
     witness.hard_hi = (int32_t)u32(body + 8);
     witness.rail_lo = (int32_t)u32(body + 12);
     witness.rail_hi = (int32_t)u32(body + 16);
+    witness.centre = (int32_t)u32(body + 20);
     witness.max_drive = u16(body + 24);
     witness.watchdog_ms = u16(body + 26);
     witness.positive_raises = body[28] == 1u;
-    REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 29) == 0); /* what is stored is what was sent */
+    witness.homing = body[29] == 1u;
+    REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 30) == 0); /* what is stored is what was sent */
     REQUIRE(witness.hard_lo < witness.hard_hi && witness.rail_lo >= 0 && witness.rail_hi <= hardware.counts_max);
+    REQUIRE(body[29] <= (counts_an_encoder() ? 1u : 0u) && !(witness.homing && is_endless()));
     REQUIRE(witness.session != 0u);
     REQUIRE(witness.max_drive >= 1u && witness.max_drive <= hardware.drive_full);
     REQUIRE(witness.watchdog_ms >= 1u && witness.watchdog_ms <= RIG_WATCHDOG_MAX_MS);
@@ -355,6 +419,7 @@ static void note_strokes(const uint8_t *body)
         REQUIRE(size_of(stroke_drive(i)) <= witness.max_drive); /* P2 */
         REQUIRE(stroke_drive(i) != 0 && ((stroke_drive(i) > 0) == (stroke_drive(0) > 0)) == (i % 2u == 0u));
         REQUIRE(stroke_turn(i) >= witness.hard_lo && stroke_turn(i) <= witness.hard_hi);
+        REQUIRE(!is_endless() || is_within_reach(witness.centre, stroke_turn(i)));
     }
     witness.strokes.run = true;
     witness.strokes.way = 0;
@@ -370,6 +435,8 @@ static void note_state(void)
     REQUIRE((int32_t)u32(body + 4) == board.counts && (int16_t)u16(body + 14) == board.pin);
     REQUIRE(((body[18] & RIG_STATUS_ARMED) != 0u) == core.armed);
     REQUIRE(u32(body + 20) == witness.session);
+    REQUIRE(((body[18] & RIG_STATUS_ZERO) != 0u) == witness.has_zero);
+    REQUIRE(((body[18] & RIG_STATUS_ESTOP_TRIED) != 0u) == (witness.estop_tried && counts_an_encoder()));
     note_look();
 }
 
@@ -405,6 +472,8 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         witness.permitted = board.reply[FRAME_HEADER] == RIG_OK;
         REQUIRE(!witness.permitted || (witness.set_up && witness.latched == 0u)); /* P1, P7, P10 */
         REQUIRE(!witness.permitted || u32(content + FRAME_HEADER) == witness.session); /* P11 */
+        REQUIRE(!witness.permitted || !counts_an_encoder() || witness.has_zero || witness.homing); /* P13 */
+        REQUIRE(!witness.permitted || !counts_an_encoder() || witness.estop_tried || !is_endless()); /* P14 */
         witness.recovering = end();
         witness.outmost = board.counts;
         witness.t_voice_us = arrival();
@@ -412,7 +481,8 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         break;
     case RIG_RELAY | RIG_REPLY:
     case RIG_STROKES | RIG_REPLY:
-        REQUIRE(was_armed && !was_running && core.running);
+        REQUIRE(was_armed && !was_running && core.running && !witness.homing);
+        witness.relay_centre = (int32_t)u32(content + FRAME_HEADER + 8u) / 16;
         witness.t_voice_us = arrival();
         witness.strokes.run = false;
         if (type == RIG_STROKES) {
@@ -422,6 +492,10 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
     case RIG_ACK | RIG_REPLY:
         REQUIRE(!is_in_the_way(content[FRAME_HEADER]));
         witness.latched &= ~(1u << content[FRAME_HEADER]);
+        note_state();
+        break;
+    case RIG_ZERO | RIG_REPLY:
+        REQUIRE(counts_an_encoder() && !was_armed && board.counts == (int32_t)u32(content + FRAME_HEADER));
         note_state();
         break;
     case RIG_STOP | RIG_REPLY:
@@ -540,6 +614,13 @@ static void power_on(uint8_t choice)
     board.now_us = (choice & 16u) != 0u ? 0xFFFFFFFFu - 20000u : 5000u;
     hardware.arrived_us = (choice & 32u) != 0u ? give_arrival : NULL;
     hardware.drive_full = drive_full[(choice >> 6) & 1u];
+    hardware.set_position = NULL;
+    hardware.encoder_troubles = NULL;
+    if ((choice & 128u) != 0u) {
+        hardware.counts_max = 0; /* it counts in 32 bits */
+        hardware.set_position = take_position;
+        hardware.encoder_troubles = give_troubles;
+    }
     board.counts = hardware.counts_max / 2;
     board.streams = true;
     reset();
@@ -580,7 +661,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             board.now_us += 16u * argument[0];
             break;
         case STEP_READING:
-            board.counts = (int32_t)(u32(argument) & (uint32_t)hardware.counts_max);
+            board.counts = (int32_t)(u32(argument) & (counts_an_encoder() ? UINT32_MAX : (uint32_t)hardware.counts_max));
             break;
         case STEP_CONTACTS:
             board.inputs = hardware.inputs != NULL ? (uint8_t)n : 0u;
@@ -598,6 +679,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             break;
         default: /* STEP_BOARD */
             board.streams = (n & 1u) != 0u;
+            board.troubles |= counts_an_encoder() ? (uint8_t)(n >> 2) : 0u;
             if ((n & 2u) != 0u) {
                 reset();
             }

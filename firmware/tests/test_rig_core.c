@@ -739,7 +739,7 @@ static void test_ack_of_nonsense(void)
 {
     armed();
     send_drive(100);
-    CHECK(send_ack(0) == RIG_E_SETUP && send_ack(16) == RIG_E_SETUP && send_ack(255) == RIG_E_SETUP);
+    CHECK(send_ack(0) == RIG_E_SETUP && send_ack(21) == RIG_E_SETUP && send_ack(255) == RIG_E_SETUP);
     CHECK(send_ack(RIG_E_TRAVEL) == RIG_OK && board.pin == 100 && core.armed); /* none of that kind */
     board.inputs = RIG_INPUT_ESTOP;
     CHECK(send_ack(RIG_E_TRAVEL) == RIG_OK && board.pin == 0); /* it looks, too */

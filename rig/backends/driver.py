@@ -115,6 +115,13 @@ class RelayCommand:
     direction: int
 
 
+class Stopped(NamedTuple):
+    """When a device set 0 V by itself, s in the host's clock, and the sample that told of it."""
+
+    t_s: float
+    sample: Sample
+
+
 @dataclass(frozen=True)
 class StrokesCommand:
     """A stroke test for a device, in counts, ticks and V.
@@ -270,6 +277,26 @@ class RelayRules(Protocol):
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
         """The command for these gains. Raises Fault or ValueError where the device cannot run them."""
+        ...
+
+
+@runtime_checkable
+class EncoderDriver(Driver, Protocol):
+    """A driver whose device counts an encoder, from wherever it was switched on.
+
+    homing   while true, ``arm`` asks for no zero: the limits count from where the device was switched on
+    stopped  how the device last stopped by itself; None: it has not
+    """
+
+    homing: bool
+    stopped: Stopped | None
+
+    def set_zero(self, here_rad: float) -> None:
+        """Tell a disarmed device that its shaft stands at ``here_rad``, until its next reset. Raises Fault LINK_*."""
+        ...
+
+    def leave_switch(self) -> None:
+        """Acknowledge the end switch that a homing has reached. Raises Fault where another fault is latched."""
         ...
 
 

@@ -1,18 +1,33 @@
-"""`rig flash`: write the firmware to an Arduino Uno."""
+"""`rig flash`: write the firmware to an Arduino Uno or a Raspberry Pi Pico."""
 
 from __future__ import annotations
 
 import shlex
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 
+if TYPE_CHECKING:  # it loads slowly
+    from rig.backends.serial.emulated.firmware_build import UnoOptions
+
 
 @click.command()
-@click.option("--port", default=None, help="Serial port. Default: the Uno or clone, if just one is plugged in.")
+@click.option(
+    "--board", type=click.Choice(["uno", "pico"]), default="uno", show_default=True,
+    help="Arduino Uno, or Raspberry Pi Pico.",
+)  # fmt: skip
+@click.option(
+    "--port", default=None,
+    help="Serial port. Default: the Uno or clone, if just one is plugged in. A Pico is only asked there who it is.",
+)  # fmt: skip
+@click.option(
+    "--drive", type=click.Path(path_type=Path), default=None,
+    help="Folder where the Pico's drive is mounted. Default: the only one there is.",
+)  # fmt: skip
 @click.option(
     "--baud", type=click.Choice(["115200", "1000000"]), default="115200", show_default=True,
     help="Baud rate of the firmware; the config's daq.baud must be the same.",
@@ -21,77 +36,152 @@ from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
     "--bridge", type=click.Choice(["pwm-dir", "in1-in2"]), default="pwm-dir", show_default=True,
     help="Kind of inputs that the H-bridge has (docs/real-bench.md).",
 )  # fmt: skip
-@click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1.")
-@click.option("--supply", is_flag=True, help="The motor supply is wired to A2, through a divider by 4.")
-@click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6.")
+@click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1 (Pico: GP27).")
+@click.option("--supply", is_flag=True, help="The motor supply is wired to A2 (Pico: GP28), through its divider.")
+@click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6 (Pico: GP12 and GP13).")
+@click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3 (Pico: GP2 and GP3).")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
-    help="Write this file. Default: the one that came with rig for the options above; without one it is built here.",
+    help="Write this file to the Uno. Default: the one that came with rig for the options above; without one it is "
+    "built here.",
 )  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Print the command; touch no board.")
+@click.option(
+    "--uf2", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
+    help="Write this file to the Pico. Default: as of --hex.",
+)  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Print what would be done; touch no board.")
 def flash(
+    board: str,
     port: str | None,
+    drive: Path | None,
     baud: str,
     bridge: str,
     tachometer: bool,
     supply: bool,
     end_switches: bool,
+    encoder: bool,
     hex_file: Path | None,
+    uf2: Path | None,
     dry_run: bool,
 ) -> None:
-    """Write the firmware to an Arduino Uno.
+    """Write the firmware to a board.
 
-    rig's wheel carries it, for any of these options; in the repository it is built. avrdude writes it; then rig asks
-    the board which firmware it runs.
+    rig's wheel carries it, for any of these options; in the repository it is built. To an Uno avrdude writes it; then
+    rig asks the board which firmware it runs. To a Pico in BOOTSEL mode, which is a drive then, rig copies it; with
+    --port it asks the Pico, too.
 
     Switch off the motor's supply first: while a board is written, its pins float.
     """
-    from rig.backends.serial import flash as uno
-    from rig.backends.serial.emulated.firmware_build import UnoOptions, build_uno
+    from rig.backends.serial.emulated.firmware_build import UnoOptions
+    from rig.backends.serial.flash import FlashError
 
-    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches)
-    if hex_file is not None and options != UnoOptions(baud=int(baud)):
+    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
+    given, name = (hex_file, "--hex") if board == "uno" else (uf2, "--uf2")
+    _refuse_the_other_boards(board, hex_file, uf2, drive)
+    if given is not None and options != UnoOptions(baud=int(baud)):
         fail(
             EXIT_BAD_INPUT,
-            "with --hex only --baud has an effect: the file is built already",
-            "leave out the other options, or --hex",
+            f"with {name} only --baud has an effect: the file is built already",
+            f"leave out the other options, or {name}",
         )
     try:
         with faults():
-            avrdude = uno.find_avrdude()
-            if avrdude is None and not dry_run:
-                raise uno.no_avrdude()
-            if port is None:
-                try:
-                    found = uno.only_candidate(uno.serial_ports())
-                except uno.FlashError as none:
-                    if not dry_run:
-                        raise
-                    click.echo(f"{none.cause}: PORT stands for its port")
-                    port = "PORT"
-                else:
-                    click.echo(f"found: {found}")
-                    port = found.device
-            shipped = None if hex_file is not None else uno.prebuilt(options.name)
-            if shipped is not None:
-                click.echo(str(shipped))
-                if uno.REAL_CHIP_REPORT is None:
-                    click.echo(uno.NEVER_RUN)
-            file = hex_file or (build_uno(options) if shipped is None else shipped.path)
-            command = uno.avrdude_command(avrdude or "avrdude", port, file)
-            if dry_run:
-                click.echo(f"would run: {shlex.join(command)}")
-                if avrdude is None:
-                    click.echo(f"avrdude is missing here. {uno.no_avrdude().cure}")
-                return
-            uno.check_port(port)
-            click.echo(f"running: {shlex.join(command)}")
-            uno.write(command, port, partial(click.echo, nl=False, err=True))
-            click.echo("written; waiting for the board to answer ...")
-            hello = uno.meet(port, int(baud))
-            click.echo(f"{port}: {uno.in_words(hello)}")
-            if hex_file is None:
-                uno.check_build(hello)
-                click.echo(f"before you switch on the motor's supply: {uno.AT_REST[bridge]}")
-    except uno.FlashError as error:
+            if board == "uno":
+                _flash_uno(options, port, given, dry_run=dry_run)
+            else:
+                _flash_pico(options, port, given, drive, dry_run=dry_run)
+    except FlashError as error:
         fail(error.status, error.cause, error.cure)
+
+
+def _refuse_the_other_boards(board: str, hex_file: Path | None, uf2: Path | None, drive: Path | None) -> None:
+    """What is given for another board than the one named was meant for something."""
+    if board == "pico" and hex_file is not None:
+        fail(EXIT_BAD_INPUT, "--hex is for the Uno", "give the Pico a .uf2: --uf2 FILE")
+    if board == "uno" and (uf2 is not None or drive is not None):
+        fail(EXIT_BAD_INPUT, f"--{'drive' if uf2 is None else 'uf2'} is for the Pico", "say so: --board pico")
+
+
+def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, dry_run: bool) -> None:
+    from rig.backends.serial import flash as uno
+    from rig.backends.serial.emulated.firmware_build import build_uno
+
+    avrdude = uno.find_avrdude()
+    if avrdude is None and not dry_run:
+        raise uno.no_avrdude()
+    if port is None:
+        try:
+            found = uno.only_candidate(uno.serial_ports())
+        except uno.FlashError as none:
+            if not dry_run:
+                raise
+            click.echo(f"{none.cause}: PORT stands for its port")
+            port = "PORT"
+        else:
+            click.echo(f"found: {found}")
+            port = found.device
+    file = hex_file or _shipped(f"{options.name}.hex") or build_uno(options)
+    command = uno.avrdude_command(avrdude or "avrdude", port, file)
+    if dry_run:
+        click.echo(f"would run: {shlex.join(command)}")
+        if avrdude is None:
+            click.echo(f"avrdude is missing here. {uno.no_avrdude().cure}")
+        return
+    uno.check_port(port)
+    click.echo(f"running: {shlex.join(command)}")
+    uno.write(command, port, partial(click.echo, nl=False, err=True))
+    click.echo("written; waiting for the board to answer ...")
+    hello = uno.meet(port, options.baud)
+    click.echo(f"{port}: {uno.in_words(hello)}")
+    if hex_file is None:
+        uno.check_build(hello, "uno")
+        click.echo(f"before you switch on the motor's supply: {uno.AT_REST[_bridge(options)]}")
+
+
+def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
+    from rig.backends.serial import flash_pico as pico
+    from rig.backends.serial.emulated.firmware_build import build_pico
+    from rig.backends.serial.flash import FlashError, check_build, in_words, meet
+
+    program = uf2 or _shipped(f"{options.name_for('pico')}.uf2") or build_pico(options)
+    try:
+        folder = pico.find_drive(drive)
+    except FlashError as none:
+        if not dry_run:
+            raise
+        click.echo(f"{none.cause}: DRIVE stands for its folder. {none.cure}")
+        folder = Path("DRIVE")
+    if dry_run:
+        click.echo(f"would copy: {program} to {folder}")
+        return
+    click.echo(f"copying {program} to {folder}")
+    pico.copy(program, folder, click.echo)
+    if port is None:
+        click.echo(
+            "written. To ask it who it is, give the port of its serial adapter: --port PORT; or `rig doctor CONFIG`"
+        )
+    else:
+        click.echo("written; waiting for the board to answer ...")
+        hello = meet(port, options.baud)
+        click.echo(f"{port}: {in_words(hello)}")
+        if uf2 is None:
+            check_build(hello, "pico")
+    if uf2 is None:
+        click.echo(f"before you switch on the motor's supply: {pico.AT_REST[_bridge(options)]}")
+
+
+def _shipped(file: str) -> Path | None:
+    """The file that came with rig, which is said; None where there is none."""
+    from rig.backends.serial.flash import NEVER_RUN, REAL_CHIP_REPORT, prebuilt
+
+    found = prebuilt(file)
+    if found is None:
+        return None
+    click.echo(str(found))
+    if REAL_CHIP_REPORT is None:
+        click.echo(NEVER_RUN)
+    return found.path
+
+
+def _bridge(options: UnoOptions) -> str:
+    return options.bridge.lower().replace("_", "-")

@@ -6,6 +6,7 @@ Strict: an unknown key is an error, numbers are finite, objects are frozen. The 
 
 from __future__ import annotations
 
+import math
 import re
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
@@ -23,8 +24,10 @@ from pydantic import (
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
 from rig.calibration import (
+    ALL_COUNTS,
     CALIBRATION_ERROR_RAD,
     LINEARITY_PERCENT,
+    NO_TRAVEL_LIMITS,
     SUPPLY_ERROR_PERCENT,
     Calibration,
     DriveMap,
@@ -57,8 +60,8 @@ class Link(_Section):
         None,
         description="serial port such as /dev/ttyACM0; or `emulated`: start the device of section `emulated`; "
         "or, with that bench behind it, the Uno's firmware on its emulated chip: `emulated-chip` in virtual time, "
-        "`emulated-chip-realtime` in real time. For modbus: /dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU), "
-        "`emulated-tcp`, or `emulated-virtual` in virtual time",
+        "`emulated-chip-realtime` in real time; the Pico's: `emulated-pico`, `emulated-pico-realtime`. For modbus: "
+        "/dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU), `emulated-tcp`, or `emulated-virtual` in virtual time",
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
@@ -107,15 +110,52 @@ class CalibrationPoint(_Section):
     rad: float = Field(description="position of the measured shaft there, rad; 0 is the centre of travel")
 
 
-class Sensor(_Section):
-    """The potentiometer: counts to rad."""
+class HomeSwitch(_Section):
+    """The end switch that `rig home` drives the shaft to."""
 
-    counts_max: Annotated[int, Field(ge=15, le=65535)] = Field(1023, description="largest reading of the ADC")
-    calibration: Annotated[tuple[CalibrationPoint, ...], Field(min_length=2)] = Field(
-        description="two points or a table, rising or falling; interpolated linearly"
+    end: Literal["low", "high"] = Field(description="where it is: at the low or at the high end of the positions")
+    at_rad: float = Field(description="position at which it opens")
+    u_V: Positive = Field(description="drive towards it: a little above the breakaway level")
+
+
+class Encoder(_Section):
+    """A quadrature encoder."""
+
+    counts_per_turn: Annotated[int, Field(ge=4, le=10_000_000)] = Field(
+        description="counts for one turn of the encoder's own shaft, all four edges of a period counted: four times "
+        "the lines or pulses (PPR) of its data sheet"
     )
-    rail_counts: tuple[int, int] = Field(
-        (5, 1018), description="[low, high]: readings at or beyond these are a broken wire"
+    gear: Positive = Field(1.0, description="turns of the encoder for one turn of the measured shaft")
+    sign: Literal[1, -1] = Field(1, description="-1: the counts fall where the position rises (or swap A and B)")
+    home: HomeSwitch | None = Field(
+        None,
+        description="end switch for `rig home`; default: by hand. Without travel limits zero is where a run starts",
+    )
+
+    @property
+    def rad_per_count(self) -> float:
+        """Of the measured shaft, with its sign."""
+        return self.sign * 2.0 * math.pi / (self.counts_per_turn * self.gear)
+
+
+_LARGEST_COUNTS = 1023
+_RAILS = (5, 1018)
+
+
+class Sensor(_Section):
+    """The position sensor: a potentiometer, which `calibration` describes, or an encoder."""
+
+    encoder: Encoder | None = Field(None, description="a quadrature encoder, instead of a potentiometer")
+    counts_max: Annotated[int, Field(ge=15, le=65535)] | None = Field(
+        None, description=f"largest reading of the ADC; default: {_LARGEST_COUNTS}"
+    )
+    calibration: Annotated[tuple[CalibrationPoint, ...], Field(min_length=2)] | None = Field(
+        None, description="of a potentiometer: two points or a table, rising or falling; interpolated linearly"
+    )
+    rail_counts: tuple[int, int] | None = Field(
+        None,
+        description="[low, high]: readings of a potentiometer at or beyond these are a broken wire; default: "
+        f"{list(_RAILS)}",
     )
     linearity_percent: Annotated[float, Field(ge=0, le=20)] = Field(
         LINEARITY_PERCENT,
@@ -130,10 +170,14 @@ class Sensor(_Section):
 
     @field_validator("calibration")
     @classmethod
-    def _one_to_one(cls, points: tuple[CalibrationPoint, ...], info: ValidationInfo) -> tuple[CalibrationPoint, ...]:
-        counts_max = info.data.get("counts_max")
+    def _one_to_one(
+        cls, points: tuple[CalibrationPoint, ...] | None, info: ValidationInfo
+    ) -> tuple[CalibrationPoint, ...] | None:
+        if points is None:
+            return None
+        counts_max = info.data.get("counts_max", math.inf) or _LARGEST_COUNTS
         table = sorted(points, key=lambda point: point.counts)
-        if counts_max is not None and table[-1].counts > counts_max:
+        if table[-1].counts > counts_max:
             raise ValueError(f"{table[-1].counts} counts is more than sensor.counts_max {counts_max}")
         rising = table[-1].rad > table[0].rad
         for a, b in pairwise(table):
@@ -149,20 +193,54 @@ class Sensor(_Section):
     @property
     def straight(self) -> tuple[float, float]:
         """Rad for each count, and the reading at 0 rad, of the straight line through the calibration's end points."""
-        points = sorted((point.counts, point.rad) for point in self.calibration)
+        if self.encoder is not None:
+            return self.encoder.rad_per_count, 0.0
+        points = self.points
         (low, low_rad), (high, high_rad) = points[0], points[-1]
         return (high_rad - low_rad) / (high - low), low - low_rad * (high - low) / (high_rad - low_rad)
 
     @property
     def curve(self) -> Calibration:
         """Counts to rad."""
-        return Calibration((p.counts, p.rad) for p in self.calibration)
+        return Calibration(self.points)
+
+    @property
+    def points(self) -> tuple[tuple[int, float], ...]:
+        """Counts and rad of the calibration, counts rising; of an encoder: of its zero and one turn."""
+        if self.encoder is not None:
+            turn = round(self.encoder.counts_per_turn)
+            return (0, 0.0), (turn, turn * self.encoder.rad_per_count)
+        return tuple(sorted((point.counts, point.rad) for point in self.calibration or ()))
+
+    @property
+    def rails(self) -> tuple[int, int]:
+        """Readings at or beyond these are a broken sensor; an encoder has none."""
+        return ALL_COUNTS if self.rail_counts is None else self.rail_counts
+
+    @model_validator(mode="after")
+    def _one_sensor(self) -> Self:
+        if self.encoder is None:
+            if self.calibration is None:
+                raise ValueError("needs `calibration`, of a potentiometer, or `encoder`")
+            for name, value in (("counts_max", _LARGEST_COUNTS), ("rail_counts", _RAILS)):
+                if getattr(self, name) is None:
+                    object.__setattr__(self, name, value)  # frozen: this is the one place that completes it
+            return self
+        given = [name for name in ("counts_max", "calibration", "rail_counts") if getattr(self, name) is not None]
+        if given:
+            raise ValueError(f"an encoder has no {' and no '.join(given)}: give `encoder` alone")
+        for name in ("linearity_percent", "calibration_error_rad"):
+            if name not in self.model_fields_set:
+                object.__setattr__(self, name, 0.0)  # it divides its turn evenly
+        return self
 
     @field_validator("rail_counts")
     @classmethod
-    def _within_adc(cls, rails: tuple[int, int], info: ValidationInfo) -> tuple[int, int]:
+    def _within_adc(cls, rails: tuple[int, int] | None, info: ValidationInfo) -> tuple[int, int] | None:
+        if rails is None:
+            return None
         low, high = rails
-        counts_max = info.data.get("counts_max", 65535)
+        counts_max = info.data.get("counts_max", 65535) or _LARGEST_COUNTS
         if not 0 <= low < high <= counts_max:
             raise ValueError(f"must be [low, high] with 0 <= low < high <= {counts_max}, not [{low}, {high}]")
         return rails
@@ -221,12 +299,37 @@ class Tachometer(_Section):
 
 
 class TravelLimits(_Section):
-    """Where the shaft may be."""
+    """Where the shaft may be, and how fast."""
 
-    soft_rad: Interval = Field(description="[low, high]: beyond, only inward drive passes")
-    hard_rad: Interval = Field(description="[low, high]: beyond, 0 V and a latched fault")
+    travel: Literal["none"] | None = Field(
+        None,
+        description="none: the shaft turns without end, and has an encoder; then no soft_rad and no hard_rad, and the "
+        "device arms only after its e-stop has been tried",
+    )
+    soft_rad: Interval = Field(NO_TRAVEL_LIMITS, description="[low, high]: beyond, only inward drive passes")
+    hard_rad: Interval = Field(NO_TRAVEL_LIMITS, description="[low, high]: beyond, 0 V and a latched fault")
     max_speed_rad_s: Positive = Field(description="largest speed of the shaft to expect")
     coast_tau_s: Positive = Field(description="longest velocity time constant to expect, for the stopping distance")
+
+    @property
+    def is_endless(self) -> bool:
+        """Whether there are no travel limits."""
+        return self.travel == "none"
+
+    @model_validator(mode="after")
+    def _limits_or_none(self) -> Self:
+        given = [name for name in ("soft_rad", "hard_rad") if getattr(self, name) != NO_TRAVEL_LIMITS]
+        if self.is_endless and given:
+            raise ValueError(f"`travel: none` leaves no {' and no '.join(given)}: give one or the other")
+        if not self.is_endless and len(given) < 2:
+            missing = [name for name in ("soft_rad", "hard_rad") if name not in given]
+            raise ValueError(f"{' and '.join(missing)} missing; a shaft that turns without end has `travel: none`")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_infinity(self, to_data: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = to_data(self)
+        return {key: value for key, value in data.items() if not (self.is_endless and key in ("soft_rad", "hard_rad"))}
 
 
 class MotorSection(_Section):
@@ -436,6 +539,11 @@ class TrackingSection(_Section):
     trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)] = Field(
         description="the reference: a sum of sines about the centre of travel"
     )
+    turn_rad_s: float = Field(
+        0.0,
+        description="without travel limits: the reference turns on at this speed, from where each check begins, with "
+        "the sines on top",
+    )
     methods: tuple[Method, ...] = Field(
         tuple(entry.name for entry in ESTIMATORS if entry.finds_motor),
         description="estimators whose models are compared, each on the same trajectory",
@@ -532,12 +640,19 @@ class EmulatedPotentiometer(_Section):
         return rad_per_count
 
 
+class EmulatedEncoder(_Section):
+    """What an emulated bench with an encoder has besides; its scale is that of section `potentiometer`."""
+
+    end_rad: Interval | None = Field(None, description="beyond these an end switch is open; default: there is none")
+    estop_open_s: NonNegative = Field(0.0, description="for so long from power on a hand tries the e-stop")
+
+
 class EmulatedWiring(_Section):
     """Faults that the emulated bench is built with."""
 
     drive: Literal["ok", "reversed", "dead", "stuck_on"] = Field("ok", description="fault of the drive")
-    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy"] = Field(
-        "ok", description="fault of the position sensor"
+    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still"] = Field(
+        "ok", description="fault of the position sensor; `still`: one channel of an encoder stands still"
     )
     fault_after_s: NonNegative = Field(0.0, description="device time from arming until drive and sensor faults begin")
 
@@ -551,6 +666,11 @@ class Emulated(_Section):
 
     motor: EmulatedMotor = Field(description="the true motor, which the report compares estimates with")
     potentiometer: EmulatedPotentiometer = Field(EmulatedPotentiometer(), description="the true potentiometer")
+    encoder: EmulatedEncoder | None = Field(
+        None,
+        description="the true encoder; default: where section sensor has one; there a hand tries the e-stop for 0.01 s "
+        "if there are no travel limits",
+    )
     supply_V: Positive | None = Field(None, description="true motor supply; default: drive.supply_V")
     bridge_drop_V: NonNegative | None = Field(
         None, description="truly lost in the bridge while driving; default: drive.bridge_drop_V"
@@ -596,7 +716,7 @@ class Experiment(_Section):
     period_s: Annotated[float, Field(ge=0.0005, le=0.1)] = Field(0.01, description="the loop's period")
     loop: LoopSection = Field(LoopSection(), description="how the loop keeps its time")
     daq: Daq = Field(description="the link to the bench")
-    sensor: Sensor = Field(description="the potentiometer: counts to rad")
+    sensor: Sensor = Field(description="the position sensor: counts to rad")
     drive: Drive = Field(description="the H-bridge: V to duty")
     tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
     motor: MotorSection | None = Field(
@@ -627,7 +747,7 @@ class Experiment(_Section):
         """What the device's raw numbers mean."""
         tachometer = None if self.tachometer is None else self.tachometer.scale
         s = self.sensor
-        return Scaling(s.curve, self.drive.map, s.rail_counts, s.counts_max, tachometer)
+        return Scaling(s.curve, self.drive.map, s.rails, s.counts_max, tachometer)
 
     @model_validator(mode="after")
     def _emulated_as_believed(self) -> Self:
@@ -648,9 +768,18 @@ class Experiment(_Section):
                 reversed=self.drive.reversed,
                 tachometer=self.tachometer is not None,
             )
+            if self.sensor.encoder is not None:
+                counter = EmulatedEncoder(estop_open_s=_TRIES_ESTOP_S if self.limits.is_endless else 0.0)
+                emulated = _filled(emulated, encoder=counter)
+            if self.limits.is_endless and "stop_rad" not in emulated.motor.model_fields_set:
+                motor = emulated.motor.model_copy(update={"stop_rad": _NO_STOPS})
+                emulated = emulated.model_copy(update={"motor": motor})
             object.__setattr__(self, "emulated", emulated)  # frozen: this is the one place that completes it
         return self
 
+
+_TRIES_ESTOP_S = 0.01  # over before the host has asked who it is
+_NO_STOPS = (-1e9, 1e9)  # rad: finite, as every number of a config
 
 _AnySection = TypeVar("_AnySection", bound=_Section)
 

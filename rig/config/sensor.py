@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 from rig.config.schema import Experiment
 
 
 def range_rad(e: Experiment) -> tuple[float, float]:
-    """Positions within the calibration's points and between the rails, rad; (inf, -inf) where there are none."""
-    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
-    rail_low, rail_high = e.sensor.rail_counts
+    """Positions within the calibration's points and between the rails, rad; (inf, -inf) where there are none.
+
+    An encoder shows all positions: (-inf, inf).
+    """
+    if e.sensor.encoder is not None:
+        return -math.inf, math.inf
+    points = e.sensor.points
+    rail_low, rail_high = e.sensor.rails
     low, high = max(points[0][0], rail_low + 1), min(points[-1][0], rail_high - 1)
     if low > high:
         return float("inf"), float("-inf")
@@ -27,10 +33,12 @@ def range_rad(e: Experiment) -> tuple[float, float]:
 
 def count_rad(e: Experiment) -> float:
     """Mean size of one count over the calibration, rad."""
-    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    points = e.sensor.points
     return abs((points[-1][1] - points[0][1]) / (points[-1][0] - points[0][0]))
 
 
 def full_range_rad(e: Experiment) -> float:
-    """What the readings 0 to counts_max span, rad."""
-    return count_rad(e) * e.sensor.counts_max
+    """What the readings 0 to counts_max span, rad; of an encoder one turn of the measured shaft."""
+    if e.sensor.encoder is not None:
+        return 2.0 * math.pi
+    return count_rad(e) * (e.sensor.counts_max or 0)

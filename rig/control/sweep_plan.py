@@ -117,6 +117,8 @@ def sweep_plan(room: Room, wanted_rad_s: Sequence[float] = ()) -> SweepPlan:
     Raises TooShortError if the room is too small for them, or the time too short.
     """
     low, high = room.soft_rad
+    if not math.isfinite(high - low):
+        raise TooShortError("a survey sweeps between two travel limits, and there are none")
     edge = EDGE_SHARE * (high - low)
     low, high = low + edge, high - edge
     travel, bandwidth = high - low, room.bandwidth_1_s

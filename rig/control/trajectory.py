@@ -19,16 +19,25 @@ class SumOfSines:
     """yd(t) = sum A_i sin(w_i t), reached from ``start_rad`` over ``fade_s`` with two continuous derivatives.
 
     components  pairs (amplitude rad, angular frequency rad/s)
+    turn_rad_s  the shaft turns on at this speed, with the sines on top, from ``start_rad`` on; 0: it swings about 0 rad
     """
 
-    def __init__(self, components: Sequence[tuple[float, float]], start_rad: float = 0.0, fade_s: float = 1.5) -> None:
+    def __init__(
+        self,
+        components: Sequence[tuple[float, float]],
+        start_rad: float = 0.0,
+        fade_s: float = 1.5,
+        turn_rad_s: float = 0.0,
+    ) -> None:
         self.components = tuple(components)
+        self.turn_rad_s = turn_rad_s
         self.start_rad = start_rad
         self.fade_s = fade_s
 
     def at(self, t_s: float) -> Reference:
         """Reference at ``t_s`` >= 0 seconds after the start."""
-        y = v = a = 0.0
+        v, a = self.turn_rad_s, 0.0
+        y = self.start_rad + v * t_s if v else 0.0
         for amplitude, omega in self.components:
             sine, cosine = math.sin(omega * t_s), math.cos(omega * t_s)
             y += amplitude * sine

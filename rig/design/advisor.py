@@ -133,6 +133,8 @@ class Advisor:
     def _next(self, estimate: LiveEstimate) -> Design | None:
         """The test to go over to; None: go on with the present one."""
         s = self._settings
+        if not estimate.fc_V > 0.0:
+            return None  # a model without friction: no test can be designed for its intervals in %
         if s.live.prior is None and not estimate.worst_percent <= KNOWN_PERCENT:
             return None
         if not self._must_change and self._given is not None and not self._has_run():

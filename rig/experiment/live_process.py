@@ -2,7 +2,8 @@
 
 ``python -m rig.experiment.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row
 goes from the loop to it. It gets the settings by its standard input, a word when the guard had to brake, and ends at
-the end of that input. Its advice comes by its standard output, which the loop looks at without ever waiting.
+the end of that input. Its advice comes by its standard output, which the loop looks at without ever waiting. With each
+advice it says how often it was told that the guard had to brake: a test designed before that has too much room.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -45,11 +47,12 @@ class LiveProcess:
     def __init__(self, folder: Path) -> None:
         self.trouble = ""
         self._said: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._braked = 0  # how often it was told that the guard had to brake
         self._heard_s: float | None = None  # when it was told to begin, or last gave advice
         self._process: subprocess.Popen[bytes] | None = None
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rig.experiment.live_process", str(folder)],
+                [sys.executable, "-P", "-m", "rig.experiment.live_process", str(folder)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -71,10 +74,11 @@ class LiveProcess:
 
     def braked(self) -> None:
         """Tell it that the guard had to brake."""
+        self._braked += 1
         self._tell(BRAKED)
 
     def advice(self, row: int, t_s: float) -> Advice | None:
-        """Advice that has come since the last call; None without any."""
+        """Advice that has come since the last call; None without any. A test designed before a braking is left out."""
         message = None
         with contextlib.suppress(queue.Empty):
             message = self._said.get_nowait()
@@ -82,8 +86,9 @@ class LiveProcess:
             self._look_after()
             return None
         self._heard_s, self.trouble = time.monotonic(), ""
-        advice: Advice = pickle.loads(message)
-        return advice
+        advice: Advice
+        advice, braked = pickle.loads(message)
+        return advice if braked == self._braked else replace(advice, design=None)
 
     def close(self) -> None:
         """End the process, whatever it does."""
@@ -147,6 +152,7 @@ def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[bytes | None
     from rig.recording.writer import SAMPLES
 
     known = None
+    braked = 0
     due_s = -1.0  # time of the run
     while True:
         with contextlib.suppress(queue.Empty):
@@ -154,6 +160,7 @@ def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[bytes | None
             if message is None:
                 return
             advisor.braked()
+            braked += 1
             due_s = -1.0
         try:
             known = read_csv(folder / SAMPLES, own=True, known=known)
@@ -164,7 +171,7 @@ def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[bytes | None
         advisor.take(known)
         due_s = float(known.t_s[-1]) + ADVICE_EVERY_S
         advice = advisor.advise()
-        if advice is not None and not _say(pickle.dumps(advice)):
+        if advice is not None and not _say(pickle.dumps((advice, braked))):
             return
 
 

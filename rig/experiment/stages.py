@@ -37,7 +37,7 @@ from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_rad, room_for_delay_s
+from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_rad, room_for_delay_s, swing_rad
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -493,7 +493,7 @@ def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | Fram
         further_delay_s=_further_delay_s(session),
         calibration=e.sensor.curve,
         drive_map=e.drive.map,
-        rail_counts=e.sensor.rail_counts,
+        rail_counts=e.sensor.rails,
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
@@ -562,7 +562,11 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
     return Tracking(
         motor,
         observer,
-        SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in e.tracking.trajectory], fade_s=FADE_S),
+        SumOfSines(
+            [(c.amplitude_rad, c.omega_rad_s) for c in e.tracking.trajectory],
+            fade_s=FADE_S,
+            turn_rad_s=e.tracking.turn_rad_s,
+        ),
         e.tracking.k1_1_s,
         e.tracking.k2_1_s2,
         e.tracking.duration_s,
@@ -574,13 +578,13 @@ def integral_bound_rad_s(e: Experiment) -> float:
     """Bound on the relay's integral: four times the largest |z| of any cycle to expect."""
     if e.relay.until is not None:
         # a cycle that fills the soft limits takes ten time constants at most
-        return 4.0 * reach_rad(e) * 10.0 * e.limits.coast_tau_s / 6.28
+        return 4.0 * swing_rad(e) * 10.0 * e.limits.coast_tau_s / 6.28
     if e.relay.target is not None:
         # a sine of the wanted period that fills the soft limits
-        return 4.0 * reach_rad(e) * e.relay.target.period_s / 6.28
+        return 4.0 * swing_rad(e) * e.relay.target.period_s / 6.28
     # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
     longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
-    return 4.0 * reach_rad(e) * longest_s
+    return 4.0 * swing_rad(e) * longest_s
 
 
 def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:

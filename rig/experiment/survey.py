@@ -107,7 +107,7 @@ def _rehearse(session: Session, sweeps: Sweeps) -> None:
         latency_s=session.loop.latency_s,
         calibration=e.sensor.curve,
         drive_map=e.drive.map,
-        rail_counts=e.sensor.rail_counts,
+        rail_counts=e.sensor.rails,
         period_s=e.period_s,
         order=session.bench.driver.order,
         further_delay_s=(session.delay or BenchDelay()).shown_s[1],

@@ -32,7 +32,7 @@ from rig.experiment.stages import (
 )
 from rig.identify.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
-from rig.preflight.room_to_stop import expected_delay_s, reach_rad
+from rig.preflight.room_to_stop import expected_delay_s, swing_rad
 from rig.recording.stage import StageKind
 from rig.results import LiveResult, StoppedResult
 from rig.session import MOST_TESTS, Session
@@ -118,7 +118,7 @@ class _Tests:
             self._detector,
             SwingRoom(
                 0.5 * (check.plus_V + check.minus_V),
-                REACH * reach_rad(e),
+                REACH * swing_rad(e),
                 FAST * e.limits.max_speed_rad_s,
                 e.relay.search.h_max_V,
                 e.drive.max_V,

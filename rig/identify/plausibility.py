@@ -39,6 +39,7 @@ MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of posit
 MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
+TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
 FEW_LEVELS = 8
 
 
@@ -213,8 +214,9 @@ def _rails(test: TimeSeries) -> list[Objection]:
         edges = np.flatnonzero(np.diff(np.concatenate(([False], y == end, [False]))))
         begins, lengths = edges[::2], edges[1::2] - edges[::2]
         k = int(np.argmax(lengths))
-        if lengths[k] >= RAIL_ROWS:
-            first = test.first_row + int(begins[k])
+        row = int(begins[k])
+        if lengths[k] >= RAIL_ROWS and not _turns(test, row, row + int(lengths[k])):
+            first = test.first_row + row
             found.append(
                 Objection(
                     "doubtful",
@@ -223,6 +225,13 @@ def _rails(test: TimeSeries) -> list[Objection]:
                 )
             )
     return found
+
+
+def _turns(test: TimeSeries, first: int, stop: int) -> bool:
+    """Whether the shaft may just turn in these rows, within one step of a sensor that shows no more noise than that."""
+    y, step, rows = test.y_rad, test.resolution_rad(), stop - first
+    ahead, behind = y[max(first - rows, 0) : first + 1], y[stop - 1 : stop + rows]
+    return test.noise_rad() <= step and max(float(np.ptp(ahead)), float(np.ptp(behind))) <= TURN_STEPS * step
 
 
 def _information(test: TimeSeries) -> list[Objection]:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import Calibration, DriveMap, Scaling
+from rig.calibration import ALL_COUNTS, Calibration, DriveMap, Scaling
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Law
 from rig.faults import Fault
@@ -52,10 +52,11 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int 
     parameters = BenchParameters(
         motor=bench.motor if isinstance(bench.motor, Motor) else bench.motor.plain,
         start_rad=bench.start_rad,
-        stop_rad=(-1e3, 1e3),
+        stop_rad=(-1e6, 1e6),
         rad_per_count=calibration.lsb_rad * calibration.direction,
         centre_counts=calibration.to_counts(0.0),
         counts_max=65535,
+        encoder=bench.rail_counts == ALL_COUNTS,
         noise_rad=bench.noise_rad,
         supply_V=bench.drive_map.full_V,
         drive_counts=bench.drive_map.full_units,

@@ -1,4 +1,4 @@
-"""The bench around the motor: potentiometer, drive stage, mechanical stops, wiring faults.
+"""The bench around the motor: potentiometer or encoder, drive stage, mechanical stops, wiring faults.
 
 The emulated board has the same bench in C (firmware/boards/host/bench.c). A test compares the two.
 """
@@ -17,7 +17,7 @@ from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
 
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
-SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy"]
+SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still"]
 
 _LEAST_SHARE = 1e-6  # of the time connected: its braking is beyond any measurement
 NOISY_COUNTS = 25.0  # standard deviation that a "noisy" sensor adds to its own noise
@@ -31,6 +31,10 @@ class BenchParameters:
     start_rad        position of the shaft at the start
     stop_rad         mechanical stops (low, high); the velocity is zero at a stop
     rad_per_count, centre_counts, counts_max, noise_rad, offset_rad   potentiometer and ADC
+    encoder          the position is an encoder's: ``rad_per_count`` of a quarter of its period, and no other key of the
+                     potentiometer but ``offset_rad``; it has no noise and no end
+    end_rad          (low, high): beyond them an end switch is open; None: there are none
+    estop_open_s     an encoder's board alone: for so long from power on the e-stop is open, as when a hand tries it
     supply_V, drive_counts   motor supply, and the counts of full duty
     bridge_drop_V    lost in the bridge while it drives
     dead_band_plus, dead_band_minus   duty up to which the bridge gives 0 V, for positive and for negative counts
@@ -52,6 +56,9 @@ class BenchParameters:
     counts_max: int = 1023
     noise_rad: float = 0.0
     offset_rad: float = 0.0
+    encoder: bool = False
+    end_rad: tuple[float, float] | None = None
+    estop_open_s: float = 0.0
     supply_V: float = 12.0
     drive_counts: int = 799
     bridge_drop_V: float = 0.0
@@ -209,9 +216,11 @@ class BenchModel:
         return self._real.reading_rad
 
     def read_counts(self) -> int:
-        """Reading of the position's ADC, 0 to counts_max."""
+        """Reading of the position's ADC, 0 to counts_max; of an encoder, any whole number."""
         p = self.parameters
         wiring = p.sensor if self.faulty else "ok"
+        if p.encoder:
+            return self._encoder_counts(wiring)
         if wiring == "broken_low":
             return 0
         if wiring == "broken_high":
@@ -228,6 +237,18 @@ class BenchModel:
             counts = (counts + (p.counts_max + 1) // 4) % (p.counts_max + 1)
         self._stuck_counts = counts if wiring == "stuck" else None
         return counts
+
+    def _encoder_counts(self, wiring: SensorWiring) -> int:
+        offset_counts = (self.sensed_rad + self.parameters.offset_rad) / self.parameters.rad_per_count
+        counts = math.floor((-offset_counts if wiring == "reversed" else offset_counts) + 0.5)
+        if wiring not in ("stuck", "still"):
+            self._stuck_counts = None
+            return counts + 2 if wiring == "jumped" else counts
+        if self._stuck_counts is None:
+            self._stuck_counts = counts
+        if wiring == "stuck":
+            return self._stuck_counts
+        return self._stuck_counts + ((counts - self._stuck_counts) // 2) % 2  # to and fro over one edge
 
     def read_tachometer_rad_s(self) -> float:
         """Velocity of the measured shaft, quantised, rad/s; nan without a velocity channel."""

@@ -31,7 +31,7 @@ def differences(e: Experiment) -> Iterator[str]:
             f"{', '.join(f'{name} {value:g}' for name, value in given)}): estimates without these laws may be off"
         )
     stops, hard = e.emulated.motor.stop_rad, e.limits.hard_rad
-    if not (stops[0] <= hard[0] and hard[1] <= stops[1]):
+    if not e.limits.is_endless and not (stops[0] <= hard[0] and hard[1] <= stops[1]):
         yield (
             f"the emulated shaft meets its mechanical stops at {bracketed(stops)} rad, inside limits.hard_rad "
             f"{bracketed(hard)}: its motion there is not free"
@@ -71,14 +71,14 @@ def _sensor(e: Experiment) -> Iterator[str]:
             f"the emulated potentiometer reads {true.centre_counts:g} counts at position 0, sensor.calibration says "
             f"{centre_counts:g}: every position is off by {abs(true.centre_counts - centre_counts):.3g} counts"
         )
-    bent_counts = max(abs(centre_counts + point.rad / rad_per_count - point.counts) for point in e.sensor.calibration)
+    bent_counts = max(abs(centre_counts + rad / rad_per_count - counts) for counts, rad in e.sensor.points)
     if bent_counts > _BENT_COUNTS:
         yield (
             f"sensor.calibration is a table that bends by up to {bent_counts:.3g} counts, but the emulated "
             "potentiometer is straight: K will come out too large where the table is too steep, too small where it is "
             "too flat"
         )
-    if true.counts_max != e.sensor.counts_max:
+    if e.sensor.encoder is None and true.counts_max != e.sensor.counts_max:
         yield (
             f"the emulated potentiometer reads 0 to {true.counts_max} counts, sensor.counts_max is "
             f"{e.sensor.counts_max}: describe it in emulated.potentiometer"

@@ -20,7 +20,7 @@ def guard_settings_of(
     t = experiment.limits
     return GuardSettings(
         limits=experiment.device_limits,
-        rail_counts=experiment.sensor.rail_counts,
+        rail_counts=experiment.sensor.rails,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
         reaction_s=known_reaction_s(experiment),  # as in `rig check`

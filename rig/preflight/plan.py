@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -15,11 +16,11 @@ from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
     overshoot_terms,
     peak_speed_rad_s,
-    reach_rad,
     room_for_delay_s,
     room_rad,
     stopping_sum,
     stopping_terms,
+    swing_rad,
 )
 from rig.preflight.survey_room import expected_sweeps
 
@@ -29,15 +30,17 @@ def plan(e: Experiment) -> Iterator[str]:
     backend = backend_of(e)
     yield f"backend: {backend.words(e)}, every {e.period_s * 1e3:g} ms"
     yield from _stage_lines(e)
-    soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
     full_V = e.drive.supply_V - e.drive.bridge_drop_V
     yield (
-        f"limits: soft {soft} rad, hard {hard} rad, sensor {bracketed(range_rad(e))} rad; "
+        f"limits: {_travel_words(e)}; "
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
-    yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
+    if e.limits.is_endless:
+        yield f"stopping {stopping_sum(e)}, wherever that is; a person must be able to reach the e-stop"
+    else:
+        yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
     room_s = room_for_delay_s(e)
-    if room_s > 0.0:
+    if 0.0 < room_s < math.inf:
         yield (
             "delay: the breakaway check bounds how late a drive shows in the reading; there is room for "
             f"{1e3 * room_s:.0f} ms beyond a drive's own tick"
@@ -46,6 +49,15 @@ def plan(e: Experiment) -> Iterator[str]:
     yield backend.failsafe_words(e)
     for note in notes(e):
         yield f"note: {note}"
+
+
+def _travel_words(e: Experiment) -> str:
+    if e.limits.is_endless:
+        return "no travel limits; zero is where a command finds the shaft"
+    soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
+    if e.sensor.encoder is not None:
+        return f"soft {soft} rad, hard {hard} rad, from the zero that `rig home` sets"
+    return f"soft {soft} rad, hard {hard} rad, sensor {bracketed(range_rad(e))} rad"
 
 
 def notes(e: Experiment) -> Iterator[str]:
@@ -121,7 +133,7 @@ def _relay_tests(e: Experiment) -> _Stage:
     if r.until is not None:
         u = r.until
         lines = (
-            f"stage search: a relay whose gains grow from the breakaway level, within {reach_rad(e):g} rad and "
+            f"stage search: a relay whose gains grow from the breakaway level, within {swing_rad(e):.3g} rad and "
             f"{e.limits.max_speed_rad_s:g} rad/s; with `--model` it is left out",
             "stages relay, strokes: the tests that tell most, by simulation on the estimate so far; they end when tau, "
             f"K and f_c are known to {u.interval_percent:g} %, after {u.longest_s:g} s at the latest, or "

@@ -11,7 +11,7 @@ from rig.design.belief import Belief
 from rig.design.outlook import Task
 from rig.design.room import Reading, Room
 from rig.model.real_motor import RealMotor
-from rig.preflight.room_to_stop import counted_delay_s, known_reaction_s
+from rig.preflight.room_to_stop import counted_delay_s, known_reaction_s, swing_rad
 from rig.results import BreakawayResult, RunResult
 from rig.signals import BenchDelay
 
@@ -35,9 +35,10 @@ def room_of_tests(
     step_rad = e.sensor.curve.lsb_rad
     scatter_rad_s = SCATTER * velocity_noise_rad_s(max(noise_rad or 0.0, step_rad), e.period_s)
     low, high = (max(1.0 - scatter_rad_s * horizon_s / abs(hard), LEAST) * hard for hard in limits.hard_rad)
+    soft_low, soft_high = (-swing_rad(e), swing_rad(e)) if limits.is_endless else limits.soft_rad
     return Room(
-        INSIDE * limits.soft_rad[0],
-        INSIDE * limits.soft_rad[1],
+        INSIDE * soft_low,
+        INSIDE * soft_high,
         e.drive.max_V,
         max(limits.max_speed_rad_s - scatter_rad_s, LEAST * limits.max_speed_rad_s),
         static_V,

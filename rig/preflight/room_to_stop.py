@@ -13,6 +13,7 @@ from rig.signals import BenchDelay
 
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
 _VELOCITY_LAG_S = 0.02  # by which it lags at least: half of its window
+_ONE_TURN_RAD = 2.0 * math.pi
 _BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older than a reply, by its length and its way
 
 
@@ -50,7 +51,9 @@ def known_reaction_s(experiment: Experiment) -> float:
 
 
 def limits_are_ordered(e: Experiment) -> bool:
-    """Whether the hard limits are outside the soft ones, and 0 rad within both."""
+    """Whether the hard limits are outside the soft ones, and 0 rad within both; or there are none."""
+    if e.limits.is_endless:
+        return True
     (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
     return hard_low < soft_low < 0.0 < soft_high < hard_high
 
@@ -63,6 +66,11 @@ def room_rad(e: Experiment) -> float:
 def reach_rad(e: Experiment) -> float:
     """Distance from the centre of travel to the nearer soft limit, rad."""
     return min(-e.limits.soft_rad[0], e.limits.soft_rad[1])
+
+
+def swing_rad(e: Experiment) -> float:
+    """How far from the centre of travel a test may swing, rad: to the nearer soft limit; without limits, one turn."""
+    return _ONE_TURN_RAD if e.limits.is_endless else reach_rad(e)
 
 
 def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:

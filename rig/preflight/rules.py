@@ -109,6 +109,14 @@ def _watchdog(e: Experiment) -> Iterator[Problem]:
 
 
 def _limits(e: Experiment) -> Iterator[Problem]:
+    if e.limits.is_endless:
+        if e.sensor.encoder is None:
+            yield wrong(
+                "limits.travel",
+                "a shaft that turns without end needs `sensor.encoder`: a potentiometer has ends",
+                "give soft_rad and hard_rad",
+            )
+        return
     soft, hard = e.limits.soft_rad, e.limits.hard_rad
     if not soft[0] < 0.0 < soft[1]:
         yield wrong(
@@ -363,8 +371,12 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
     if e.tracking is None or not limits_are_ordered(e):
         return
     terms = [(abs(s.amplitude_rad), s.omega_rad_s) for s in e.tracking.trajectory]
+    turn_rad_s = abs(e.tracking.turn_rad_s)
+    if turn_rad_s and not e.limits.is_endless:
+        yield wrong("tracking.turn_rad_s", "a shaft that turns on needs limits.travel: none", "remove it")
+        return
     peak_rad = sum(a for a, _ in terms)
-    speed = sum(a * w for a, w in terms)
+    speed = sum(a * w for a, w in terms) + turn_rad_s
     if peak_rad > reach_rad(e):
         written = " + ".join(f"{a:g}" for a, _ in terms)
         yield wrong(
@@ -374,7 +386,7 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
             "lower the amplitudes",
         )
     if speed > e.limits.max_speed_rad_s:
-        written = " + ".join(f"{a:g} x {w:g}" for a, w in terms)
+        written = " + ".join([*(f"{a:g} x {w:g}" for a, w in terms), *([f"{turn_rad_s:g}"] if turn_rad_s else [])])
         yield wrong(
             "tracking.trajectory",
             f"its speed, at most {written} = {speed:.3g} rad/s, is above limits.max_speed_rad_s "
@@ -385,6 +397,14 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
 
 def _survey(e: Experiment) -> Iterator[Problem]:
     """Speeds that are given must fit into the travel and the time; without any, a survey takes what fits."""
+    if e.limits.is_endless:
+        if e.identify.thorough or "survey" in e.model_fields_set:
+            yield wrong(
+                "limits.travel",
+                "a survey sweeps between two limits, and there are none",
+                "leave out section survey and identify.thorough",
+            )
+        return
     if e.survey.speeds_rad_s is None or not limits_are_ordered(e):
         return
     try:
@@ -454,9 +474,16 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
                 "start inside",
             )
             break
+    fault = e.emulated.wiring.sensor
+    foreign = _NO_ENCODER_HAS if e.sensor.encoder is not None else _ENCODERS_ALONE
+    if fault in foreign:
+        yield wrong("emulated.wiring.sensor", f"this sensor has no fault `{fault}`", "another, or ok")
     if e.emulated.tachometer and e.tachometer is None:
         yield wrong("emulated.tachometer", "needs the section `tachometer` with its scale")
 
+
+_NO_ENCODER_HAS = ("broken_low", "broken_high", "noisy")
+_ENCODERS_ALONE = ("still",)
 
 _RULES: tuple[Rule, ...] = (
     device_rules,

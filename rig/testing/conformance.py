@@ -152,7 +152,7 @@ class Suite:
     def test_it_refuses_limits_that_it_cannot_hold(self) -> None:
         """``arm`` raises for limits beyond sensor or drive, and arms nothing. AssertionError where it does not."""
         good, e = self.experiment.device_limits, self.experiment
-        calibration, counts_max = e.sensor.curve, e.sensor.counts_max
+        calibration, counts_max = e.sensor.curve, e.sensor.counts_max or 0
         ends = sorted((calibration.to_rad(-0.1 * counts_max), calibration.to_rad(1.1 * counts_max)))
         cases: tuple[tuple[str, Limits], ...] = (
             ("hard limits beyond what the sensor can read", replace(good, hard_rad=(ends[0], ends[1]))),

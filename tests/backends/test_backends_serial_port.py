@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pty
+import termios
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -151,3 +152,21 @@ def test_an_adapter_that_is_quicker_or_unknown_is_taken(
     closed = plug_in(monkeypatch, "/dev/ttyACM9", ids)
     with unopened(uno_at("/dev/ttyACM9", adapter)):
         assert closed == []
+
+
+def test_a_port_that_keeps_on_does_not_hang_up_when_it_is_closed() -> None:
+    ours, theirs = os.openpty()
+    try:
+        name = os.ttyname(theirs)
+        for keeps_on in (False, True):
+            attributes = termios.tcgetattr(theirs)
+            attributes[2] |= termios.HUPCL
+            termios.tcsetattr(theirs, termios.TCSANOW, attributes)
+            port = SerialPort(name)
+            if keeps_on:
+                port.keep_on()
+            port.close()
+            assert bool(termios.tcgetattr(theirs)[2] & termios.HUPCL) != keeps_on
+    finally:
+        os.close(ours)
+        os.close(theirs)

@@ -57,11 +57,11 @@ def test_bad_configs_end_with_status_2_and_no_traceback(tmp_path: Path) -> None:
     assert missing.exit_code == 2
     text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")
     broken = tmp_path / "broken.yaml"
-    broken.write_text(text.replace("cycles: 12", "cyles: 12"), encoding="utf-8")
+    broken.write_text(text.replace("until:", "untill:"), encoding="utf-8")
     for command in ("run", "check", "relay", "emulate"):
         result = rig(command, broken)
         assert result.exit_code == 2
-        assert "cyles" in result.stderr
+        assert "untill" in result.stderr
         assert "did you mean" in result.stderr
         assert "Traceback" not in result.output
     as_json = rig("check", broken, "--json")

@@ -12,7 +12,7 @@ import pytest
 
 from rig.control.strokes import Stroke
 from rig.design import advisor as module
-from rig.design.advisor import Advisor, AdvisorSettings
+from rig.design.advisor import Advice, Advisor, AdvisorSettings
 from rig.design.best_test import Kind
 from rig.design.outlook import Task
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
@@ -125,6 +125,14 @@ def test_a_known_motor_gets_its_first_test_without_any_row_in_motion(bench: Benc
     known.says = estimate(30.0)
     advice = known.advisor.advise()
     assert advice is not None and advice.design is not None
+
+
+def test_no_test_is_designed_for_a_known_motor_without_friction(bench: Bench) -> None:
+    live = replace(bench.settings.live, prior=FramedMotor(MOTOR.motor._replace(fc_V=0.0), Frame()))
+    known = Bench(replace(bench.settings, live=live), bench.monkeypatch)
+    known.drive("rest", 0.5)
+    known.says = replace(estimate(30.0), fc_V=0.0)
+    assert known.advisor.advise() == Advice(known.says)
 
 
 def started(bench: Bench, stage: str = "strokes-1", seconds: float = 3.0) -> None:

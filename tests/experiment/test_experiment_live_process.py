@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import sys
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from rig.design.advisor import Advice, AdvisorSettings
+from rig.design.planned_test import Design, Reach, RelayGains
 from rig.design.room import Reading, Room
 from rig.experiment import live_process
 from rig.experiment.live_process import LiveProcess
@@ -58,6 +60,26 @@ def test_it_reads_the_folder_as_it_grows_and_advises_about_once_a_second_of_the_
     process.braked()  # it designs anew, and says so, without a new row
     again = heard(process, lambda advice: advice is not None)
     assert again is not None and again.design is not None
+
+
+def test_a_test_designed_before_the_guard_had_to_brake_is_not_driven(process: LiveProcess) -> None:
+    advice = Advice(None, Design(RelayGains(0.3, 0.6), 1.0, 1.0, Reach(-0.5, 0.5, 2.0)))
+    process.braked()
+    process._said.put(pickle.dumps((advice, 0)))  # on its way meanwhile
+    assert process.advice(0, 0.0) == Advice(None)
+    process._said.put(pickle.dumps((advice, 1)))
+    assert process.advice(0, 0.0) == advice
+
+
+def test_files_of_the_folder_that_rig_is_called_in_are_not_its_modules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "queue.py").write_text("raise SystemExit(7)\n")
+    monkeypatch.chdir(tmp_path)
+    with LiveProcess(tmp_path) as process:
+        assert process._process is not None and process._process.stdin is not None
+        process._process.stdin.close()  # it gets no settings, so it ends
+        assert process._process.wait(60.0) == 0
 
 
 def test_a_process_that_was_killed_is_trouble_and_nothing_else(process: LiveProcess) -> None:

@@ -23,7 +23,7 @@ def test_the_firmwares_own_tests_pass(tmp_path: Path) -> None:
     made = make(source_folder(), "test", f"BUILD={tmp_path}")
     assert made.returncode == 0, made.stdout + made.stderr
     counts = dict(re.findall(r"^(\w+): (\d+) checks, 0 failed$", made.stdout, re.MULTILINE))
-    assert set(counts) == {"frames", "relay", "strokes", "rig_core", "rig_relay", "rig_strokes"}
+    assert set(counts) == {"frames", "relay", "strokes", "rig_core", "rig_encoder", "rig_relay", "rig_strokes"}
     assert int(counts["frames"]) > 100_000 and int(counts["rig_core"]) > 500
 
 

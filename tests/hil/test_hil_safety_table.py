@@ -10,12 +10,13 @@ import pytest
 
 from safety import garbage
 from safety.__main__ import BAUDS, chip_load
-from safety.driven_chip import BENCH, SETUP, DrivenChip, Way, steady
-from safety.page import Found, is_kept, render, row
-from safety.promises import PROMISES, Promise, measure
+from safety.driven_chip import PICO, UNO, DrivenChip, Way
+from safety.page import Found, is_kept, render, render_pico, row
+from safety.promises import PICO_PROMISES, PROMISES, Promise, measure
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "safety-table.md"
-COAST_RAD = max(BENCH.motor.stopping_distance(steady(direction)[1]) for direction in (1, -1))
+PICO_PAGE = PAGE.with_name("safety-table-pico.md")
+COAST_RAD = max(UNO.bench.motor.stopping_distance(UNO.steady(direction)[1]) for direction in (1, -1))
 
 
 @pytest.mark.parametrize("promise", PROMISES, ids=lambda p: f"{p.what}-{p.way.where}-{p.way.baud}-{p.way.bridge}")
@@ -24,14 +25,14 @@ def test_every_promise_is_kept_and_the_coast_is_the_exact_motors(promise: Promis
     assert found.late == 0 and found.off_s <= promise.bound_s
     if not promise.way.full:
         assert found.coast_rad == pytest.approx(COAST_RAD, rel=0.03)  # the slower direction coasts less far
-    speed = abs(steady(1)[1])
+    speed = abs(UNO.steady(1)[1])
     assert found.travel_rad >= found.coast_rad + 0.9 * speed * found.off_s - 1e-3
 
 
 def test_what_is_promised_is_what_was_asked_for() -> None:
     bounds_s = {promise.what: promise.bound_s for promise in PROMISES}
     tick_s = 1e-3
-    assert bounds_s["host silent"] == 1e-3 * SETUP.watchdog_ms + tick_s
+    assert bounds_s["host silent"] == 1e-3 * UNO.setup.watchdog_ms + tick_s
     assert bounds_s["hang: everything"] == 0.150
     assert bounds_s["put beyond a hard limit"] == bounds_s["wiper wire broken"] == 2 * tick_s
     assert bounds_s["e-stop opens"] == tick_s
@@ -86,12 +87,44 @@ def test_the_tick_takes_its_share_and_no_byte_is_lost(baud: int) -> None:
     assert re.search(r"^lost +0 bytes", text, re.MULTILINE)
 
 
-def test_the_page_has_every_promise_with_200_phases_and_none_broken() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    assert re.search(r"Each row is 200 random\s+phases", page)
-    lines = [line.split(" | ") for line in page.splitlines() if line.startswith("| ") and " ms | " in line]
-    assert len(lines) == len(PROMISES)
-    for cells, promise in zip(lines, PROMISES, strict=True):
+SOME = {
+    ("host silent", "host"),
+    ("hang: main loop", "strokes"),
+    ("put beyond a hard limit", "device"),
+    ("wiper wire broken", "strokes"),
+    ("reset: power-on, external, brown-out", "device"),
+}
+
+
+@pytest.mark.parametrize(
+    "promise",
+    [p for p in PICO_PROMISES if (p.what, p.way.where) in SOME or (p.what == "e-stop opens" and p.way.floods)],
+    ids=lambda p: p.what,
+)
+def test_the_picos_promises_are_measured_alike(promise: Promise) -> None:
+    """Some of them; all are in test_hil_pico_safety."""
+    found = measure(promise, 2, seed=2)
+    motor = PICO.bench.motor
+    coast_rad = max(motor.stopping_distance(PICO.steady(direction)[1]) for direction in (1, -1))
+    assert found.late == 0 and found.off_s <= promise.bound_s
+    assert found.coast_rad == pytest.approx(coast_rad, rel=0.03)
+
+
+def rows_of(page: str) -> list[list[str]]:
+    return [line.split(" | ") for line in page.splitlines() if line.startswith("| ") and " ms | " in line]
+
+
+@pytest.mark.parametrize(
+    ("path", "promises", "phases"), [(PAGE, PROMISES, 200), (PICO_PAGE, PICO_PROMISES, 20)], ids=("uno", "pico")
+)
+def test_the_page_has_every_promise_with_its_phases_and_none_broken(
+    path: Path, promises: tuple[Promise, ...], phases: int
+) -> None:
+    page = path.read_text(encoding="utf-8")
+    assert re.search(rf"Each row is {phases} random\s+phases", page)
+    lines = rows_of(page)
+    assert len(lines) == len(promises)
+    for cells, promise in zip(lines, promises, strict=True):
         assert cells[0] == f"| {promise.what}" and cells[1].startswith(promise.way.where)
         assert cells[2] == f"{1e3 * promise.bound_s:.0f} ms"
         number, unit = cells[3].split()
@@ -108,3 +141,4 @@ def test_the_page_is_what_the_command_writes() -> None:
     head = "| what happens | driven by | off within | worst | coast, rad | in all, rad |"
     assert head in page and head in PAGE.read_text(encoding="utf-8")
     assert f"| {' | '.join(row(some))} |" in page and "took 2 (1.0 are to be expected)" in page and "7e-13" in page
+    assert f"| {' | '.join(row(some))} |" in render_pico("today", [some], found.thrown)

@@ -104,6 +104,14 @@ class Host(Generic[Device]):
                     return packet
         raise AssertionError(f"no reply to {kind}")
 
+    def heard(self, within_s: float) -> list[Packet]:
+        """Answers to the last request that come within this time."""
+        until_s = self.board.now_s() + within_s
+        packets: list[Packet] = []
+        while self.board.now_s() < until_s:
+            packets += self._reader.feed(self.board.read(until_s - self.board.now_s()))
+        return [packet for packet in packets if packet.seq == self._seq]
+
     def hello(self) -> Hello:
         return Hello.unpack(self.ask(Kind.HELLO).body)
 

@@ -310,7 +310,7 @@ def test_each_rule_refuses_with_one_line_at_its_key(case: str, tmp_path: Path) -
     assert preflight(experiment(**changes)).lines
 
 
-@pytest.mark.parametrize("name", ["demo", "demo-chip", "simulated", "uno", "device-relay"])
+@pytest.mark.parametrize("name", ["demo", "demo-chip", "demo-pico", "simulated", "uno", "pico", "device-relay"])
 def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     loaded, found = check(CONFIGS / f"{name}.yaml")
     assert loaded.name == name
@@ -318,8 +318,8 @@ def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     text = "\n".join(found.lines)
     for word in ("backend:", "breakaway", "stage search", "relay", "verify", "limits:", "stopping", "failsafe"):
         assert word in text
-    assert ("REAL MOTOR" in text) == (name == "uno")
-    assert ("emulated chip" in text) == (name == "demo-chip")
+    assert ("REAL MOTOR" in text) == (name in ("uno", "pico"))
+    assert ("emulated chip" in text) == (name in ("demo-chip", "demo-pico"))
     assert ("link:" in text) == (name != "simulated")
 
 
@@ -361,7 +361,7 @@ def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Pa
     """A falling table with a bend: the range printed is the positions of the readings just inside the rails."""
     table = [{"counts": 0, "rad": 2.5}, {"counts": 500, "rad": 0.1}, {"counts": 1023, "rad": -2.2}]
     e = experiment(sensor__calibration=table, sensor__rail_counts=[40, 1000])
-    calibration = Calibration((p.counts, p.rad) for p in e.sensor.calibration)
+    calibration = Calibration(e.sensor.points)
     low, high = calibration.to_rad(999), calibration.to_rad(41)
     text = "\n".join(preflight(e).lines)
     assert f"sensor [{low:.4g}, {high:.4g}] rad" in text

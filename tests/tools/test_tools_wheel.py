@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
 
 
-pytestmark = pytest.mark.timeout(900)  # 32 variants of the firmware, on a busy machine
+pytestmark = pytest.mark.timeout(900)  # 64 variants of the firmware for two boards, on a busy machine
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +53,10 @@ def test_the_wheel_holds_every_variant_of_the_firmware_the_same_from_another_fol
             if name.startswith("rig/_firmware/prebuilt/")
         }
     assert held == {path.name: path.read_bytes() for path in (tmp_path / "out/prebuilt").iterdir()}
-    wired = list(itertools.product((False, True), repeat=3))
+    wired = list(itertools.product((False, True), repeat=4))
     every = [UnoOptions(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
-    assert held.keys() == {f"{one.name}.hex" for one in every} | {"SHA256SUMS"}
+    files = {f"{one.name}.hex" for one in every} | {f"{one.name_for('pico')}.uf2" for one in every}
+    assert held.keys() == files | {"SHA256SUMS"}
 
 
 def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -> None:

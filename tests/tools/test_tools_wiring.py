@@ -94,7 +94,7 @@ def test_the_tachometers_divider_keeps_the_converters_range_and_rests_at_its_mid
 
 def test_the_page_says_how_far_the_pull_down_bends_the_reading() -> None:
     experiment, _ = check(wiring.ROOT / "config/uno.yaml")
-    points = sorted((p.counts, p.rad) for p in experiment.sensor.calibration)
+    points = experiment.sensor.points
     lsb_rad = (points[-1][1] - points[0][1]) / (points[-1][0] - points[0][0])
 
     def bend_counts(potentiometer_ohm: float, angles: int) -> float:

@@ -263,8 +263,8 @@ def compilers(path: str) -> list[list[str]]:
         if source.startswith(("boards/uno", "core")):
             uno = "-mmcu=atmega328p -Iboards/uno -DF_CPU=16000000UL -DRIG_BAUD=115200UL -DRIG_TACHOMETER=1"
             options = [*options, *uno.split(), "-DRIG_SUPPLY=1", "-DRIG_END_SWITCHES=1"]
-            for bridge in ("BRIDGE_PWM_DIR", "BRIDGE_IN1_IN2"):
-                commands.append(["avr-gcc", *options, f"-DRIG_BRIDGE={bridge}", source])
+            for bridge, encoder in (("BRIDGE_PWM_DIR", 0), ("BRIDGE_IN1_IN2", 1)):
+                commands.append(["avr-gcc", *options, f"-DRIG_BRIDGE={bridge}", f"-DRIG_ENCODER={encoder}", source])
     return commands
 
 

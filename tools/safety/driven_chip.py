@@ -1,7 +1,7 @@
-"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop or by a law in the device.
+"""An emulated board that drives a shaft at a steady speed, kept at it by a host's loop or by a law in the device.
 
-The bench, its limits and its largest speed are those of config/demo.yaml; the potentiometer has no offset, so that a
-limit is where it reads.
+The bench, its limits and its largest speed are those of config/demo.yaml, for the Pico of demo-pico.yaml; the
+potentiometer has no offset, so that a limit is where it reads.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from typing import Literal, NamedTuple
 from rig.backends.backend import truth_of
 from rig.backends.serial.driver import setup_for
 from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
+from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.serial.frames import (
     MAX_STROKE_TICKS,
     STATUS_FAULT,
@@ -25,65 +27,91 @@ from rig.backends.serial.frames import (
     Kind,
     Packet,
     RelaySetup,
+    Setup,
     StrokesSetup,
     encode,
     pack_ack,
     pack_arm,
     pack_drive,
+    pack_zero,
 )
-from rig.calibration import DriveMap
+from rig.calibration import ALL_COUNTS, Calibration, DriveMap
+from rig.config.schema import Experiment
 from rig.model.bench import BenchParameters
 from rig.preflight import check
 
-EXPERIMENT = check(Path(__file__).resolve().parents[2] / "config" / "demo.yaml")[0]
-CALIBRATION = EXPERIMENT.sensor.curve
-LIMITS = EXPERIMENT.device_limits
-DRIVE_FULL = 400
 TICK_S = 1e-3
-PERIOD_S = EXPERIMENT.period_s
-WATCHDOG_S = LIMITS.watchdog_s
 SESSION = 1
-SETUP = setup_for(
-    LIMITS,
-    CALIBRATION,
-    DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL),
-    EXPERIMENT.sensor.rail_counts,
-    SESSION,
-)
+COUNTS_PER_TURN = 3200  # of an encoder instead of the potentiometer
 
 _FLOOD_S = 2e-3  # of garbage a write
 _ASK_S = 0.05
 _START_RAD = 0.9
+_HAND_S = 0.2  # for the encoder of a shaft that is put elsewhere: it turns by 20,000 edges a second
 _LARGEST_Z = 2**30
 
+Board = Literal["uno", "pico"]
 Where = Literal["host", "device", "strokes"]
 Voice = Literal["drives", "reads", "garbage", "none"]
 
 
-def demo_bench() -> BenchParameters:
-    """Of config/demo.yaml, without the potentiometer's offset."""
-    truth = truth_of(EXPERIMENT)
+class Stand(NamedTuple):
+    """What a board drives, and the limits that it is told.
+
+    full  units of its drive at full duty
+    """
+
+    board: Board
+    experiment: Experiment
+    full: int
+    curve: Calibration
+    bench: BenchParameters
+    setup: Setup
+
+    def limit_rad(self, direction: int) -> float:
+        """Where the reading passes the hard limit, rad, without noise."""
+        last = self.setup.hard_hi + 0.5 if direction > 0 else self.setup.hard_lo - 0.5
+        return self.curve.to_rad(last)
+
+    def steady(self, direction: int) -> tuple[int, float]:
+        """The largest drive that keeps the shaft below limits.max_speed_rad_s, units, and its speed, rad/s.
+
+        Both are signed.
+        """
+        motor = self.bench.motor
+        friction_V = motor.friction.plus_V if direction > 0 else motor.friction.minus_V
+        against_V = friction_V - direction * motor.bias_V
+        unit_V = self.bench.supply_V / self.full
+        units = math.floor((self.experiment.limits.max_speed_rad_s / motor.K_rad_s_V + against_V) / unit_V)
+        return direction * units, direction * motor.K_rad_s_V * (units * unit_V - against_V)
+
+
+def _stand(board: Board, config: str, full: int) -> Stand:
+    e = check(Path(__file__).resolve().parents[2] / "config" / config)[0]
+    truth = truth_of(e)
     assert truth is not None
-    return replace(truth, offset_rad=0.0)
+    drive_map = DriveMap(e.drive.supply_V, full_units=full)
+    setup = setup_for(e.device_limits, e.sensor.curve, drive_map, e.sensor.rails, SESSION)
+    return Stand(board, e, full, e.sensor.curve, replace(truth, offset_rad=0.0), setup)
 
 
-BENCH = demo_bench()
+def _with_encoder(stand: Stand) -> Stand:
+    e = stand.experiment
+    curve = Calibration([(0, 0.0), (COUNTS_PER_TURN, math.tau)])
+    drive_map = DriveMap(e.drive.supply_V, full_units=stand.full)
+    bench = replace(
+        stand.bench, encoder=True, rad_per_count=math.tau / COUNTS_PER_TURN, centre_counts=0.0, noise_rad=0.0
+    )
+    return stand._replace(
+        curve=curve, bench=bench, setup=setup_for(e.device_limits, curve, drive_map, ALL_COUNTS, SESSION)
+    )
 
 
-def limit_rad(direction: int) -> float:
-    """Where the reading passes the hard limit, rad, without noise."""
-    last = SETUP.hard_hi + 0.5 if direction > 0 else SETUP.hard_lo - 0.5
-    return CALIBRATION.to_rad(last)
-
-
-def steady(direction: int) -> tuple[int, float]:
-    """The largest drive that keeps the shaft below limits.max_speed_rad_s, units, and its speed, rad/s; both signed."""
-    motor = BENCH.motor
-    friction_V = motor.friction.plus_V if direction > 0 else motor.friction.minus_V
-    against_V = friction_V - direction * motor.bias_V
-    unit_V = BENCH.supply_V / DRIVE_FULL
-    units = math.floor((EXPERIMENT.limits.max_speed_rad_s / motor.K_rad_s_V + against_V) / unit_V)
-    return direction * units, direction * motor.K_rad_s_V * (units * unit_V - against_V)
+UNO = _stand("uno", "demo.yaml", 400)
+PICO = _stand("pico", "demo-pico.yaml", 6250)
+UNO_ENCODER = _with_encoder(UNO)
+PERIOD_S = UNO.experiment.period_s
+WATCHDOG_S = UNO.experiment.device_limits.watchdog_s
 
 
 class Way(NamedTuple):
@@ -94,6 +122,7 @@ class Way(NamedTuple):
     floods  the host fills the wire with garbage besides
     noisy   the potentiometer has the demo's noise
     full    with drive.max_V, else with the drive that keeps the speed
+    stand   the board, and the bench behind it
     """
 
     where: Where = "host"
@@ -103,6 +132,12 @@ class Way(NamedTuple):
     end_switches: bool = False
     noisy: bool = True
     full: bool = False
+    stand: Stand = UNO
+
+    @property
+    def encoder(self) -> bool:
+        """Whether it counts an encoder instead of converting a potentiometer's voltage."""
+        return self.stand.bench.encoder
 
 
 class DrivenChip:
@@ -113,9 +148,15 @@ class DrivenChip:
 
     def __init__(self, way: Way, rng: random.Random) -> None:
         self.way = way
-        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches)
-        bench = BENCH if way.noisy else replace(BENCH, noise_rad=0.0)
-        self.chip = VirtualChip(bench, rng.randrange(2**32), options=options)
+        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches, encoder=way.encoder)
+        self.stand = way.stand
+        bench = self.stand.bench if way.noisy else replace(self.stand.bench, noise_rad=0.0)
+        seed = rng.randrange(2**32)
+        self.chip: VirtualChip | VirtualPico
+        if self.stand.board == "uno":
+            self.chip = VirtualChip(bench, seed, options=options)
+        else:
+            self.chip = VirtualPico(pico_parameters(bench, seed, options=options))
         self.heard_s = 0.0
         self.direction = 1
         self.speed_rad_s = 0.0
@@ -129,7 +170,7 @@ class DrivenChip:
 
     # ------------------------------------------------------------------ wire
 
-    def truth(self) -> ChipTruth:
+    def truth(self) -> ChipTruth | PicoTruth:
         """What is the case at the pins and at the shaft."""
         return self.chip.truth()
 
@@ -174,11 +215,13 @@ class DrivenChip:
     def start(self, direction: int, start_rad: float | None = None) -> None:
         """Arm, drive, and give the shaft the speed of ``steady``, at ``start_rad`` (default: far inside)."""
         self.direction = direction
-        self._units, self.speed_rad_s = steady(direction)
+        self._units, self.speed_rad_s = self.stand.steady(direction)
         if self.way.full:
-            self._units = direction * SETUP.max_drive
-        self.chip.place(-direction * _START_RAD)
-        self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
+            self._units = direction * self.stand.setup.max_drive
+        far_rad = -direction * _START_RAD
+        first_rad = start_rad if self.way.encoder and start_rad is not None else far_rad
+        self.chip.place(first_rad)
+        self.chip.sleep_until(self.chip.now_s() + (_HAND_S if self.way.encoder else 5 * TICK_S))
         self.arm()
         if self.way.where == "device":
             self._start_relay()
@@ -189,7 +232,6 @@ class DrivenChip:
         self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
         if self.truth().pin_V == 0.0:
             raise RuntimeError("the chip does not drive")
-        far_rad = -direction * _START_RAD
         self.chip.place(far_rad if start_rad is None else start_rad, self.speed_rad_s)
 
     def arm(self) -> None:
@@ -197,21 +239,23 @@ class DrivenChip:
         state = DeviceState.unpack(self.ask(Kind.STOP).body)
         while state.status & STATUS_FAULT:
             state = DeviceState.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
-        if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY:
+        if self.ask(Kind.SETUP, self.stand.setup.pack()).kind != Kind.SETUP_REPLY:
             raise RuntimeError("the chip does not take the limits")
+        if self.way.encoder:
+            self.ask(Kind.ZERO, pack_zero(math.floor(self.stand.curve.to_counts(self.truth().y_rad) + 0.5)))
         if self.ask(Kind.ARM, pack_arm(SESSION)).body[0] != Code.NONE:
             raise RuntimeError("the chip does not arm")
 
     def _start_relay(self) -> None:
         """A relay that drives outward as long as the integral has not followed the position: beyond the limit."""
-        u, centre = self._units, SETUP.hard_hi if self.direction > 0 else SETUP.hard_lo
+        u, centre = self._units, self.stand.setup.hard_hi if self.direction > 0 else self.stand.setup.hard_lo
         drive = (-u, u, -u, u) if self.direction > 0 else (u, -u, u, -u)
         if self.ask(Kind.RELAY, RelaySetup(drive, 16 * centre, _LARGEST_Z, 1, 10).pack()).kind != Kind.RELAY_REPLY:
             raise RuntimeError("the chip does not start the relay")
 
     def _start_strokes(self) -> None:
         """A stroke outward up to the limit; the way back is never driven."""
-        u, low, high = self._units, SETUP.hard_lo, SETUP.hard_hi
+        u, low, high = self._units, self.stand.setup.hard_lo, self.stand.setup.hard_hi
         to, fro = (high, low) if self.direction > 0 else (low, high)
         strokes = StrokesSetup(((u, to), (-u, fro)), MAX_STROKE_TICKS, MAX_STROKE_TICKS, 5, 10)
         if self.ask(Kind.STROKES, strokes.pack()).kind != Kind.STROKES_REPLY:
@@ -235,6 +279,14 @@ class DrivenChip:
             self.chip.read(0.0)
             self._next_s += _FLOOD_S if floods else PERIOD_S
         self.chip.sleep_until(until_s)
+
+    def is_sound(self) -> bool:
+        """Whether the program has neither left its code nor broken a rule of the data sheet. The chip's last act."""
+        truth = self.truth()
+        kept = self.chip.broken_rule() == "" and not (isinstance(truth, ChipTruth) and truth.crashed)
+        if isinstance(self.chip, VirtualPico):
+            self.chip.end()
+        return kept
 
     def stop(self) -> None:
         """Off, and all that has been broken is whole again."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from cobs import cobs
 
 from rig.backends.serial.frames import STATUS_ARMED, DeviceState, FrameReader, Kind, encode, pack_drive
-from safety.driven_chip import SETUP, DrivenChip, Way
+from safety.driven_chip import UNO, DrivenChip, Stand, Way
 
 _CHUNK = 8  # pieces of garbage between two looks: the chip has room for 255 bytes
 _CHUNK_FRAMES = 50  # in less than the watchdog's time
@@ -41,13 +41,14 @@ class Guesses(NamedTuple):
     taken: int
 
 
-def _drive(rng: random.Random) -> bytes:
-    return encode(Kind.DRIVE, rng.randrange(2**16), pack_drive(rng.choice((1, -1)) * rng.randint(1, SETUP.max_drive)))
+def _drive(rng: random.Random, stand: Stand = UNO) -> bytes:
+    units = rng.choice((1, -1)) * rng.randint(1, stand.setup.max_drive)
+    return encode(Kind.DRIVE, rng.randrange(2**16), pack_drive(units))
 
 
-def piece(rng: random.Random) -> bytes:
+def piece(rng: random.Random, stand: Stand = UNO) -> bytes:
     """Noise, a frame with wrong bits, a frame cut short, two frames run into one, or a burst within a frame."""
-    frame, other = _drive(rng), _drive(rng)
+    frame, other = _drive(rng, stand), _drive(rng, stand)
     kind = rng.randrange(5)
     if kind == 0:
         return rng.randbytes(rng.randint(1, 90))
@@ -67,19 +68,19 @@ def piece(rng: random.Random) -> bytes:
     return frame[:at] + bytes(b ^ rng.randint(1, 255) for b in frame[at : at + size]) + frame[at + size :]
 
 
-def _armed(baud: int, rng: random.Random) -> DrivenChip:
-    driven = DrivenChip(Way(baud=baud), rng)
+def _armed(baud: int, rng: random.Random, stand: Stand = UNO) -> DrivenChip:
+    driven = DrivenChip(Way(baud=baud, stand=stand), rng)
     driven.arm()
     return driven
 
 
-def throw(baud: int, pieces: int, seed: int = 1) -> Thrown:
+def throw(baud: int, pieces: int, seed: int = 1, stand: Stand = UNO) -> Thrown:
     """Throw ``pieces`` at the chip, which is asked now and then so that it stays armed."""
     rng = random.Random(f"{seed} {baud}")
-    driven = _armed(baud, rng)
+    driven = _armed(baud, rng, stand)
     changed_s, moves = driven.truth().pin_changed_s, 0
     for _ in range(pieces // _CHUNK):
-        driven.write(b"\0" + b"".join(piece(rng) for _ in range(_CHUNK)) + b"\0")
+        driven.write(b"\0" + b"".join(piece(rng, stand) for _ in range(_CHUNK)) + b"\0")
         driven.wait_for_wire()
         truth = driven.truth()
         if truth.pin_changed_s != changed_s:

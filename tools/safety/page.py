@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rig.preflight.rules import preflight
-from safety.driven_chip import DRIVE_FULL, EXPERIMENT, SETUP, Way, steady
+from safety.driven_chip import UNO, Way
 from safety.garbage import Errors, Guesses, Thrown
 from safety.promises import Measured
 from shared import page
 from shared.table import markdown
 
 _TEMPLATE = Path(__file__).with_name("page.md.j2")
+_PICO_TEMPLATE = Path(__file__).with_name("pico.md.j2")
 
 
 class Found(NamedTuple):
@@ -70,24 +71,30 @@ def table(rows: Sequence[Measured]) -> str:
 
 def render(found: Found) -> str:
     """The page."""
-    limits = EXPERIMENT.limits
-    stopping = next(line for line in preflight(EXPERIMENT).lines if line.startswith("stopping"))
+    limits = UNO.experiment.limits
+    stopping = next(line for line in preflight(UNO.experiment).lines if line.startswith("stopping"))
     return page.render(
         _TEMPLATE,
         made=found.made,
         phases=min(row.phases for row in found.promises),
-        watchdog_ms=SETUP.watchdog_ms,
-        speed=max(abs(steady(direction)[1]) for direction in (1, -1)),
-        period_ms=1e3 * EXPERIMENT.period_s,
+        watchdog_ms=UNO.setup.watchdog_ms,
+        speed=max(abs(UNO.steady(direction)[1]) for direction in (1, -1)),
+        period_ms=1e3 * UNO.experiment.period_s,
         promises=table(found.promises),
         full_rad=max(row.travel_rad for row in found.promises if row.promise.way.full),
         stopping=stopping.removeprefix("stopping ").split(";")[0],
-        counted_rad=limits.max_speed_rad_s * (EXPERIMENT.daq.watchdog_s + limits.coast_tau_s),
+        counted_rad=limits.max_speed_rad_s * (UNO.experiment.daq.watchdog_s + limits.coast_tau_s),
         thrown=found.thrown,
         errors=found.errors,
         guesses=found.guesses,
-        max_drive=SETUP.max_drive,
-        full=DRIVE_FULL,
-        random_drive=2.0**-16 * 2.0**-8 * 2.0**-8 * (2 * SETUP.max_drive + 1) / 2.0**16,
+        max_drive=UNO.setup.max_drive,
+        full=UNO.full,
+        random_drive=2.0**-16 * 2.0**-8 * 2.0**-8 * (2 * UNO.setup.max_drive + 1) / 2.0**16,
         chip=found.chip,
     )
+
+
+def render_pico(made: str, rows: Sequence[Measured], thrown: Sequence[Thrown]) -> str:
+    """The Pico's page; ``made`` as of ``Found``."""
+    phases = min(row.phases for row in rows)
+    return page.render(_PICO_TEMPLATE, made=made, phases=phases, promises=table(rows), thrown=thrown)

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rig.backends.serial.emulated.virtual_chip import Hang
+from rig.backends.serial.emulated.virtual_chip import Hang, VirtualChip
 from rig.backends.serial.frames import Kind, encode
 from rig.model.motor import State
-from safety.driven_chip import BENCH, PERIOD_S, TICK_S, WATCHDOG_S, DrivenChip, Voice, Way, limit_rad, steady
+from safety.driven_chip import (
+    COUNTS_PER_TURN,
+    PERIOD_S,
+    PICO,
+    TICK_S,
+    UNO,
+    UNO_ENCODER,
+    WATCHDOG_S,
+    DrivenChip,
+    Voice,
+    Way,
+)
 
 HANG_S = 0.150
 _REST_S = 0.6  # from 10 rad/s; the host goes on meanwhile, to no avail
 _GIVE_UP_S = 1.0
-_BEYOND_COUNTS = 6  # eight times the noise
+_LOOK_S = 50e-6  # longer than an interrupt may wait
+_BEYOND_RAD = 6 * abs(UNO.bench.rad_per_count)  # eight times the noise
 
 Event = Callable[[DrivenChip, random.Random], float]
 
@@ -77,7 +90,11 @@ def _silence(driven: DrivenChip, rng: random.Random) -> float:
 
 def _hang(what: Hang) -> Event:
     def event(driven: DrivenChip, rng: random.Random) -> float:
-        driven.chip.hang(what)
+        if isinstance(driven.chip, VirtualChip):
+            driven.chip.hang(what)
+        else:
+            assert what != "clock"  # the Pico's is its tick's
+            driven.chip.hang(what)
         return driven.chip.now_s()
 
     return event
@@ -85,19 +102,40 @@ def _hang(what: Hang) -> Event:
 
 def _beyond(driven: DrivenChip, rng: random.Random) -> float:
     """A hand puts the shaft beyond the limit."""
-    beyond_rad = driven.direction * _BEYOND_COUNTS * abs(BENCH.rad_per_count)
-    driven.chip.place(limit_rad(driven.direction) + beyond_rad, driven.speed_rad_s)
+    beyond_rad = driven.stand.limit_rad(driven.direction) + driven.direction * _BEYOND_RAD
+    driven.chip.place(beyond_rad, driven.speed_rad_s)
     return driven.chip.now_s()
 
 
 def _crossing(driven: DrivenChip, rng: random.Random) -> float:
     """The shaft runs over the limit by itself."""
     truth = driven.truth()
-    return truth.t_s + (limit_rad(driven.direction) - truth.y_rad) / driven.speed_rad_s
+    return truth.t_s + (driven.stand.limit_rad(driven.direction) - truth.y_rad) / driven.speed_rad_s
 
 
 def _broken_wire(driven: DrivenChip, rng: random.Random) -> float:
     driven.chip.rewire(sensor=rng.choice(("broken_low", "broken_high")))
+    return driven.chip.now_s()
+
+
+def _lost_edge(driven: DrivenChip, rng: random.Random) -> float:
+    """Both channels of the encoder change at once, and no third edge: those three look like one the other way."""
+    while _to_edge_s(driven) < _LOOK_S:
+        driven.go_on(driven.chip.now_s() + _LOOK_S)
+    driven.chip.rewire(sensor="jumped")
+    return driven.chip.now_s()
+
+
+def _to_edge_s(driven: DrivenChip) -> float:
+    """From the nearest edge of the encoder, s."""
+    truth = driven.truth()
+    steps = truth.y_rad * COUNTS_PER_TURN / math.tau + 0.5
+    away = abs(steps - round(steps)) * math.tau / COUNTS_PER_TURN
+    return away / max(abs(truth.v_rad_per_s), 1e-3)
+
+
+def _still_channel(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.rewire(sensor="still")
     return driven.chip.now_s()
 
 
@@ -122,6 +160,10 @@ FAST_DEVICE = Way("device", baud=1_000_000)
 FLOOD = Way(baud=1_000_000, floods=True)
 OTHER_BRIDGE = Way(bridge="IN1_IN2")
 IN_TURN = (HOST, DEVICE, STROKES)
+COUNTED, DEVICE_COUNTED, STROKES_COUNTED = (way._replace(stand=UNO_ENCODER) for way in IN_TURN)
+FLOOD_COUNTED = FLOOD._replace(stand=UNO_ENCODER)
+_STILL_COUNTS = 66  # of travel: 33 edges of the channel that still changes
+STILL_S = _STILL_COUNTS * math.tau / COUNTS_PER_TURN / min(abs(UNO.steady(way)[1]) for way in (1, -1)) + 2 * TICK_S
 SILENT_S = WATCHDOG_S + TICK_S
 RUN_UP_S = (0.005, 0.025)
 
@@ -148,9 +190,31 @@ PROMISES = (
     ),
     Promise("runs over a hard limit, noise may hide a reading", _crossing, 3 * TICK_S, HOST, run_up_s=RUN_UP_S),
     *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (*IN_TURN, FLOOD)),
+    *(
+        Promise("runs over a hard limit, counted by an encoder", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
+        for way in (COUNTED, DEVICE_COUNTED, FLOOD_COUNTED)
+    ),
+    *(
+        Promise("encoder: both channels change at once", _lost_edge, 2 * TICK_S, way)
+        for way in (COUNTED, DEVICE_COUNTED, STROKES_COUNTED, FLOOD_COUNTED)
+    ),
+    *(
+        Promise("encoder: one channel stands still", _still_channel, STILL_S, way)
+        for way in (COUNTED, DEVICE_COUNTED, STROKES_COUNTED)
+    ),
+    Promise("host silent, encoder", _silence, SILENT_S, COUNTED, "none"),
+    Promise("e-stop opens, encoder", _e_stop, TICK_S, COUNTED),
+    Promise("hang: everything, encoder", _hang("everything"), HANG_S, COUNTED),
     *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (*IN_TURN, FLOOD, OTHER_BRIDGE)),
     *(Promise("end switch opens", _end_switch, 2 * TICK_S, way._replace(end_switches=True)) for way in IN_TURN),
     *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (*IN_TURN, OTHER_BRIDGE)),
+)
+
+# A Pico has one interrupt for clock and tick. Its encoder is measured in test_hil_pico_encoder.
+PICO_PROMISES = tuple(
+    promise._replace(way=promise.way._replace(stand=PICO))
+    for promise in PROMISES
+    if promise.what != "hang: clock" and not promise.way.encoder
 )
 
 
@@ -168,7 +232,9 @@ def _phase(promise: Promise, driven: DrivenChip, rng: random.Random) -> _Phase:
     direction = rng.choice((1, -1))
     start_rad = None
     if promise.run_up_s is not None:
-        start_rad = limit_rad(direction) - rng.uniform(*promise.run_up_s) * steady(direction)[1]
+        start_rad = (
+            driven.stand.limit_rad(direction) - rng.uniform(*promise.run_up_s) * driven.stand.steady(direction)[1]
+        )
     driven.start(direction, start_rad)
     changed_s = driven.truth().pin_changed_s
     if promise.run_up_s is None:
@@ -182,7 +248,7 @@ def _phase(promise: Promise, driven: DrivenChip, rng: random.Random) -> _Phase:
     def shaft_rad(t_s: float) -> float:
         """At a time before the drive is off, by the exact motor."""
         start = State(before.v_rad_per_s, before.y_rad)
-        return BENCH.motor.advance(start, drive_V, max(t_s - before.t_s, 0.0)).y
+        return driven.stand.bench.motor.advance(start, drive_V, max(t_s - before.t_s, 0.0)).y
 
     bound_s = event_s + promise.bound_s
     driven.go_on(bound_s, promise.voice)
@@ -203,12 +269,15 @@ def _phase(promise: Promise, driven: DrivenChip, rng: random.Random) -> _Phase:
 
 def measure(promise: Promise, phases: int, seed: int = 1) -> Measured:
     """One row; the same seed gives the same phases."""
-    rng = random.Random(f"{seed} {promise.what} {promise.way}")
+    way = promise.way._replace(stand=UNO)._asdict()
+    del way["stand"]
+    rng = random.Random(f"{seed} {promise.what} {way}")
     driven = DrivenChip(promise.way, rng)
     found = [_phase(promise, driven, rng) for _ in range(phases)]
-    truth = driven.truth()
-    if truth.crashed:
-        raise RuntimeError(f"{promise.what}: the program ran into what is no program")
+    if not driven.is_sound():
+        raise RuntimeError(
+            f"{promise.what}: the program ran into what is no program, or broke a rule of the data sheet"
+        )
     return Measured(
         promise,
         phases,

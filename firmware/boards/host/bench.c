@@ -287,6 +287,17 @@ static int32_t quantise(double counts, int32_t counts_max)
     return rounded < 0.0 ? 0 : rounded > (double)counts_max ? counts_max : (int32_t)rounded;
 }
 
+/* The position that an ideal sensor shows. */
+static double shown_rad(bench *b)
+{
+    const bench_params *p = &b->p;
+    if (p->parts == 0) {
+        return b->y_rad;
+    }
+    real_put(&p->real, &b->real, b->v_rad_per_s, b->y_rad);
+    return real_reading(&p->real, b->real.x);
+}
+
 int32_t bench_position_counts(bench *b)
 {
     const bench_params *p = &b->p;
@@ -303,12 +314,7 @@ int32_t bench_position_counts(bench *b)
     const double added_rad = wiring == BENCH_SENSOR_NOISY ? NOISY_COUNTS * fabs(p->rad_per_count) : 0.0;
     const double deviation_rad = p->noise_rad + added_rad;
     const double noise_rad = deviation_rad > 0.0 ? deviation_rad * gauss(b) : 0.0;
-    double shown_rad = b->y_rad;
-    if (p->parts != 0) {
-        real_put(&p->real, &b->real, b->v_rad_per_s, b->y_rad);
-        shown_rad = real_reading(&p->real, b->real.x);
-    }
-    const double from_centre = (shown_rad + p->offset_rad + noise_rad) / p->rad_per_count;
+    const double from_centre = (shown_rad(b) + p->offset_rad + noise_rad) / p->rad_per_count;
     const double sign = wiring == BENCH_SENSOR_REVERSED ? -1.0 : 1.0;
     int32_t counts = quantise(p->centre_counts + sign * from_centre, p->counts_max);
     if (wiring == BENCH_SENSOR_JUMPED) {
@@ -316,6 +322,47 @@ int32_t bench_position_counts(bench *b)
     }
     b->stuck_counts = wiring == BENCH_SENSOR_STUCK ? counts : -1;
     return counts;
+}
+
+int64_t bench_encoder_steps(bench *b, double *to_next)
+{
+    const bench_params *p = &b->p;
+    const bool is_reversed = bench_is_faulty(b) && p->sensor_wiring == BENCH_SENSOR_REVERSED;
+    const double scale = is_reversed ? -p->rad_per_count : p->rad_per_count;
+    const double at = p->centre_counts + (shown_rad(b) + p->offset_rad) / scale + 0.5;
+    const double below = floor(at);
+    *to_next = b->v_rad_per_s / scale > 0.0 ? below + 1.0 - at : at - below;
+    return (int64_t)below;
+}
+
+unsigned bench_encoder_levels(bench *b, int64_t steps)
+{
+    const int32_t wiring = bench_is_faulty(b) ? b->p.sensor_wiring : BENCH_SENSOR_OK;
+    const unsigned phase = (unsigned)((steps + (wiring == BENCH_SENSOR_JUMPED ? 2 : 0)) & 3);
+    const unsigned levels = (phase == 1u || phase == 2u ? 1u : 0u) | (phase >= 2u ? 2u : 0u);
+    if (wiring != BENCH_SENSOR_STUCK && wiring != BENCH_SENSOR_STILL) {
+        b->held_levels = -1;
+        return levels;
+    }
+    if (b->held_levels < 0) {
+        b->held_levels = (int32_t)levels;
+    }
+    const unsigned held = (unsigned)b->held_levels;
+    return wiring == BENCH_SENSOR_STUCK ? held : (levels & 1u) | (held & 2u);
+}
+
+bool bench_estop_is_open(const bench *b)
+{
+    return b->t_s < b->p.estop_open_s;
+}
+
+bool bench_end_is_open(const bench *b, bool at_rising_counts)
+{
+    const bench_params *p = &b->p;
+    if (p->end_low_rad == 0.0 && p->end_high_rad == 0.0) {
+        return false;
+    }
+    return at_rising_counts == (p->rad_per_count > 0.0) ? b->y_rad > p->end_high_rad : b->y_rad < p->end_low_rad;
 }
 
 int32_t bench_tachometer_counts(const bench *b)
@@ -386,6 +433,7 @@ void bench_init(bench *b, const bench_params *p)
     b->y_rad = p->start_rad;
     b->armed_t_s = -1.0;
     b->stuck_counts = -1;
+    b->held_levels = -1;
     b->random_state = p->seed;
 }
 
@@ -443,6 +491,10 @@ static const struct {
     {"rad-per-count", REAL, offsetof(bench_params, rad_per_count)},
     {"centre-counts", REAL, offsetof(bench_params, centre_counts)},
     {"counts-max", INTEGER, offsetof(bench_params, counts_max)},
+    {"encoder", INTEGER, offsetof(bench_params, encoder)},
+    {"end-low-rad", REAL, offsetof(bench_params, end_low_rad)},
+    {"end-high-rad", REAL, offsetof(bench_params, end_high_rad)},
+    {"estop-open-s", REAL, offsetof(bench_params, estop_open_s)},
     {"noise-rad", REAL, offsetof(bench_params, noise_rad)},
     {"offset-rad", REAL, offsetof(bench_params, offset_rad)},
     {"supply-V", REAL, offsetof(bench_params, supply_V)},
@@ -490,7 +542,7 @@ static const struct {
 enum { OPTION_COUNT = sizeof OPTIONS / sizeof OPTIONS[0] };
 
 static const char *const DRIVE_NAMES[] = {"ok", "reversed", "dead", "stuck_on", NULL};
-static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", NULL};
+static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", NULL};
 
 const char *bench_option_name(unsigned i)
 {
@@ -603,6 +655,9 @@ const char *bench_check(const bench_params *p)
     }
     if (!(p->dead_band_plus >= 0.0 && p->dead_band_plus < 1.0 && p->dead_band_minus >= 0.0 && p->dead_band_minus < 1.0)) {
         return "dead bands are duties in [0, 1)";
+    }
+    if (p->encoder > 1 || p->end_low_rad > p->end_high_rad) {
+        return "encoder must be 0 or 1, end-low-rad at most end-high-rad";
     }
     if (!(p->gear_ratio > 0.0) || !(p->fault_after_s >= 0.0)) {
         return "gear-ratio must be > 0, fault-after-s >= 0";

@@ -24,8 +24,9 @@ enum bench_sensor_wiring {
     BENCH_SENSOR_BROKEN_LOW,
     BENCH_SENSOR_BROKEN_HIGH,
     BENCH_SENSOR_STUCK,
-    BENCH_SENSOR_JUMPED, /* across its dead zone: a quarter of the range farther, round and round */
-    BENCH_SENSOR_NOISY   /* 25 counts */
+    BENCH_SENSOR_JUMPED, /* across its dead zone: a quarter of the range farther, round and round; an encoder: two edges */
+    BENCH_SENSOR_NOISY,  /* 25 counts */
+    BENCH_SENSOR_STILL   /* channel B of an encoder stands still */
 };
 
 typedef struct {
@@ -40,9 +41,12 @@ typedef struct {
     double supply_V, bridge_drop_V;         /* the drop: lost while it drives */
     double dead_band_plus, dead_band_minus; /* duty up to which the bridge passes nothing, by sign of the units */
     double tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio; /* 0 rad/s a count: no tachometer */
+    double end_low_rad, end_high_rad; /* beyond them an end switch is open; both 0: there are none */
+    double estop_open_s;     /* from power on: a hand tries the e-stop; encoder alone */
     double fault_after_s;    /* from the first arming until the wiring's faults begin */
     double clock_error_ppm;  /* of the device's clock */
     int32_t counts_max;      /* largest reading of the ADC, both channels */
+    int32_t encoder;         /* 1: the position is an encoder's, without noise and without an end */
     int32_t drive_counts;    /* units at full duty */
     int32_t coasting;        /* 1: the bridge lets the motor run free while PWM is low, as an L298 with PWM on its enable */
     int32_t reversed;        /* 1: positive units turn the shaft to falling positions */
@@ -72,6 +76,7 @@ typedef struct {
     double armed_t_s;      /* of the first arming; negative before it */
     int32_t pin_units;     /* drive at the pin, before the wiring */
     int32_t stuck_counts;  /* reading that a stuck sensor holds; negative: none yet */
+    int32_t held_levels;   /* of an encoder's channels, since its fault; negative: no fault */
     uint64_t random_state;
     double spare_gauss;    /* second of a pair of normal numbers */
     bool has_spare;
@@ -93,6 +98,17 @@ const char *bench_rewire(bench *b, const char *drive, const char *sensor);
 double bench_pin_V(const bench *b);   /* what the board puts out: duty times supply */
 double bench_motor_V(const bench *b); /* what arrives at the motor */
 int32_t bench_position_counts(bench *b);
+
+/* Quarters of an encoder's period since its zero, and where the next is: how far, in quarters, to the edge in the
+ * direction of motion. */
+int64_t bench_encoder_steps(bench *b, double *to_next);
+/* Levels of its channels there, with the wiring's faults: 1 for A, 2 for B. Forward is A before B. */
+unsigned bench_encoder_levels(bench *b, int64_t steps);
+
+/* Contacts that are open now. */
+bool bench_estop_is_open(const bench *b);
+bool bench_end_is_open(const bench *b, bool at_rising_counts);
+
 int32_t bench_tachometer_counts(const bench *b); /* negative: there is none */
 
 /* The motor with its parts, at rest at the start, for those who move it themselves. */

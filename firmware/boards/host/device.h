@@ -11,6 +11,13 @@ typedef struct {
     bench bench;
     rig_core core;
     rig_board board;
+    struct {           /* an encoder's counter */
+        int64_t steps;  /* of the shaft, at the last look */
+        int32_t counts;
+        unsigned levels, edges; /* of its channels; since the tick began */
+        unsigned alone; /* edges of channel A in a row */
+        uint8_t troubles;
+    } encoder;
     double reset_t_s;  /* where the device's clock began */
     uint32_t ticks;    /* done since then */
     void (*transmit)(void *context, const uint8_t *bytes, uint8_t n);

@@ -5,6 +5,7 @@
 #include <util/atomic.h>
 
 #include "adc.h"
+#include "encoder.h"
 #include "wiring.h"
 
 #define COUNTS_PER_TICK 250u /* 16 MHz / 64 / 250 = 1 kHz */
@@ -40,7 +41,12 @@ ISR(TIMER2_COMPA_vect)
 {
     tick_us += US_PER_TICK;
     ticks++;
+#if CONVERTS
     adc_begin_round();
+#endif
+#if RIG_ENCODER
+    encoder_begin_tick();
+#endif
 }
 
 static uint32_t since_tick_us(uint8_t count)

@@ -3,7 +3,7 @@
  * The control tick (sample, checks, relay, drive) is an interrupt of the clock; it lets all others in, which are short.
  * The main loop takes requests, answers them, sends what the tick has collected, and sleeps when there is nothing to do.
  * The hardware watchdog is fed by a tick with a fresh sample after a round of the main loop: that takes both interrupts
- * of the clock, the converter's, and the main loop.
+ * of the clock, the converter's where it converts the position, and the main loop.
  */
 #include <avr/interrupt.h>
 #include <avr/sleep.h>
@@ -14,6 +14,7 @@
 #include "adc.h"
 #include "bridge.h"
 #include "clock.h"
+#include "encoder.h"
 #include "inputs.h"
 #include "rig_core.h"
 #include "uart.h"
@@ -51,6 +52,35 @@ static uint32_t arrived_us(void *context)
     return clock_us_of(begin);
 }
 
+#if RIG_ENCODER
+
+static int32_t position(void *context, uint32_t *t_us)
+{
+    (void)context;
+    const encoder_sample sample = in_tick ? encoder_tick_sample() : encoder_newest_sample();
+    *t_us = sample.t_us;
+    return sample.counts;
+}
+
+static void set_position(void *context, int32_t counts)
+{
+    (void)context;
+    encoder_set(counts);
+}
+
+static uint8_t encoder_troubles(void *context)
+{
+    (void)context;
+    return encoder_take_troubles();
+}
+
+static bool take_tick(void)
+{
+    return encoder_take_tick();
+}
+
+#else
+
 static int32_t position(void *context, uint32_t *t_us)
 {
     (void)context;
@@ -58,6 +88,13 @@ static int32_t position(void *context, uint32_t *t_us)
     *t_us = sample.t_us;
     return (int32_t)sample.counts;
 }
+
+static bool take_tick(void)
+{
+    return adc_take_tick();
+}
+
+#endif
 
 static uint16_t tach_counts(void *context)
 {
@@ -114,13 +151,18 @@ static const rig_board BOARD = {
     .transmit = transmit,
     .inputs = inputs,
     .build = RIG_BUILD,
-    .counts_max = (int32_t)ADC_MAX,
+    .counts_max = RIG_ENCODER ? 0 : (int32_t)ADC_MAX,
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
     .bridge = (uint8_t)RIG_BRIDGE,
-    .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u),
+    .features = ((RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u)) +
+                (RIG_ENCODER ? (uint8_t)RIG_FEATURE_ENCODER : 0u),
     .arrived_us = arrived_us,
     .supply = RIG_SUPPLY ? supply : NULL,
+#if RIG_ENCODER
+    .set_position = set_position,
+    .encoder_troubles = encoder_troubles,
+#endif
     .hold_tick = hold_tick,
     .release_tick = release_tick,
 };
@@ -138,7 +180,7 @@ static void show(void)
 
 static void tick(void)
 {
-    if (!adc_take_tick()) {
+    if (!take_tick()) {
         return; /* nothing to decide on; the next row's time tells, and a dead converter the hardware watchdog */
     }
     if (has_been_round) {
@@ -184,7 +226,12 @@ int main(void)
     inputs_init();
     set_bits(&DDRB, PIN_LED);
     clock_init();
+#if CONVERTS
     adc_init();
+#endif
+#if RIG_ENCODER
+    encoder_init();
+#endif
     uart_init();
     SMCR = 0; /* sleep is idle: timers, converter and serial port run on */
     rig_init(&core, &BOARD, reset_flags);

@@ -1,6 +1,8 @@
 /* Which pin of the Uno is what. All outputs are inputs while the chip is in reset: pull-downs at the bridge hold it off.
  *
- *     A0  PC0  potentiometer              D4  PD4  e-stop, closed to ground; open stops
+ *     A0  PC0  potentiometer              D2  PD2  encoder, channel A (INT0; ENCODER=1, instead of the potentiometer)
+ *                                         D3  PD3  encoder, channel B (INT1; ENCODER=1)
+ *                                         D4  PD4  e-stop, closed to ground; open stops
  *     A1  PC1  tachometer (TACHOMETER=1)  D5  PD5  end switch at falling counts, closed to ground (END_SWITCHES=1)
  *     A2  PC2  motor supply / 4           D6  PD6  end switch at rising counts, closed to ground (END_SWITCHES=1)
  *              (SUPPLY=1)                 D13 PB5  LED: lit while armed, blinks while a fault is latched
@@ -25,10 +27,13 @@
 #define PIN_OC1B BIT(PB2)
 #define PIN_LED BIT(PB5)
 
+#define PIN_ENCODER_A BIT(PD2)
+#define PIN_ENCODER_B BIT(PD3)
 #define PIN_ESTOP BIT(PD4)
 #define PIN_END_LOW BIT(PD5)
 #define PIN_END_HIGH BIT(PD6)
 
+#define CONVERTS (!(RIG_ENCODER) || (RIG_TACHOMETER) || (RIG_SUPPLY)) /* anything for the converter to do */
 #define CHANNEL_POSITION 0u
 #define CHANNEL_TACHOMETER 1u
 #define CHANNEL_SUPPLY 2u

@@ -48,6 +48,14 @@ class SerialPort:
         """Number of the open file; -1 once it is closed."""
         return self._fd
 
+    def keep_on(self) -> None:
+        """Leave DTR on when the port is closed: the next opening resets no Arduino, and its encoder keeps its zero."""
+        import termios  # not everywhere
+
+        attributes = termios.tcgetattr(self._fd)
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
+
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
         try:

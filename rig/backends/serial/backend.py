@@ -71,6 +71,8 @@ class SerialBackend(LineBackend):
         emulated = {
             "emulated-chip": "the Uno's emulated chip with its firmware, {} baud, virtual time, nothing moves",
             "emulated-chip-realtime": "the Uno's emulated chip with its firmware, {} baud, real time, nothing moves",
+            "emulated-pico": "the Pico's emulated chip with its firmware, {} baud, virtual time, nothing moves",
+            "emulated-pico-realtime": "the Pico's emulated chip with its firmware, {} baud, real time, nothing moves",
             "emulated": "an emulated device behind a pseudo-terminal, {} baud, real time, nothing moves",
         }
         found = emulated.get(e.daq.port or "")

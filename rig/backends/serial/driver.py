@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from statistics import median
 
 from rig.backends.driver import (
@@ -17,6 +17,7 @@ from rig.backends.driver import (
     DeviceWatchdog,
     RelayCommand,
     RelayRow,
+    Stopped,
     StrokesCommand,
     StrokeTimes,
     Timeouts,
@@ -32,6 +33,7 @@ from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.law_run import LawRun
 from rig.backends.serial.law_stream import LawStream
 from rig.calibration import (
+    ALL_COUNTS,
     Calibration,
     DriveMap,
     Scaling,
@@ -74,6 +76,11 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.NO_SETUP: "DEVICE_RESET",
     Code.RESET: "DEVICE_RESET",
     Code.SESSION: "DEVICE_RESET",
+    Code.ENCODER_LOST: "DEVICE_ENCODER_LOST",
+    Code.ENCODER_RATE: "DEVICE_ENCODER_RATE",
+    Code.ENCODER_STILL: "DEVICE_ENCODER_STILL",
+    Code.NO_ZERO: "DEVICE_NO_ZERO",
+    Code.E_STOP_UNTRIED: "DEVICE_ESTOP_UNTRIED",
 }
 _MOST_LATCHED = 16  # faults that a device can have latched
 _RESET_BEFORE_S = 0.25  # opening a port takes less: a device that started since then was reset by it
@@ -89,7 +96,7 @@ def setup_for(
     ``largest_drive_in_units``, and for a watchdog time outside 1 ms to 1 s.
     """
     hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
-    rail_lo, rail_hi = rail_counts
+    rail_lo, rail_hi = (0, 0) if rail_counts == ALL_COUNTS else rail_counts
     max_drive = largest_drive_in_units(limits, drive_map)
     watchdog_ms = round(1000.0 * limits.watchdog_s)
     if not 1 <= watchdog_ms <= round(1000.0 * LONGEST_WATCHDOG_S):
@@ -107,6 +114,18 @@ def setup_for(
     )
 
 
+@dataclass(frozen=True)
+class ByHand:
+    """What a hand has done to the shaft of an encoder before the device is opened.
+
+    here_rad     position at which the shaft stands
+    tried_estop  of an emulated bench: the e-stop, since the device's start
+    """
+
+    here_rad: float
+    tried_estop: bool = False
+
+
 class SerialDriver:
     """The firmware behind a transport, as a ``Driver``. Times of samples are in the transport's clock, s.
 
@@ -117,6 +136,8 @@ class SerialDriver:
     session    number of this session, 1 to 2**32 - 1; None: a random one
     name       of the port, for ``backend``
     emulated   True where it is known that no real motor is behind the port
+    by_hand    what is known of an encoder's shaft when the device is opened. None: what ``set_zero`` has told the
+               device since its reset, else ``arm`` raises Fault DEVICE_NO_ZERO
     """
 
     order: Order = "sample_first"
@@ -132,6 +153,7 @@ class SerialDriver:
         session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
+        by_hand: ByHand | None = None,
     ) -> None:
         self.calibration = scaling.calibration
         self.drive_map = scaling.drive_map
@@ -144,6 +166,9 @@ class SerialDriver:
         self._timeout_s = timeouts.reply_s
         self._open_timeout_s = timeouts.open_s
         self._name = name
+        self._by_hand = by_hand
+        self.homing = False
+        self.stopped: Stopped | None = None
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
@@ -186,6 +211,8 @@ class SerialDriver:
         hello = self._meet()
         check_fit(hello, self._expected)
         acknowledged = self._acknowledge(hello)
+        if self._by_hand is not None and self._expected.scaling.is_encoder:
+            self.set_zero(self._by_hand.here_rad)
         self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
         exchanges = self._time_exchanges()
         try:
@@ -211,6 +238,22 @@ class SerialDriver:
             remarks=() if version is None else (version,),
         )
 
+    def set_zero(self, here_rad: float) -> None:
+        """Tell a disarmed device with an encoder that its shaft stands at ``here_rad``, until its next reset.
+
+        Raises Fault LINK_TIMEOUT, or the refusal of the device.
+        """
+        counts = round(self.calibration.to_counts(here_rad))
+        self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
+
+    def leave_switch(self) -> None:
+        """Acknowledge the end switch that a homing has reached. Raises the fault that is latched besides."""
+        if not self._is_cleared(Code.END_SWITCH):
+            raise Fault("DEVICE_END_SWITCH", "both end switches are open")
+        state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+        if state.status & frames.STATUS_FAULT:
+            raise self._device_fault(state)
+
     def arm(self, limits: Limits) -> None:
         """Stop, send the limits if the device does not have them yet, read them back, arm.
 
@@ -218,6 +261,7 @@ class SerialDriver:
         Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
         setup = setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
+        setup = setup._replace(homing=int(self.homing))
         self._armed = False
         state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
@@ -258,7 +302,7 @@ class SerialDriver:
                 raise self._device_fault(state)
         elif self._unconfirmed is not None and state.fault:
             raise self._device_fault(state)
-        elif self._setup is not None:
+        elif self._setup is not None and not self.homing:
             self._check_pause(state)
 
         if self._unconfirmed is not None:
@@ -476,7 +520,8 @@ class SerialDriver:
             if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
             cleared.append(code)
-            if code == Code.RESET and was_reset_now:
+            tried_estop = self._by_hand is not None and self._by_hand.tried_estop
+            if code == Code.RESET and was_reset_now and not tried_estop:
                 break
         return tuple(_FAULT_OF_CODE.get(code, "LINK_REJECTED") for code in cleared if code != Code.RESET)
 
@@ -532,7 +577,12 @@ class SerialDriver:
             raise self._device_fault(state)
 
     def _device_fault(self, state: DeviceState) -> Fault:
-        """The fault in a STATE, with the numbers of this case."""
+        """The fault in a STATE, with the numbers of this case; notes when the device stopped."""
+        now_s = self._exchange.now_s()
+        sample = Sample(
+            self._clock.to_host_s(state.t_sample_us, now_s), self.calibration.to_rad(state.counts), state.counts
+        )
+        self.stopped = Stopped(self._clock.to_host_s(state.t_drive_us, now_s), sample)
         if self._setup is not None and state.session != self._session:
             return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")
         if self._armed and not state.status & frames.STATUS_FAULT:

@@ -66,6 +66,29 @@ def check_fit(hello: Hello, expected: Expected) -> None:
             f"the device reports a full drive of {hello.drive_full} units; it must be {_LEAST_FULL_UNITS} to 32767",
         )
     scaling = expected.scaling
+    _check_sensor(hello, expected)
+    if scaling.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
+        raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
+    _check_bridge(hello, expected)
+    if expected.board.runs_strokes and not hello.features & frames.FEATURE_STROKES:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"relay.where is device, and relay.until drives strokes there, too, but the device's firmware, "
+            f"{hello.build_text}, cannot: {expected.board.flashing}; or set relay.where to host",
+        )
+
+
+def _check_sensor(hello: Hello, expected: Expected) -> None:
+    scaling, flashing = expected.scaling, expected.board.flashing
+    counts_an_encoder = bool(hello.features & frames.FEATURE_ENCODER)
+    if scaling.is_encoder != counts_an_encoder:
+        has, believed = ("an encoder", "a potentiometer") if counts_an_encoder else ("a potentiometer", "an encoder")
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"section `sensor` describes {believed}, but the device's firmware is for {has}: {flashing}",
+        )
+    if counts_an_encoder:
+        return
     if scaling.counts_max is not None and hello.counts_max != scaling.counts_max:
         raise Fault(
             "CONFIG_MISMATCH",
@@ -77,15 +100,6 @@ def check_fit(hello: Hello, expected: Expected) -> None:
         raise Fault(
             "CONFIG_MISMATCH",
             f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.counts_max}",
-        )
-    if scaling.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
-        raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
-    _check_bridge(hello, expected)
-    if expected.board.runs_strokes and not hello.features & frames.FEATURE_STROKES:
-        raise Fault(
-            "CONFIG_MISMATCH",
-            f"relay.where is device, and relay.until drives strokes there, too, but the device's firmware, "
-            f"{hello.build_text}, cannot: {expected.board.flashing}; or set relay.where to host",
         )
 
 

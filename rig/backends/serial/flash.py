@@ -129,7 +129,7 @@ def only_candidate(ports: Iterable[Port]) -> Port:
 
 
 class Prebuilt(NamedTuple):
-    """A .hex that came with rig, and its hash, which has been checked."""
+    """A .hex or .uf2 that came with rig, and its hash, which has been checked."""
 
     path: Path
     sha256: str
@@ -138,15 +138,15 @@ class Prebuilt(NamedTuple):
         return f"prebuilt firmware {self.path.name}, SHA-256 {self.sha256}"
 
 
-def prebuilt(name: str, folder: Path | None = None) -> Prebuilt | None:
-    """The .hex of this variant that came with rig; None where rig runs from its repository, or was built without.
+def prebuilt(file: str, folder: Path | None = None) -> Prebuilt | None:
+    """The firmware that came with rig; None where rig runs from its repository, or was built without.
 
-    name    of the file, without its ending
+    file    its name: the variant, and ".hex" or ".uf2"
     folder  where they are; default: in the installed package
     Raises FlashError if the file is not the one that was built with rig.
     """
     folder = PREBUILT if folder is None else folder
-    sums, path = folder / "SHA256SUMS", folder / f"{name}.hex"
+    sums, path = folder / "SHA256SUMS", folder / file
     if not sums.is_file():
         return None
     expected = {line.split()[1]: line.split()[0] for line in sums.read_text(encoding="ascii").splitlines()}
@@ -157,9 +157,9 @@ def prebuilt(name: str, folder: Path | None = None) -> Prebuilt | None:
     return Prebuilt(path, digest)
 
 
-def check_build(hello: Hello) -> None:
-    """Raise FlashError where the board answers with another firmware than this rig has just written."""
-    written = f"uno {VERSION}"
+def check_build(hello: Hello, board: str) -> None:
+    """Raise FlashError where the board answers with another firmware than this rig has just written to it."""
+    written = f"{board} {VERSION}"
     if hello.build_text != written:
         raise FlashError(
             f"the board answers with build {hello.build_text}, and what was written is {written}",

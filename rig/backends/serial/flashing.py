@@ -7,18 +7,24 @@ import shlex
 from rig.backends.serial.ports import CHIP_BAUDS
 from rig.config.schema import BRIDGES, Experiment
 
+_PICO_COUNTS = 4095  # the Uno's converter has 10 bits
 WRONG_BRIDGE = "with the wrong one 0 V can be full drive"
 
 
 def flash_line(e: Experiment) -> str:
     """The whole command, for people. If the config does not name the bridge: one command for each bridge."""
     baud = e.daq.baud if e.daq.baud in CHIP_BAUDS else max(CHIP_BAUDS)
-    tachometer = "" if e.tachometer is None else " --tachometer"
+    parts = "" if e.tachometer is None else " --tachometer"
+    home = None
+    if e.sensor.encoder is not None:
+        home = e.sensor.encoder.home
+        parts += " --encoder" + ("" if home is None else " --end-switches")
 
+    board = " --board pico" if e.sensor.counts_max == _PICO_COUNTS else ""
     port = shlex.quote(e.daq.port or "PORT")
 
     def line(bridge: str) -> str:
-        return f"rig flash --port {port} --bridge {bridge} --baud {baud}{tachometer}"
+        return f"rig flash{board} --port {port} --bridge {bridge} --baud {baud}{parts}"
 
     if e.drive.bridge is not None:
         words = line(e.drive.bridge)
@@ -30,6 +36,7 @@ def flash_line(e: Experiment) -> str:
     if baud != e.daq.baud:
         words += f"; set daq.baud to {baud}: the firmware does not speak {e.daq.baud}"
     return (
-        f"switch the motor's supply off, then type: {words}; add --supply and --end-switches if these are wired: "
-        "the config does not say"
+        f"switch the motor's supply off, then type: {words}; add --supply"
+        + (" and --end-switches if these are wired" if home is None else " if it is wired")
+        + ": the config does not say"
     )

@@ -27,15 +27,18 @@ STATUS_ARMED = 1
 STATUS_FAULT = 2  # a fault is latched
 STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
 STATUS_LAW = 8  # a law in the device runs: the relay or the strokes
+STATUS_ZERO = 16  # ZERO has said where the encoder stands
+STATUS_ESTOP_TRIED = 32  # a device with an encoder: its e-stop has been open since the reset
 
 FEATURE_TACHOMETER = 1
 FEATURE_SUPPLY = 2
+FEATURE_ENCODER = 4
 FEATURE_STROKES = 128
 SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
 SUPPLY_FULL = 255  # the largest reading: so much or more
 
 RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
-BOARDS = {1: "host", 2: "uno"}
+BOARDS = {1: "host", 2: "uno", 3: "pico"}
 BRIDGES = {1: "pwm-dir", 2: "in1-in2"}  # what a board's outputs are wired for; 0: it has no such
 EMULATED_BOARDS = frozenset({1})
 
@@ -58,6 +61,7 @@ class Kind(IntEnum):
     KEEP = 0x08
     ACK = 0x0A
     STROKES = 0x0B
+    ZERO = 0x0C
     HELLO_REPLY = 0x81
     SETUP_REPLY = 0x82
     ARM_REPLY = 0x83
@@ -67,6 +71,7 @@ class Kind(IntEnum):
     BLOCK = 0x89
     ACK_REPLY = 0x8A
     STROKES_REPLY = 0x8B
+    ZERO_REPLY = 0x8C
     NACK = 0xFF
 
 
@@ -89,6 +94,11 @@ class Code(IntEnum):
     END_SWITCH = 13
     RESET = 14
     SESSION = 15
+    ENCODER_LOST = 16
+    ENCODER_RATE = 17
+    ENCODER_STILL = 18
+    NO_ZERO = 19
+    E_STOP_UNTRIED = 20
 
 
 def code_name(code: int) -> str:
@@ -115,8 +125,8 @@ class Hello(NamedTuple):
     board        key of BOARDS
     reset_cause  bits of RESET_CAUSES
     bridge       key of BRIDGES; 0: none
-    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, runs strokes
-    counts_max   largest reading of the position sensor, counts
+    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, runs strokes
+    counts_max   largest reading of the position sensor, counts; 0: an encoder, which has none
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32
     supply       the motor supply in SUPPLY_UNIT_V, where it is measured
@@ -158,11 +168,12 @@ class Setup(NamedTuple):
     """Body of SETUP and of its read-back SETUP_REPLY.
 
     session                                      chosen by the host, 1 to 2**32 - 1; a reset of the device ends it
-    hard_lo, hard_hi, rail_lo, rail_hi, centre   counts of the position sensor, 32 bits with sign
+    hard_lo, hard_hi, rail_lo, rail_hi, centre   counts of the position sensor, 32 bits with sign; both rails of an
+                                                 encoder are 0; -2**31 and 2**31 - 1 as hard limits: none
     max_drive                                    drive units, > 0
     watchdog_ms                                  1 to 1000
     polarity                                     +1: positive drive raises the counts; -1: lowers
-    zero                                         reserved
+    homing                                       1: limits from wherever an encoder was switched on; no relay
     """
 
     session: int
@@ -174,7 +185,7 @@ class Setup(NamedTuple):
     max_drive: int
     watchdog_ms: int
     polarity: int
-    zero: int = 0
+    homing: int = 0
 
     def pack(self) -> bytes:
         """The body's bytes; struct.error outside a field's range."""
@@ -187,7 +198,7 @@ class Setup(NamedTuple):
 
 
 class DeviceState(NamedTuple):
-    """Body of STATE and of STOP_REPLY.
+    """Body of STATE, STOP_REPLY, ACK_REPLY and ZERO_REPLY.
 
     t_sample_us  device time of the position sample, us, wraps at 2**32
     counts       position reading, 32 bits with sign
@@ -333,6 +344,7 @@ _SETUP = struct.Struct("<IiiiiiHHbB")
 _STATE = struct.Struct("<IiHIhHBBI")
 _ARM = struct.Struct("<I")
 _ACK = struct.Struct("<B")
+_ZERO = struct.Struct("<i")
 _NACK = struct.Struct("<BB")
 _DRIVE = struct.Struct("<h")
 _RELAY = struct.Struct("<hhhhiIbB")
@@ -356,6 +368,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.KEEP: 0,
     Kind.ACK: _ACK.size,
     Kind.STROKES: _STROKES_LENGTH,
+    Kind.ZERO: _ZERO.size,
     Kind.HELLO_REPLY: _HELLO.size,
     Kind.SETUP_REPLY: _SETUP.size,
     Kind.ARM_REPLY: 1,
@@ -364,6 +377,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.RELAY_REPLY: _RELAY.size,
     Kind.ACK_REPLY: _STATE.size,
     Kind.STROKES_REPLY: _STROKES_LENGTH,
+    Kind.ZERO_REPLY: _STATE.size,
     Kind.NACK: _NACK.size,
 }
 
@@ -381,6 +395,11 @@ def pack_arm(session: int) -> bytes:
 def pack_ack(code: int) -> bytes:
     """Body of ACK: the fault that somebody has seen (struct.error outside 0 to 255)."""
     return _ACK.pack(code)
+
+
+def pack_zero(counts: int) -> bytes:
+    """Body of ZERO: what an encoder's present position reads from now on (struct.error outside 32 bits)."""
+    return _ZERO.pack(counts)
 
 
 def unpack_drive(body: bytes) -> int:

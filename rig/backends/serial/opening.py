@@ -1,4 +1,4 @@
-"""How a serial device opens: a port of this machine, an emulated board in real time, or its chip in virtual time."""
+"""How a serial device opens: a port of this machine, an emulated board in real time, or a chip in virtual time."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts
@@ -16,15 +17,18 @@ from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.shaft import traced
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter
-from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.driver import ByHand, SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.pico_board import PicoBoard
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.usb_board import UsbBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip, uno_options
+from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
-from rig.backends.serial.ports import CHIP_PORTS, adapter_of
+from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of
 from rig.config.schema import Experiment
 from rig.faults import Fault
 
@@ -33,12 +37,12 @@ from rig.faults import Fault
 def serial_line(e: Experiment) -> Iterator[Line]:
     """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
     port = e.daq.port
-    if port == "emulated-chip":
-        device = emulated_chip(e)
+    if port in ("emulated-chip", "emulated-pico"):
+        device = emulated_chip(e) if port == "emulated-chip" else emulated_pico(e)
         adapter = adapter_of(e)
         chip = device if adapter == "none" else BehindUsb(device, adapter)
         yield Line(chip, chip, port, emulated=True)
-    elif port in ("emulated", "emulated-chip-realtime"):
+    elif port in EMULATED_PORTS:
         with TemporaryDirectory(prefix="rig-") as folder:
             trace = Path(folder) / "truth.csv"
             with emulated_board(e, trace=trace) as board:
@@ -52,6 +56,8 @@ def serial_line(e: Experiment) -> Iterator[Line]:
 
 def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
     transport = SerialPort(port, e.daq.baud)
+    if e.sensor.encoder is not None:
+        transport.keep_on()
     if not emulated:
         try:
             check_adapter(port, adapter_of(e))
@@ -74,7 +80,20 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,
         emulated=line.emulated,
+        by_hand=_by_hand(e, line),
     )
+
+
+def _by_hand(e: Experiment, line: Line) -> ByHand | None:
+    """Without travel limits zero is where the shaft stands. With them nobody knows but `rig home`.
+
+    An emulated device that starts with the command has a hand, which does what a person would do.
+    """
+    if e.sensor.encoder is None:
+        return None
+    if e.limits.is_endless:
+        return ByHand(0.0, tried_estop=line.emulated)
+    return ByHand(emulated_of(e).motor.start_rad) if line.emulated else None
 
 
 def emulated_chip(e: Experiment) -> VirtualChip:
@@ -92,6 +111,18 @@ def emulated_chip(e: Experiment) -> VirtualChip:
     )
 
 
+def emulated_pico(e: Experiment) -> VirtualPico:
+    """The Pico's emulated chip, as ``emulated_chip``."""
+    return VirtualPico(_pico_parameters(e))
+
+
+def _pico_parameters(e: Experiment) -> dict[str, Any]:
+    emulated = emulated_of(e)
+    bench = bench_parameters(emulated, e.tachometer)
+    options = uno_options(bench, e.daq.baud, e.drive.bridge)
+    return pico_parameters(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, options=options)
+
+
 @contextmanager
 def emulated_board(
     e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
@@ -100,16 +131,19 @@ def emulated_board(
 
     link   symbolic link to its port
     trace  CSV file of the truth
-    chip   the Uno's firmware on its emulated chip, whatever the config's port is; False: only if the port asks for it,
-           else the firmware's core on this machine
+    chip   the Uno's firmware on its emulated chip, unless the config's port names another chip; False: only if the port
+           names a chip, else the firmware's core on this machine
     Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
     emulated = emulated_of(e)
     adapter = e.daq.adapter or "none"
     own_link = link if adapter == "none" else None
     with ExitStack() as stack:
-        board: ChipBoard | HostBoard
-        if chip or e.daq.port in CHIP_PORTS:
+        board: ChipBoard | HostBoard | PicoBoard
+        if e.daq.port in PICO_PORTS:
+            board = stack.enter_context(PicoBoard())
+            board.start(_pico_parameters(e), own_link, trace)
+        elif chip or e.daq.port in CHIP_PORTS:
             board = stack.enter_context(ChipBoard())
             board.start(emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
         else:

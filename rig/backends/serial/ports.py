@@ -5,9 +5,10 @@ from __future__ import annotations
 from rig.backends.links.usb_adapters import Adapter, adapter_by_name
 from rig.config.schema import Experiment
 
-CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")
+PICO_PORTS = ("emulated-pico", "emulated-pico-realtime")
+CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime", *PICO_PORTS)
 EMULATED_PORTS = ("emulated", *CHIP_PORTS)
-CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
+CHIP_BAUDS = (115200, 1_000_000)  # that the boards' firmware is built for
 
 
 def is_emulated(e: Experiment) -> bool:

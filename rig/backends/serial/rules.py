@@ -45,7 +45,7 @@ def _keys(e: Experiment) -> Iterator[Problem]:
     if e.emulated is not None and e.emulated.motor.delay_s is not None and d.port in EMULATED_PORTS:
         yield wrong("emulated.motor.delay_s", "an emulated board has no such delay", "use driver simulated or modbus")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
-        yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
+        yield wrong("daq.baud", f"the board's firmware does not speak {d.baud} baud", "115200 or 1000000")
 
 
 def _bridge(e: Experiment) -> Iterator[Problem]:
@@ -122,7 +122,7 @@ def _device_relay(e: Experiment) -> Iterator[Problem]:
             f"too slow for the samples of a relay in the device: {block_sum(e.daq.baud)}; {LINK_SHARE:.0%} may be used",
             f"daq.baud {fitting} fits, or relay.where: host",
         )
-    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    points = e.sensor.points
     (c0, r0), (c1, r1) = points[0], points[-1]
     bend_rad = max(abs(r - r0 - (c - c0) * (r1 - r0) / (c1 - c0)) for c, r in points)
     if bend_rad > 0.5 * count_rad(e):

@@ -188,7 +188,7 @@ def test_arming_writes_limits_rounded_inward_and_reads_them_back(rig: Rig) -> No
     values = rig.block.block._values
     low, high = (rig.driver.calibration.to_counts(y) for y in rig.experiment.limits.hard_rad)
     assert (values["limits.low"], values["limits.high"]) == (math.ceil(low), math.floor(high))
-    rail_low, rail_high = rig.experiment.sensor.rail_counts
+    rail_low, rail_high = rig.experiment.sensor.rails
     assert (values["rails.low"], values["rails.high"]) == (rail_low, rail_high)
     assert values["watchdog"] == round(1000 * rig.experiment.daq.watchdog_s)
     assert values["max_drive"] == rig.driver.drive_map.to_units(rig.experiment.drive.max_V)

@@ -153,7 +153,7 @@ def test_a_board_that_goes_on_with_another_firmware_is_said(avrdude: Path) -> No
 
 
 def test_what_came_with_rig_is_taken_if_its_hash_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert flash.prebuilt("rig_uno", tmp_path) is None
+    assert flash.prebuilt("rig_uno.hex", tmp_path) is None
     (tmp_path / "rig_uno-in1_in2.hex").write_bytes(b":00000001FF\n")
     digest = hashlib.sha256(b":00000001FF\n").hexdigest()
     (tmp_path / "SHA256SUMS").write_text(f"{digest}  rig_uno-in1_in2.hex\n")

@@ -7,6 +7,7 @@ import contextlib
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.usb_chip import UsbChip
 from rig.backends.serial.emulated.virtual_device import VirtualDevice
+from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.faults import Fault
 
 
@@ -19,7 +20,7 @@ class BehindUsb:
 
     absolute = True  # of the clock
 
-    def __init__(self, device: VirtualDevice, adapter: Adapter) -> None:
+    def __init__(self, device: VirtualDevice | VirtualPico, adapter: Adapter) -> None:
         self.device = device
         self._chip = UsbChip(adapter)
         self._arrived = b""  # at the host, not read yet

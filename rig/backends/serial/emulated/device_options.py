@@ -52,6 +52,10 @@ def device_options(
         "clock-start-us": clock_start_us,
         "seed": seed,
     }
+    if bench.encoder:
+        low_rad, high_rad = bench.end_rad or (0.0, 0.0)
+        numbers |= {"encoder": 1, "centre-counts": 0.0, "estop-open-s": bench.estop_open_s}
+        numbers |= {"end-low-rad": low_rad, "end-high-rad": high_rad}
     if bench.real is not None:
         numbers |= {"parts": 1, "drift-over-s": bench.frame.duration_s}
         numbers |= {name.replace("_", "-"): getattr(bench.real, name) for name in PARTS_BY_NAME}

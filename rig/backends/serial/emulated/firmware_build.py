@@ -1,4 +1,4 @@
-"""Builds the firmware from its sources: the emulated board with the machine's own compiler, the Uno's with avr-gcc."""
+"""Builds the firmware from its sources, for the emulated board, the Uno and the Pico, each with its own compiler."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rig.package import FOLDER
 
 _PACKAGE = FOLDER
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
+_PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
 
 
 class HostFirmware(NamedTuple):
@@ -24,11 +25,12 @@ class HostFirmware(NamedTuple):
 
 
 class UnoOptions(NamedTuple):
-    """What the Uno's firmware is built with (firmware/boards/uno/uno.mk); the defaults are the plain ``rig_uno.hex``.
+    """What a board's firmware is built with (firmware/boards/variant.mk); the defaults are the plain ``rig_uno.hex``.
 
     bridge  "PWM_DIR" or "IN1_IN2"
     baud    115200 or 1000000
     tachometer, supply, end_switches  whether they are wired
+    encoder  instead of the potentiometer
     """
 
     bridge: str = "PWM_DIR"
@@ -36,22 +38,32 @@ class UnoOptions(NamedTuple):
     tachometer: bool = False
     supply: bool = False
     end_switches: bool = False
+    encoder: bool = False
 
     @property
     def name(self) -> str:
-        """Of the file, without its ending."""
-        parts = ["rig_uno"]
+        """Of the Uno's file, without its ending."""
+        return self.name_for("uno")
+
+    def name_for(self, board: str) -> str:
+        """Of the file for a board, "uno" or "pico", without its ending."""
+        parts = [f"rig_{board}"]
         if self.bridge != "PWM_DIR":
             parts.append(self.bridge.lower())
         if self.baud != 115200:
             parts.append(str(self.baud))
-        words = {"tachometer": self.tachometer, "supply": self.supply, "ends": self.end_switches}
+        words = {
+            "tachometer": self.tachometer,
+            "supply": self.supply,
+            "ends": self.end_switches,
+            "encoder": self.encoder,
+        }
         return "-".join(parts + [word for word, wired in words.items() if wired])
 
     def variables(self) -> list[str]:
         """For make."""
         flags = f"TACHOMETER={self.tachometer:d}", f"SUPPLY={self.supply:d}", f"END_SWITCHES={self.end_switches:d}"
-        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags]
+        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags, f"ENCODER={self.encoder:d}"]
 
 
 PLAIN_UNO = UnoOptions()
@@ -63,6 +75,15 @@ class ChipFirmware(NamedTuple):
     hex: Path
     library: Path
     program: Path
+
+
+class PicoFirmware(NamedTuple):
+    """What the build gives: the very .uf2 that is flashed; node, its emulated chip, and the bench behind that."""
+
+    uf2: Path
+    node: str
+    program: Path
+    bench: Path
 
 
 def source_folder() -> Path:
@@ -108,6 +129,32 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
     folder = _make(build_folder, ["chip", *options.variables()], tools)
     chip = folder / "chip"
     return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
+
+
+def build_pico(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
+    """Build the Pico's firmware, as ``build`` does; the .uf2 to copy.
+
+    Raises EmulationError also where arm-none-eabi-gcc is missing.
+    """
+    folder = _make(build_folder, ["pico", *options.variables()], _PICO_TOOLS)
+    return folder / "pico" / f"{options.name_for('pico')}.uf2"
+
+
+def build_pico_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> PicoFirmware:
+    """Build the Pico's firmware and what its emulated chip needs, as ``build`` does.
+
+    Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing, or the repository: what is
+    installed has no emulated chip.
+    """
+    emulator = source_folder() / "emulator" / "pico"
+    if not (emulator / "chip.js").is_file():
+        raise EmulationError("the emulated Pico is in rig's repository only: run from there")
+    node = shutil.which("node")
+    if node is None or not (emulator / "node_modules" / "rp2040js").is_dir():
+        missing = "node" if node is None else "rp2040js"
+        raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run tools/setup.sh")
+    folder = _make(build_folder, ["pico-chip", *options.variables()], _PICO_TOOLS) / "pico"
+    return PicoFirmware(folder / f"{options.name_for('pico')}.uf2", node, emulator / "main.js", folder / "bench.node")
 
 
 def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:

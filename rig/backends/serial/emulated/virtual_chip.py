@@ -27,7 +27,13 @@ Stall = Literal["main loop", "tick"]
 def uno_options(bench: BenchParameters, baud: int, bridge: str | None) -> UnoOptions:
     """What the firmware is built with for a bench; ``bridge`` as the config names it, None: the plain one."""
     inputs = PLAIN_UNO.bridge if bridge is None else bridge.upper().replace("-", "_")
-    return UnoOptions(inputs, baud, tachometer=bench.tachometer_rad_s_per_count is not None)
+    return UnoOptions(
+        inputs,
+        baud,
+        tachometer=bench.tachometer_rad_s_per_count is not None,
+        end_switches=bench.end_rad is not None,
+        encoder=bench.encoder,
+    )
 
 
 def chip_options(

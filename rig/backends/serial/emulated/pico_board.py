@@ -1,0 +1,28 @@
+"""The Raspberry Pi Pico's emulated chip in real time: a process behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rig.backends.emulated.board_process import BoardProcess
+
+
+class PicoBoard(BoardProcess):
+    """The very .uf2 that is flashed, on rp2040js, with the bench behind it. Opening the port does not reset it.
+
+    The chip runs after real time in steps of 1 ms. A stall of this machine of more than a second is not caught up.
+    """
+
+    def start(self, parameters: dict[str, Any], link: Path | None = None, trace: Path | None = None) -> str:
+        """Start the process and return the name of its port.
+
+        parameters  as ``pico_parameters`` gives them
+        link, trace  as of HostBoard; the trace has ``led`` (lit: armed) instead of the fault
+        Raises EmulationError where it does not start.
+        """
+        self._must_not_run()
+        program = (sys.executable, "-m", "rig.backends.serial.emulated.pico_process")
+        return self._launch(program, {"chip": json.dumps(parameters)}, link, trace)

@@ -1,0 +1,47 @@
+"""What an emulated Pico is made of: its firmware and the bench behind it, as its emulator takes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rig.backends.serial.emulated import firmware_build
+from rig.backends.serial.emulated.device_options import device_options
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.model.bench import BenchParameters
+
+_BITS_PER_BYTE = 10
+
+
+def pico_parameters(
+    bench: BenchParameters,
+    seed: int = 1,
+    *,
+    clock_error_ppm: float = 0.0,
+    options: UnoOptions = PLAIN_UNO,
+    dead_time_s: float = 0.0,
+    build_folder: Path | None = None,
+) -> dict[str, Any]:
+    """What a ``VirtualPico`` is made of; firmware and emulator are built.
+
+    bench            what is behind the board; its ``drive_counts`` is the chip's own business
+    seed             of the noise, 0 to 2**32 - 1
+    clock_error_ppm  of the chip's clock against virtual time
+    options          that the firmware is built with
+    dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    build_folder     of the firmware; None: the default one
+    Raises EmulationError if firmware or emulator is missing or cannot be built.
+    """
+    firmware = firmware_build.build_pico_chip(options, build_folder)
+    of_bench = device_options(bench, seed, clock_error_ppm)
+    del of_bench["drive-counts"]
+    return {
+        "command": [firmware.node, str(firmware.program)],
+        "uf2": str(firmware.uf2),
+        "addon": str(firmware.bench),
+        "byte_ns": round(1e9 * _BITS_PER_BYTE / options.baud),
+        "options": list(of_bench.items()),
+        "bridge": options.bridge,
+        "dead_time_s": dead_time_s,
+        "clock_error_ppm": clock_error_ppm,
+    }

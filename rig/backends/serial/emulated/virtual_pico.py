@@ -1,0 +1,195 @@
+"""The Raspberry Pi Pico's emulated chip in virtual time: the very .uf2 that is flashed, on rp2040js and node."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import subprocess
+import weakref
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.plug import Plug
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.model.bench import DriveWiring, SensorWiring
+
+_END_S = 10.0
+
+PicoContact = Literal["e_stop", "end_low", "end_high"]
+PicoHang = Literal["main loop", "everything", "tick", "converter"]
+PicoStall = Literal["main loop", "tick"]
+
+
+class PicoTruth(NamedTuple):
+    """The true state of the chip's pins and of the bench.
+
+    t_s            virtual time, s
+    pin_V          mean voltage that the bridge makes of the pins
+    motor_V        voltage that the wiring passes on to the motor
+    y_rad, v_rad_per_s   of the measured shaft
+    pin_changed_s  time at which the drive at the pins last changed; negative: never
+    awake_share    share of the time in which the program did not sleep
+    masked_us      longest time with interrupts masked
+    tick_us        longest control tick, without the interrupts that come between
+    led            is lit: armed, or blinking
+    resets         of any cause, since power on
+    overruns       bytes that the chip's receiver had no room for
+    """
+
+    t_s: float
+    pin_V: float
+    motor_V: float
+    y_rad: float
+    v_rad_per_s: float
+    pin_changed_s: float
+    awake_share: float
+    masked_us: float
+    tick_us: float
+    led: bool
+    resets: int
+    overruns: int
+
+
+class VirtualPico(Plug):
+    """One emulated Pico, powered on at virtual time 0: wire, clock and bench in one. Any number may live side by side.
+
+    parameters  as ``pico_parameters`` gives them
+    Raises EmulationError if a parameter is out of range.
+    """
+
+    absolute = True  # of the clock: it sleeps until an instant, not for a while
+
+    def __init__(self, parameters: Mapping[str, Any]) -> None:
+        super().__init__("virtual Pico")
+        self._process = subprocess.Popen(parameters["command"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._finalizer = weakref.finalize(self, _end, self._process)
+        self._to_send = b""
+        self._received = b""
+        self._now_ns = 0.0
+        self._say(parameters)
+
+    # ------------------------------------------------------------------ port
+
+    def write(self, data: bytes) -> None:
+        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged."""
+        self._check_plug()
+        self._to_send += data
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
+
+        Raises Fault LINK_LOST when unplugged.
+        """
+        self._check_plug()
+        if not self._received:
+            self._run(self._now_ns + math.ceil(1e9 * max(timeout_s, 0.0)), until_byte=True)
+        data, self._received = self._received, b""
+        return data
+
+    # ------------------------------------------------------------------ clock
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        return self._now_ns / 1e9
+
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s`` (to the next nanosecond), none if that is past; the time then, s."""
+        until_ns = math.ceil(1e9 * t_s)
+        if until_ns / 1e9 < t_s:  # rounding
+            until_ns += 1
+        self._run(until_ns, until_byte=False)
+        return self.now_s()
+
+    # ------------------------------------------------------------------ what may happen to a bench
+
+    def rewire(self, drive: DriveWiring = "ok", sensor: SensorWiring = "ok") -> None:
+        """Change the wiring from now on. Raises EmulationError for wiring that there is not."""
+        self._call("rewire", drive, sensor)
+
+    def place(self, y_rad: float, v_rad_per_s: float = 0.0) -> None:
+        """Put the shaft somewhere, as a hand would."""
+        self._call("place", y_rad, v_rad_per_s)
+
+    def reset(self, cause: int, boot_s: float = 0.0) -> None:
+        """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot program, pins floating."""
+        self._call("reset", cause, boot_s)
+
+    def contact(self, which: PicoContact, is_open: bool) -> None:
+        """Open or close a contact; all are closed at power on."""
+        self._call("contact", which, is_open)
+
+    def hang(self, what: PicoHang = "main loop") -> None:
+        """Stop the main loop, that and all interrupts, the tick's interrupt, or the converter."""
+        self._call("hang", what)
+
+    def stall(self, what: PicoStall, duration_s: float) -> None:
+        """Let the main loop's next round, or the next tick, take so much longer, s; interrupts go on."""
+        self._call("stall", what, round(1e9 * duration_s))
+
+    # ------------------------------------------------------------------ what is true of it
+
+    def truth(self) -> PicoTruth:
+        """What is really the case now."""
+        return PicoTruth(**self._call("look"))
+
+    def stack_bytes(self) -> int:
+        """Greatest depth of the stack since power on."""
+        return int(self._call("stack_bytes"))
+
+    def broken_rule(self) -> str:
+        """The first rule of the data sheet that the program has broken, or the first thing that the emulator lacks."""
+        return str(self._call("broken_rule"))
+
+    def longest_pulse_s(self) -> float:
+        """Longest time for which the bridge has conducted without a break, edge by edge, since the last call, s."""
+        return float(self._call("longest_pulse_s"))
+
+    # ------------------------------------------------------------------ the process
+
+    def end(self) -> None:
+        """End the process. May be called twice."""
+        self._finalizer()
+
+    def _run(self, until_ns: float, *, until_byte: bool) -> None:
+        self._ask({"until_ns": until_ns, "until_byte": until_byte, "calls": []})
+
+    def _call(self, method: str, *given: object) -> Any:
+        return self._ask({"until_ns": None, "until_byte": False, "calls": [[method, *given]]})[0]
+
+    def _ask(self, what: dict[str, Any]) -> list[Any]:
+        said = self._say({"send": self._to_send.hex(), **what})
+        self._to_send = b""
+        self._received += bytes.fromhex(said["received"])
+        self._now_ns = said["now_ns"]
+        results: list[Any] = said["results"]
+        return results
+
+    def _say(self, what: Mapping[str, Any]) -> dict[str, Any]:
+        """One line there and one back. Raises EmulationError with the emulator's words where it fails."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        if self._process.stdin.closed:
+            raise EmulationError("this emulated Pico has ended")
+        try:
+            self._process.stdin.write(json.dumps(dict(what)).encode() + b"\n")
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        except OSError:
+            line = b""
+        if not line:
+            raise EmulationError(f"the Pico's emulator ended, status {self._process.wait(_END_S)}: its words are above")
+        said: dict[str, Any] = json.loads(line)
+        if "error" in said:
+            raise EmulationError(said["error"])
+        return said
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """The process ends with its standard input."""
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with contextlib.suppress(OSError):
+                stream.close()
+    process.wait(_END_S)

@@ -1,0 +1,78 @@
+"""A host for tests of the Pico's emulated chip: as ``chip_host`` of the Uno's, with 12 bits and 6250 units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import chip_host
+import virtual_host
+from chip_host import SETTLE_S, START_S, UnoHost
+
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
+from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
+from rig.backends.serial.frames import Code, Setup
+from rig.model.bench import BenchParameters
+
+PICO_FULL = 6250
+UNIT_V = 12.0 / PICO_FULL
+SCALE = 4  # counts for one of the Uno's
+
+
+def twelve_bits(bench: BenchParameters) -> BenchParameters:
+    """The same bench behind a converter of 12 bits."""
+    return replace(
+        bench,
+        counts_max=4095,
+        rad_per_count=bench.rad_per_count / SCALE,
+        centre_counts=SCALE * bench.centre_counts,
+    )
+
+
+BENCH, HELD, QUIET = (twelve_bits(bench) for bench in (virtual_host.BENCH, virtual_host.HELD, chip_host.QUIET))
+SETUP = virtual_host.SETUP._replace(
+    hard_lo=196, hard_hi=3900, rail_lo=20, rail_hi=4072, centre=2048, max_drive=PICO_FULL // 2
+)
+LSB_RAD = BENCH.rad_per_count
+
+
+class PicoHost(UnoHost[VirtualPico]):
+    """Frames to and from one emulated Pico."""
+
+    def truth(self) -> PicoTruth:
+        return self.board.truth()
+
+
+@contextmanager
+def pico(
+    bench: BenchParameters = BENCH, options: UnoOptions = PLAIN_UNO, *, clock_error_ppm: float = 0.0
+) -> Iterator[PicoHost]:
+    """A chip that has just been powered on."""
+    board = VirtualPico(pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options))
+    try:
+        yield PicoHost(board, options.baud)
+    finally:
+        board.end()
+
+
+@contextmanager
+def armed_pico(
+    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO
+) -> Iterator[PicoHost]:
+    with pico(bench, options) as host:
+        host.acknowledge(Code.RESET)
+        host.setup(setup)
+        assert host.arm() == Code.NONE
+        yield host
+
+
+def arm_anew(host: PicoHost, setup: Setup = SETUP) -> None:
+    """After a fault, or a reset, which it must have named."""
+    host.board.place(0.0)
+    host.setup(setup)
+    assert host.arm_anew() == Code.NONE
+
+
+__all__ = ["BENCH", "HELD", "LSB_RAD", "QUIET", "SETTLE_S", "SETUP", "START_S", "PicoHost", "armed_pico", "pico"]

@@ -1,0 +1,167 @@
+"""The whole experiment with an encoder on the Uno's emulated chip, in virtual time, as a user runs it; `rig home`."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from rig.backends.registry import connect
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.cli import main
+from rig.config.load import load
+from rig.experiment import zero
+from rig.faults import Fault
+from rig.recording.reader import read_run
+from rig.replay import replay
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = ROOT / "config/encoder.yaml"
+PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
+HOME = {"end": "high", "at_rad": 1.5, "u_V": 0.9}
+
+
+def changed(folder: Path, **sections: dict[str, Any] | None) -> Path:
+    """config/encoder.yaml with other keys; a section that is None goes."""
+    config = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    for name, keys in sections.items():
+        if keys is None:
+            del config[name]
+        else:
+            config[name] = {key: value for key, value in (config[name] | keys).items() if value is not None}
+    path = folder / "encoder.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    return path
+
+
+def run(folder: Path, path: Path) -> dict[str, Any]:
+    result = CliRunner().invoke(main, ["run", str(path), "--out", str(folder / "runs"), "--json"])
+    assert result.exit_code == 0, result.output
+    outcome: dict[str, Any] = json.loads(result.stdout)
+    return outcome
+
+
+def test_the_whole_experiment_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: Path) -> None:
+    outcome = run(tmp_path, CONFIG)
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    assert estimate["verdict"] == "ok", estimate["reasons"]
+    for name in PARAMETERS:
+        assert estimate[name] == pytest.approx(truth[name], rel=0.002)
+        low, high = estimate["ci95"][name]
+        assert 0.5 * (high - low) < 0.001 * truth[name]  # with 10 bits and 3 mrad of noise 0.15 to 0.25 %
+    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.005
+    assert outcome["loop"]["skipped"] == 0 and not outcome["faults"]
+
+
+ENDLESS = {"travel": "none", "soft_rad": None, "hard_rad": None}
+
+
+@pytest.mark.parametrize("where", ["host", "device"])
+def test_a_shaft_without_limits_is_identified_and_turned_on_and_on(tmp_path: Path, where: str) -> None:
+    gains = [{"h1_V": 0.42, "h2_V": 0.84}, {"h1_V": 0.3, "h2_V": 0.76}]
+    path = changed(
+        tmp_path,
+        limits=ENDLESS,
+        relay={"target": None, "gains": gains, "cycles": 8, "where": where},
+        tracking={
+            "turn_rad_s": 2.0,
+            "methods": ["sampled-data"],
+            "trajectory": [{"amplitude_rad": 0.5, "omega_rad_s": 2}],
+        },
+        emulated={"motor": yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": 700.0}},
+    )
+    outcome = run(tmp_path, path)
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    for name in PARAMETERS:
+        assert estimate[name] == pytest.approx(truth[name], rel=0.002)
+    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
+    (folder,) = (tmp_path / "runs").iterdir()
+    rows = (folder / "samples.csv").read_text(encoding="utf-8").splitlines()
+    last_rad = float(rows[-1].split(",")[rows[0].split(",").index("y_rad")])
+    assert last_rad > 2.0 * 2.0 * math.pi  # from where the command found the shaft
+
+
+@pytest.mark.parametrize("limits", [{}, ENDLESS], ids=["limits", "endless"])
+def test_tests_until_the_motor_is_known_run_in_the_device_on_counts(tmp_path: Path, limits: dict[str, Any]) -> None:
+    relay = {"target": None, "cycles": None, "until": {"interval_percent": 0.1}, "where": "device"}
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": 700.0 if limits else 0.1}
+    outcome = run(tmp_path, changed(tmp_path, limits=limits, relay=relay, tracking=None, emulated={"motor": motor}))
+    assert outcome["stopped"]["known"], outcome["stopped"]["why"]
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    assert estimate["verdict"] == "ok", estimate["reasons"]
+    for name in PARAMETERS:
+        assert estimate[name] == pytest.approx(truth[name], rel=0.002)
+    (folder,) = (tmp_path / "runs").iterdir()
+    recording = read_run(folder)
+    assert "strokes-1" in recording.stages()
+    assert limits or float(abs(recording.y_rad).max()) < 1.1  # the soft limits
+    done = replay(folder)
+    assert done.is_same, done.difference
+
+
+def test_home_by_an_end_switch_finds_zero_to_a_few_counts(tmp_path: Path) -> None:
+    encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.7}
+    path = changed(
+        tmp_path, sensor={"encoder": encoder}, emulated={"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
+    )
+    experiment = load(path)
+    with connect(experiment) as bench:
+        found = zero.find_by_switch(experiment, bench)
+        chip = bench.clock
+        assert isinstance(chip, VirtualChip)
+        true_rad = chip.truth().y_rad
+    assert found.y_rad == pytest.approx(true_rad, abs=4 * math.tau / 3200)
+    low, high = experiment.limits.soft_rad
+    assert low < found.y_rad < high
+
+
+@pytest.mark.parametrize(
+    ("end_rad", "home", "code"),
+    [
+        (None, HOME, "NO_MOTION"),  # no switch, but the mechanical stop
+        ([-1.5, 1.5], HOME | {"u_V": 0.3}, "NO_MOTION"),
+        ([-1.5, 1.5], HOME | {"end": "low", "at_rad": -1.5}, None),
+    ],
+)
+def test_home_says_why_it_gives_up(tmp_path: Path, end_rad: Any, home: dict[str, Any], code: str | None) -> None:
+    encoder = {"counts_per_turn": 64, "gear": 50, "home": home}
+    emulated = {"encoder": {"end_rad": end_rad} if end_rad else {}}
+    experiment = load(changed(tmp_path, sensor={"encoder": encoder}, emulated=emulated))
+    if code is None:
+        assert -1.1 < zero.by_switch(experiment).y_rad < 1.1
+        return
+    with pytest.raises(Fault) as failed:
+        zero.by_switch(experiment)
+    assert failed.value.code == code, failed.value
+
+
+def test_by_hand_the_shaft_stands_where_the_hand_says() -> None:
+    found = zero.by_hand(load(CONFIG), 0.25)
+    assert found.y_rad == pytest.approx(0.25, abs=math.tau / 3200)
+    assert found.y_counts == round(0.25 / (math.tau / 3200))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"sensor": {"counts_max": 1023}}, "an encoder has no counts_max"),
+        ({"sensor": {"encoder": {"counts_per_turn": 2}}}, "sensor.encoder.counts_per_turn"),
+        ({"sensor": {"encoder": {"counts_per_turn": 64, "sign": 0}}}, "sensor.encoder.sign"),
+        ({"sensor": {"encoder": None}}, "needs `calibration`, of a potentiometer, or `encoder`"),
+        ({"limits": {"travel": "none"}}, "`travel: none` leaves no soft_rad"),
+        ({"limits": {"soft_rad": None}}, "soft_rad missing"),
+        ({"limits": ENDLESS | {"max_speed_rad_s": None}}, "limits.max_speed_rad_s"),
+        ({"tracking": {"turn_rad_s": 1.0}}, "a shaft that turns on needs limits.travel: none"),
+        ({"emulated": {"wiring": {"sensor": "noisy"}}}, "this sensor has no fault `noisy`"),
+    ],
+)
+def test_rig_check_refuses_what_does_not_fit(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    result = CliRunner().invoke(main, ["check", str(changed(tmp_path, **changes))])
+    assert result.exit_code == 2
+    assert words in result.output
