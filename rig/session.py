@@ -68,7 +68,9 @@ class Outcome:
         friction_alone = () if self.result.relays else [e.name for e in ESTIMATORS if not e.finds_motor]
         for method in (LEADING, *friction_alone):
             estimate = self.result.estimates.get(method)
-            if not why and estimate is not None and estimate.is_refused:
+            with_law = self.result.with_law if method == LEADING else None
+            found = with_law is not None and not with_law.is_refused  # the plain motor alone is refused
+            if not why and estimate is not None and estimate.is_refused and not found:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate.reasons))
         return "; ".join(why)
 

@@ -75,11 +75,11 @@ def test_a_run_that_ends_in_its_search_or_soon_after_tells_the_motor_by_it(run: 
 
 
 def test_short_tests_that_never_settled_are_enough_beside_the_search(run: Recording) -> None:
-    """As a run has them that stops when its motor is known: a second of each relay."""
+    """As a run has them that stops when its motor is known: a second or so of each relay."""
     first, second = run.stage_rows("relay-1"), run.stage_rows("relay-2")
-    short = run.select(0, second.start + 100)
+    short = run.select(0, second.start + 150)
     begun = np.array([*run.stage[: first.start + 100], *(["strokes-1"] * (second.start - first.start - 100))])
-    stages = np.concatenate((begun, run.stage[second.start : second.start + 101]))
+    stages = np.concatenate((begun, run.stage[second.start : second.start + 151]))
     found = identify([replace(short, stage=stages)])
     assert leading(found).verdict == "ok", leading(found).reasons
     assert found.relays == []
