@@ -293,7 +293,7 @@ def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
         found = original(recordings)
         estimates = {**found.estimates}
         estimates["sampled-data"] = estimates["sampled-data"].judged("refused", "for this test")
-        return replace(found, estimates=estimates)
+        return replace(found, estimates=estimates, motor_law=None)
 
     monkeypatch.setattr(stages, "identify", refusing)
     result = rig("run", tmp_path / "whole.yaml", "--out", tmp_path / "runs", "--json")
