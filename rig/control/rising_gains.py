@@ -37,7 +37,8 @@ class RisingGains(RelayLaw[DualChannelRelay]):
 
     With x = h2 - f, f the breakaway level, the cycle has A ~ x^2/h1 and T ~ x/h1 (docs/theory.md 4.2). So x grows by
     the factor ``GROWTH`` at each turning point, or after a time without one, until the swing has ``WIDE`` of the
-    reach or ``FAST`` of the largest speed. From then on a wide and a small cycle take turns, ``TURNS`` turning points
+    reach or ``FAST`` of the largest speed. Where the shaft would leave the reach or gets too fast, x goes back, and f
+    after it. From then on a wide and a small cycle take turns, ``TURNS`` turning points
     each: two sizes tell a drag from another K, should nobody decide to end this law.
 
     It never finishes by itself, and never gives up: ``rig.experiment.until`` ends it.
@@ -49,15 +50,20 @@ class RisingGains(RelayLaw[DualChannelRelay]):
     TREMBLES_S = 1.2  # a slow motor may need that to its first turning point
     WIDE = 0.4
     FAST = 0.6
+    TOO_FAST = 0.82  # of the largest speed: a light motor gains the rest until its speed is seen
     SMALL = 0.6  # of x, in the small cycle
     TURNS = 12
     RETREAT = 0.6
+    LEAST = 0.1  # of the breakaway level: where an x below it is too much, that level was shown too high
+    LOWER, HIGHER = 0.75, 1.1  # of the breakaway level then, and of one that was lowered too far
+    AHEAD_S = 0.06  # the shaft still goes on for about that long after the relay has turned
 
     def __init__(self, relay: DualChannelRelay, detector: CycleDetector, room: SwingRoom) -> None:
         super().__init__(relay, detector)
         self.room = room
         self.steps: list[SearchStep] = []  # the gains that are over, and why they ended
         self._swings = Swings(detector.min_amplitude_rad)
+        self._friction_V = room.friction_V
         self._x_V = self.START * room.friction_V
         self._widest_V = math.inf  # the x that was too much
         self._wide = False
@@ -77,9 +83,9 @@ class RisingGains(RelayLaw[DualChannelRelay]):
         turned = self._swings.step(sample.y_rad)
         self._peak_rad_s = max(self._peak_rad_s, abs(self.speed_rad_s))
         self._span_rad = min(self._span_rad[0], sample.y_rad), max(self._span_rad[1], sample.y_rad)
-        was_within, self._was_within = self._was_within, abs(sample.y_rad) <= self.room.reach_rad
+        was_within, self._was_within = self._was_within, self._goes_to_rad(sample.y_rad) <= self.room.reach_rad
         turns = self._swings.count - self._changed_at
-        if (was_within and not self._was_within) or abs(self.speed_rad_s) > self.room.top_speed_rad_s:
+        if (was_within and not self._was_within) or (abs(self.speed_rad_s) > self.TOO_FAST * self.room.top_speed_rad_s):
             # once for each swing: the last change needs one to take effect
             if turns >= 1 or not self._retreated:
                 self._retreat(sample.t_s)
@@ -87,6 +93,11 @@ class RisingGains(RelayLaw[DualChannelRelay]):
             if turns >= self.TURNS:
                 self._small = not self._small
                 self._change(sample.t_s, "now a small cycle" if self._small else "now a wide cycle")
+            elif self._friction_V < self.room.friction_V and sample.t_s - self._changed_s > self.TREMBLES_S * (
+                turns + 1
+            ):
+                self._friction_V = min(self.HIGHER * self._friction_V, self.room.friction_V)
+                self._change(sample.t_s, "hardly swings")
         elif turned and turns >= 1:
             self._grow(sample.t_s)
         elif turns == 0 and sample.t_s - self._changed_s > (self.STICKS_S if self._sticks else self.TREMBLES_S):
@@ -94,6 +105,10 @@ class RisingGains(RelayLaw[DualChannelRelay]):
                 self.relay.restart()  # the integral meanwhile means nothing
             self._grow(sample.t_s)
         return u_V
+
+    def _goes_to_rad(self, y_rad: float) -> float:
+        """How far from the middle the shaft will be before it can turn, rad."""
+        return max(abs(y_rad), abs(y_rad + self.AHEAD_S * self.speed_rad_s))
 
     @property
     def _sticks(self) -> bool:
@@ -119,12 +134,15 @@ class RisingGains(RelayLaw[DualChannelRelay]):
     def _largest_x_V(self) -> float:
         """Largest x within the drive's range, and below one that was too much, V."""
         room = self.room
-        within_sum_V = (room.sum_max_V - room.friction_V) / (1.0 + _H1_SHARE)
-        return min(within_sum_V, room.h_max_V - room.friction_V, 0.9 * self._widest_V)
+        within_sum_V = (room.sum_max_V - self._friction_V) / (1.0 + _H1_SHARE)
+        return min(within_sum_V, room.h_max_V - self._friction_V, 0.9 * self._widest_V)
 
     def _retreat(self, t_s: float) -> None:
         self._widest_V = min(self._widest_V, self._x_V)
         self._x_V *= self.RETREAT
+        if self._x_V < self.LEAST * self._friction_V:
+            # short strokes show a fast motor's friction too high: x alone would never come down to it
+            self._friction_V *= self.LOWER
         self._wide = self._retreated = True
         self.relay.restart()  # both relays inward
         self._change(t_s, "too wide or too fast")
@@ -136,7 +154,7 @@ class RisingGains(RelayLaw[DualChannelRelay]):
 
     def _set(self, t_s: float) -> None:
         x_V = self._x_V * (self.SMALL if self._small else 1.0)
-        friction_V = self.room.friction_V
+        friction_V = self._friction_V
         h1_V, h2_V = max(_H1_LEAST * friction_V, _H1_SHARE * x_V), friction_V + x_V
         scale = min(1.0, self.room.sum_max_V / (h1_V + h2_V))
         self.relay.h1_V, self.relay.h2_V = h1_V * scale, h2_V * scale

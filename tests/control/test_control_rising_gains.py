@@ -41,6 +41,20 @@ def test_any_motor_of_the_grid_swings_widely_within_some_seconds_and_hardly_beyo
     assert np.max(np.abs(run.u_V)) <= 3.0
 
 
+@pytest.mark.parametrize("too_high", [1.3, 1.8])
+@pytest.mark.parametrize("number", [6, 23, 28])
+def test_a_fast_motor_whose_friction_was_shown_too_high_stays_within_the_soft_limits(
+    number: int, too_high: float
+) -> None:
+    one: Draw = draw(GRID.model_copy(update={"seed": 3}), number)
+    assert one.K_rad_s_V > 8.0 or number == 6
+    law = rising(too_high * one.fc_V)
+    run = simulate(one.motor(), law, 12.0, Sampling(PERIOD_S, one.delay_s, 0.003, LSB_RAD, one.offset_rad, seed=number))
+    assert float(np.abs(run.y_rad).max()) < SOFT_RAD
+    assert float(np.abs(np.diff(run.y_rad[::5])).max()) / (5 * PERIOD_S) < 1.05 * TOP_RAD_S
+    assert 0.5 * np.ptp(run.y_rad[run.t_s > 6.0]) > 0.1 * REACH_RAD  # and it still swings
+
+
 def test_while_the_shaft_sticks_the_gains_grow_to_the_largest_drive_and_it_never_gives_up() -> None:
     law = rising(0.3)
     drives = [law.step(Sample(k * PERIOD_S, 0.1, 512)) for k in range(6000)]
