@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
+RESHAPED = 2  # starts of a law's shape that are fitted again on longer pieces
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
@@ -109,7 +110,7 @@ class Chooser:
             if fit is not None and len(cut.begins) == len(fit.problem.cut.begins):
                 continue
             problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
-            longer = solve(start(problem, motor))
+            longer = self._at_best_shape(solve(start(problem, motor)), laws)
             longer, found = self._settle(longer, laws)
             if fit is not None and longer.rms_rad > GROWN * max(fit.rms_rad, self.sigma_rad):
                 growth.append((cut.longest_s, longer.rms_rad))
@@ -128,6 +129,20 @@ class Chooser:
                 refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
             )
         return Choice(laws, fit, tuple(growth))
+
+    def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
+        """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
+        for law in laws:
+            trials = law.trials(self.bench)
+            if not law.shape or len(trials) == 1:
+                continue
+            others = tuple(one for one in laws if one is not law)
+            bare = solve(self._with(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
+            for promise in self._starts(law, Columns(bare, bare.problem.rows(bare.motor, bare.starts)))[:RESHAPED]:
+                trial = solve(self._with(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
+                if trial.cost < fit.cost:
+                    fit = solve(trial)
+        return fit
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""
@@ -238,21 +253,23 @@ class Chooser:
         rows = fit.problem.rows(fit.motor, fit.starts)
         absent = [law for law in self.candidates if law not in laws]
         columns = Columns(fit, rows, [law for law in absent if law.trials(self.bench) == (NOTHING,)])
+        found = [
+            replace(starts[0], gain=starts[0].gain / unit(fit)) for law in absent if (starts := self._starts(law, columns))
+        ]
+        return sorted(found, key=lambda promise: -promise.gain)
+
+    def _starts(self, law: Departure, columns: Columns) -> list[Promise]:
+        """What each start of an absent law would gain, as a fall of the whitened sum of squares, the best first."""
         found = []
-        for law in absent:
-            best: Promise | None = None
-            for trial in law.trials(self.bench):
-                added, scale = columns.of(law, trial)
-                gain, sizes = columns.gain(added)
-                if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
-                    continue
-                most = FIRST_STEP * law.range_of(self.bench)
-                clipped = np.clip(sizes * scale, -most, most).tolist()
-                first = dict(zip(law.numbers, clipped, strict=True)) if scale != 0.0 else {}
-                if best is None or gain > best.gain:
-                    best = Promise(gain, law, {**first, **trial})
-            if best is not None:
-                found.append(replace(best, gain=best.gain / unit(fit)))
+        for trial in law.trials(self.bench):
+            added, scale = columns.of(law, trial)
+            gain, sizes = columns.gain(added)
+            if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
+                continue
+            most = FIRST_STEP * law.range_of(self.bench)
+            clipped = np.clip(sizes * scale, -most, most).tolist()
+            first = dict(zip(law.numbers, clipped, strict=True)) if scale != 0.0 else {}
+            found.append(Promise(gain, law, {**first, **trial}))
         return sorted(found, key=lambda promise: -promise.gain)
 
     def _worst(self, fit: Fit, laws: Sequence[Departure]) -> tuple[float, Departure] | None:
