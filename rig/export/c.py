@@ -11,10 +11,9 @@ from typing import Final
 from rig.backends.serial.emulated.firmware_build import source_folder
 from rig.control.observer import MotorObserver
 from rig.export.motor import IdentifiedMotor
-from rig.export.tool import NOT_RIGID, Tool, rendered
+from rig.export.tool import NOT_RIGID, Tool, constant, rendered
 from rig.export.whole_run import ExportedRun
 from rig.model.real_motor import PARTS
-from rig.package import FOLDER
 
 _MOTION: Final = ("real_motor.h", "real_motor.c")
 _PERIOD_S, _NOISE_RAD = 0.01, 0.003  # where the run does not say
@@ -38,7 +37,7 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         numbers=[*((_in_comment(words), name, value) for words, name, value in lines), *_of_controller(motor, run)],
         fields=fields,
     )
-    fixed = {name: (FOLDER / "export" / "templates" / name).read_bytes() for name in _CONTROLLER}
+    fixed = {name: constant(name) for name in _CONTROLLER}
     motion = {name: (source_folder() / "boards" / "host" / name).read_bytes() for name in _MOTION}
     return {"rig_motor.h": header, **fixed, **motion}
 

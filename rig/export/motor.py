@@ -166,6 +166,7 @@ class IdentifiedMotor:
 
     framed    the motor with its laws, and what they refer to; its own delay is 0
     delay_s   from a sample to the effect of its drive, s, >= 0
+    correlation   of the estimates of tau and K, -1 to 1; None: not known
     lacks     laws that the tool cannot express, each with what follows; an exporter sets it
     """
 
@@ -174,15 +175,20 @@ class IdentifiedMotor:
     numbers: tuple[KnownNumber, ...]
     laws: tuple[LawInWords, ...]
     provenance: Provenance
+    correlation: float | None
     lacks: Mapping[str, str]
 
     def lacking(self, parts: Mapping[str, str]) -> IdentifiedMotor:
         """The same for a tool that cannot express ``parts`` (name: what follows), as far as the motor has them."""
         return replace(self, lacks={name: why for name, why in parts.items() if name in self.framed.parts})
 
-    def value(self, name: str) -> float:
+    def number(self, name: str) -> KnownNumber:
         """One number of motor or frame by its name; 0 if the motor has not that part."""
-        return next((one.value for one in self.numbers if one.name == name), 0.0)
+        return next((one for one in self.numbers if one.name == name), KnownNumber(name, 0.0))
+
+    def value(self, name: str) -> float:
+        """Its value."""
+        return self.number(name).value
 
     def all_values(self) -> dict[str, float]:
         """Every number by its name; 0 for a part that the motor has not."""
@@ -242,7 +248,7 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
     )
     delay_s = max(estimate.delay_s or 0.0, 0.0)
     numbers = tuple(_numbers(framed, delay_s, estimate, run.result))
-    return IdentifiedMotor(framed, delay_s, numbers, laws, provenance, {})
+    return IdentifiedMotor(framed, delay_s, numbers, laws, provenance, _correlation(estimate), {})
 
 
 def _estimate_of(run_folder: Path, result: RunResult, has_laws: bool) -> EstimateResult:
@@ -270,6 +276,14 @@ def _numbers(framed: FramedMotor, delay_s: float, estimate: EstimateResult, resu
         of_estimate = _OF_ESTIMATE.get(name, name)
         interval = estimate.interval(of_estimate) or sizes.get(name)
         yield KnownNumber(name, has[name], interval, u95.get(of_estimate), absolute.get(of_estimate))
+
+
+def _correlation(estimate: EstimateResult) -> float | None:
+    """Of tau and K."""
+    names = estimate.covariance_of
+    if estimate.correlation is None or "tau_s" not in names or "K_rad_s_V" not in names:
+        return None
+    return estimate.correlation[names.index("tau_s")][names.index("K_rad_s_V")]
 
 
 def _whole(interval: tuple[float | None, float | None] | None) -> tuple[float, float] | None:

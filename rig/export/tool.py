@@ -10,6 +10,7 @@ import jinja2
 
 from rig.export.motor import IdentifiedMotor
 from rig.export.whole_run import ExportedRun
+from rig.package import FOLDER
 
 # What has no inverse, and no state in a model of velocity and position.
 NOT_RIGID: Final = {
@@ -45,6 +46,6 @@ def rendered(template: str, **values: object) -> bytes:
     return environment.get_template(template).render(**values).encode("utf-8")
 
 
-def commented(lines: list[str], mark: str) -> str:
-    """Lines as a comment: each behind ``mark``."""
-    return "\n".join(f"{mark}{line}".rstrip() for line in lines)
+def constant(name: str) -> bytes:
+    """A file of this room that is the same for every motor."""
+    return (FOLDER / "export" / "templates" / name).read_bytes()

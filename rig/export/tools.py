@@ -9,17 +9,21 @@ from typing import Final
 
 from rig.export.c import C
 from rig.export.control import CONTROL
+from rig.export.matlab import MATLAB
 from rig.export.motor import IdentifiedMotor, identified_motor
 from rig.export.mujoco import MUJOCO
 from rig.export.tool import Tool
 from rig.export.whole_run import load
+from rig.export.wpilib import WPILIB
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
 from rig.recording.path_kind import is_file_of_a_run
 
 TOOLS: Final[dict[str, Tool]] = {
     "control": CONTROL,
+    "matlab": MATLAB,
     "mujoco": MUJOCO,
+    "wpilib": WPILIB,
     "c": C,
 }
 

@@ -39,13 +39,15 @@ LAWS: dict[str, dict[str, float]] = {
 assert all(set(numbers) == set(PARTS[name]) for name, numbers in LAWS.items())
 
 
-def run_with(folder: Path, *laws: str, verdict: str = "ok") -> Path:
+def run_with(folder: Path, *laws: str, verdict: str = "ok", golden: Path = GOLDEN) -> Path:
     """A run folder, named by its laws, whose result has a plain motor, or one with these laws."""
     run = folder / f"20260101T000000Z-{'-'.join(laws) or 'plain'}"
-    shutil.copytree(GOLDEN, run)
+    shutil.copytree(golden, run)
     (run / "golden.json").unlink()
     estimate: dict[str, Any] = {
         **PLAIN,
+        "covariance_of": ["tau_s", "K_rad_s_V"],
+        "correlation": [[1.0, 0.5], [0.5, 1.0]],
         "ci95": {name: [value - 0.001, value + 0.001] for name, value in PLAIN.items()},
         "verdict": verdict,
         "reasons": [] if verdict == "ok" else ["why */ it is --> so"],
