@@ -112,7 +112,7 @@ def test_on_the_uno_it_is_the_same_to_the_precision_of_its_numbers(
 ) -> None:
     run = run_with(tmp_path, *laws)
     export_model(run, "c", tmp_path)
-    ticks = tracked(motor_of(run), 150, 2)
+    ticks = tracked(motor_of(run), 60, 2)
     (tmp_path / "ticks.h").write_text(ticks.header(), encoding="ascii")
     program = compiled(tmp_path, "avr-gcc", *UNO)
     subprocess.run([str(chip), str(program), str(tmp_path / "drives")], check=True, capture_output=True)

@@ -12,11 +12,11 @@ from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
-import control as ct
 import mujoco
 import numpy as np
 import pytest
 from command_line import rig
+from control.nlsys import input_output_response
 from run_with_laws import GOLDEN, LAWS, PERIOD_S, PLAIN, drive, motor_of, own_motion, run_with
 from scipy.io import loadmat
 from wpimath.controller import ArmFeedforward, SimpleMotorFeedforwardRadians
@@ -71,7 +71,7 @@ def test_python_control_moves_the_sampled_system_as_rig_moves_the_motor(
     folder = exported("control", *laws)
     system = module(folder / "motor_control.py").sampled(PERIOD_S)
     u_V = drive()
-    theirs = ct.input_output_response(system, np.arange(u_V.size) * PERIOD_S, u_V).outputs
+    theirs = input_output_response(system, np.arange(u_V.size) * PERIOD_S, u_V).outputs
     readings, velocities = own_motion(motor_of(run_in(folder)), u_V)
     assert np.ptp(readings) > 3.0
     np.testing.assert_allclose(theirs[0], readings, rtol=0.0, atol=2e-6)
@@ -90,7 +90,7 @@ def test_python_control_has_the_smooth_motor_and_its_linear_part(exported: Calla
     fine = np.arange(0.0, (u_V.size - 1) * PERIOD_S, 2e-4)
     held = u_V[(fine / PERIOD_S + 1e-9).astype(int)]
     options = {"max_step": 1e-3, "rtol": 1e-7, "atol": 1e-9}
-    found = ct.input_output_response(system, fine, held, solve_ivp_method="LSODA", solve_ivp_kwargs=options)
+    found = input_output_response(system, fine, held, solve_ivp_method="LSODA", solve_ivp_kwargs=options)
     readings, _ = own_motion(motor_of(run_in(folder)), u_V)
     assert np.abs(found.outputs[0][::50] - readings[:-1]).max() < 2e-3  # friction that turns over 1 mrad/s
 
@@ -112,7 +112,7 @@ def test_mujoco_moves_as_rig_moves_the_motor(exported: Callable[..., Path], laws
 def test_mujoco_swings_with_the_recorded_period_and_amplitude_under_the_recorded_relay(tmp_path: Path) -> None:
     """The recording is of a relay in the device: at 1 kHz one cycle is as the next."""
     golden = GOLDEN.parent / "chip-relay-in-device"
-    found = identify([read_run(golden)], ("sampled-data",), choose_law=False).as_result().as_json()
+    found: dict[str, Any] = identify([read_run(golden)], ("sampled-data",), choose_law=False).as_result().as_json()
     run = run_with(tmp_path, golden=golden)
     result = json.loads((run / "result.json").read_text(encoding="utf-8"))
     result["estimates"] = found["estimates"]
@@ -167,7 +167,7 @@ def test_wpilib_computes_the_drive_that_rig_asks_for(exported: Callable[..., Pat
 
 
 def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(exported: Callable[..., Path]) -> None:
-    """One process for all: an export after the other, and the recorded relay test of the last."""
+    """One process for all: an export after the other, and the recorded strokes of the first."""
     u_V = drive(200)
     orders, folders = [], []
     for laws in ((), MANY, OTHERS):
@@ -176,7 +176,7 @@ def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(expo
         orders.append(f"cd('{folder}'); clear motor_simulate; u = load('u.txt'); t = (0:numel(u)-1)' * {PERIOD_S};")
         orders.append("out = motor_simulate(t, u, 0, 0); save('-v7', 'out.mat', 'out');")
     orders.append(
-        f"cd('{folders[0]}'); clear motor_simulate; r = motor_simulate('relay-2'); printf('%.9f', r.rms_rad);"
+        f"cd('{folders[0]}'); clear motor_simulate; r = motor_simulate('breakaway'); printf('%.9f', r.rms_rad);"
     )
     command = ["octave-cli", "--quiet", "--no-init-file", "--eval", " ".join(orders)]
     said = subprocess.run(command, check=True, capture_output=True, text=True)
@@ -185,7 +185,7 @@ def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(expo
         readings, _ = own_motion(motor_of(run_in(folder)), u_V)
         out = loadmat(folder / "out.mat", simplify_cells=True)["out"]
         np.testing.assert_allclose(out["y_rad"], readings, rtol=0.0, atol=2e-6)
-    assert 0.0 < float(said.stdout) < 0.05  # the truth, beside a noisy recording whose friction differs by direction
+    assert 0.002 < float(said.stdout) < 0.05  # the sensor's noise at least; the strokes end in the static friction
 
 
 def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Callable[..., Path]) -> None:

@@ -1,15 +1,13 @@
 function out = motor_simulate(varargin)
 % MOTOR_SIMULATE  The motor of motor.mat, simulated. For MATLAB and Octave; no toolbox.
 %
-%   motor_simulate                    plots the first relay test of the run beside its simulation
-%   out = motor_simulate('relay-2')   that stage; '' is the whole run from its first row
+%   motor_simulate                    plots the recorded run beside its simulation from the first row, at rest
+%   out = motor_simulate('relay-2')   the rows of that stage alone, simulated from the first row of the run, too
 %   out = motor_simulate(t_s, u_V, y0_rad, v0_rad_s)   a drive of your own: u_V(k) acts from t_s(k) to t_s(k+1)
 %
 % out.t_s, out.y_rad   times, s, and what the sensor shows, rad
 % out.v_rad_s          velocity, rad/s
 % out.recorded_rad     what it showed in the recording, rad, and out.rms_rad the difference's root mean square
-%
-% A stage starts at the recorded position, with the velocity of a parabola through its first rows.
 %
 %   tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),   dy/dt = v
 %
@@ -28,24 +26,21 @@ if nargin > 1
 end
 s = file.samples;
 rows = (1:numel(s.t_s))';
-stage = '';
+stage = 'whole run';
 if nargin == 1
     stage = varargin{1};
-elseif any(strncmp(s.stage, 'relay-', 6))
-    stage = 'relay-1';
-end
-if ~isempty(stage)
     rows = find(strcmp(s.stage, stage));
 end
-if numel(rows) < 5
-    error('motor_simulate:stage', 'motor.mat has no stage %s with 5 rows or more', stage);
+if isempty(rows)
+    error('motor_simulate:stage', 'motor.mat has no stage %s; it has %s', stage, strjoin(unique(s.stage)', ', '));
 end
-t = s.t_s(rows);
-first = polyfit(t(1:5) - t(1), s.y_rad(rows(1:5)), 2);
-v0 = first(2) * ~isempty(stage); % a run begins at rest
-edges = s.t_u_s(rows);
-edges(isnan(edges)) = t(isnan(edges));
-out = simulated(m, t, edges, s.u_V(rows), s.y_rad(rows(1)), v0);
+upto = (1:rows(end))';
+edges = s.t_u_s(upto);
+edges(isnan(edges)) = s.t_s(isnan(edges));
+whole = simulated(m, s.t_s(upto), edges, s.u_V(upto), s.y_rad(1), 0);
+out.t_s = whole.t_s(rows);
+out.y_rad = whole.y_rad(rows);
+out.v_rad_s = whole.v_rad_s(rows);
 out.recorded_rad = s.y_rad(rows);
 out.rms_rad = sqrt(mean((out.y_rad - out.recorded_rad) .^ 2));
 if nargout == 0
