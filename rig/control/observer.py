@@ -29,7 +29,6 @@ class MotorObserver:
     their way, over any number of periods.
 
     latency_s   from a sample to the effect of its drive, as the device reports it, s; smoothed
-    gain        of velocity, then of position, by each error of what is measured: the position, then the tachometer
     further_s   from there to the motion of the reading, s: the device does not report it
     """
 
@@ -60,7 +59,7 @@ class MotorObserver:
         # a little process noise on every state keeps the Riccati equation well posed
         Q = B @ B.T * disturbance_V**2 + np.diag([1e-6, 1e-10])
         P = solve_discrete_are(A.T, C.T, Q, R)
-        self.gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
+        self._gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
 
     def step(self, sample: Sample) -> MotorState:
         """The state at the instant at which a drive computed now takes effect."""
@@ -72,6 +71,11 @@ class MotorObserver:
         self._correct(sample)
         self._last_t_s = sample.t_s
         return self._predicted(sample.t_s)
+
+    @property
+    def gain(self) -> list[list[float]]:
+        """Of velocity, 1/s, then of position, by each error: of the position, then of the tachometer if there is one."""
+        return self._gain
 
     @property
     def delay_s(self) -> float:
@@ -131,9 +135,9 @@ class MotorObserver:
     def _correct(self, sample: Sample) -> None:
         v, y = self.state.v, self.state.y
         error = self.motor.position_rad(sample.y_rad) - y
-        dv, dy = self.gain[0][0] * error, self.gain[1][0] * error
-        if len(self.gain[0]) == 2 and not math.isnan(sample.v_rad_per_s):
+        dv, dy = self._gain[0][0] * error, self._gain[1][0] * error
+        if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s):
             error_v = sample.v_rad_per_s - v
-            dv += self.gain[0][1] * error_v
-            dy += self.gain[1][1] * error_v
+            dv += self._gain[0][1] * error_v
+            dy += self._gain[1][1] * error_v
         self.state = self.motor.moved(self.state, v + dv, y + dy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -229,7 +230,7 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
 
     Raises RecordingError if it holds no model that was not refused.
     """
-    framed = known_model(run_folder)
+    framed = known_model(run_folder, math.inf)
     estimate = _estimate_of(run_folder, run.result, bool(framed.parts))
     laws = tuple(
         LawInWords(law.name, law.value, law.unit, _whole(law.ci95))
