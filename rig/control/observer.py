@@ -74,7 +74,7 @@ class MotorObserver:
 
     @property
     def gain(self) -> list[list[float]]:
-        """Of velocity, 1/s, then of position, by each error: of the position, then of the tachometer if there is one."""
+        """Of velocity, then of position, by each error: of the position, then of the tachometer if there is one."""
         return self._gain
 
     @property
