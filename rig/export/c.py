@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from typing import Final
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.firmware_build import source_folder
 from rig.control.observer import MotorObserver
 from rig.export.motor import IdentifiedMotor
 from rig.export.tool import NOT_RIGID, Tool, constant, rendered
 from rig.export.whole_run import ExportedRun
 from rig.model.real_motor import PARTS
+from rig.package import FOLDER
+from rig.recording.errors import RecordingError
 
 _MOTION: Final = ("real_motor.h", "real_motor.c")
 _PERIOD_S, _NOISE_RAD = 0.01, 0.003  # where the run does not say
@@ -21,7 +24,7 @@ _GAINS: Final = {"k1_1_s": 12.0, "k2_1_s2": 36.0}  # as in a config that does no
 
 
 def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
-    """``rig_motor.h``, ``rig_controller.h`` and ``.c``, ``real_motor.h`` and ``.c``. Raises EmulationError."""
+    """``rig_motor.h``, ``rig_controller.h`` and ``.c``, ``real_motor.h`` and ``.c``. Raises RecordingError."""
     left_out = {name for part in NOT_RIGID for name in PARTS[part]}
     numbers = [one for one in motor.numbers if one.name not in left_out]
     lines = [(f"{one.unit}, {one.words()}", one.name.upper(), repr(one.value)) for one in numbers]
@@ -38,11 +41,19 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         fields=fields,
     )
     fixed = {name: constant(name) for name in _CONTROLLER}
-    motion = {name: (source_folder() / "boards" / "host" / name).read_bytes() for name in _MOTION}
+    motion = {name: _motion(name) for name in _MOTION}
     return {"rig_motor.h": header, **fixed, **motion}
 
 
 _CONTROLLER: Final = ("rig_controller.h", "rig_controller.c")
+
+
+def _motion(name: str) -> bytes:
+    """A file of the emulated boards' motor. Raises RecordingError where rig was installed without it."""
+    try:
+        return (source_folder() / "boards" / "host" / name).read_bytes()
+    except (EmulationError, OSError) as error:
+        raise RecordingError(FOLDER, f"has no {name}, which --to c copies: {error}", "install rig again") from error
 
 
 def _of_controller(motor: IdentifiedMotor, run: ExportedRun) -> list[tuple[str, str, str]]:

@@ -40,7 +40,9 @@ def gains(motor: IdentifiedMotor) -> JsonObject:
     m = motor.framed.motor
     tau, K, fc, dead_band = (motor.number(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "dead_band_V"))
     simple: JsonObject = {
-        "kS": _gain(fc.value + dead_band.value, "V", _sum_of_intervals(fc, dead_band), fc.u95),
+        "kS": _gain(
+            fc.value + dead_band.value, "V", _sum_of_intervals(fc, dead_band), None if dead_band.value else fc.u95
+        ),
         "kV": _gain(1.0 / K.value, "V s/rad", _inverse(K.ci95), None if K.u95 is None else K.u95 / K.value**2),
         "kA": _gain(tau.value / K.value, "V s^2/rad", _ratio(tau, K, motor.correlation), None),
     }

@@ -44,9 +44,13 @@ out.v_rad_s = whole.v_rad_s(rows);
 out.recorded_rad = s.y_rad(rows);
 out.rms_rad = sqrt(mean((out.y_rad - out.recorded_rad) .^ 2));
 if nargout == 0
+    subplot(2, 1, 2);
+    plot(out.t_s, 1e3 * (out.recorded_rad - out.y_rad));
+    xlabel('t, s');
+    ylabel('recorded - simulated, mrad');
+    subplot(2, 1, 1);
     plot(out.t_s, out.recorded_rad, out.t_s, out.y_rad);
     legend('recorded', 'simulated');
-    xlabel('t, s');
     ylabel('position, rad');
     title(sprintf('%s, %s: rms %.4f rad', file.motor.run, stage, out.rms_rad), 'Interpreter', 'none');
 end
