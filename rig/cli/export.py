@@ -41,7 +41,7 @@ def export(
     A file holds samples, events and result; a .csv file holds the samples. A model has the numbers of the motor with
     units and intervals, its laws, and where it comes from.
     """
-    from rig.export import TOOLS
+    from rig.export import FORMATS, TOOLS
 
     if to in TOOLS:
         if stage is not None or rows is not None:
@@ -49,6 +49,12 @@ def export(
         _model(run_folder, to, into or Path(), force, as_json)
     elif into is not None:
         fail(EXIT_BAD_INPUT, f"--into is for a tool, and {to!r} is none", f"--to one of {', '.join(TOOLS)}")
+    elif not Path(to).suffix:
+        fail(
+            EXIT_BAD_INPUT,
+            f"{to}: ends in none of {', '.join(FORMATS)}, and is no tool",
+            f"give a file with one of these suffixes, or one of {', '.join(TOOLS)}",
+        )
     else:
         _whole_run(run_folder, Path(to), (stage, rows), force, as_json)
 

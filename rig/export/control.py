@@ -17,7 +17,7 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         "motor_control.py.j2",
         head="\n".join(motor.head()).replace("\\", "/").replace('"""', "'''"),
         model=pprint.pformat(motor.as_json(), width=116, sort_dicts=False),
-        names=pprint.pformat(tuple(NUMBERS), width=116, indent=4),
+        names=pprint.pformat(tuple(NUMBERS), width=100, compact=True),
         smooth=SMOOTH_RAD_S,
     )
     return {"motor_control.py": text}

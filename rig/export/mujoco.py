@@ -61,7 +61,7 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         "motor_mujoco.py.j2",
         head="\n".join(motor.head()).replace("\\", "/").replace('"""', "'''"),
         model=pprint.pformat(motor.as_json(), width=116, sort_dicts=False),
-        names=pprint.pformat(tuple(NUMBERS), width=116, indent=4),
+        names=pprint.pformat(tuple(NUMBERS), width=100, compact=True),
     )
     return {"motor.xml": text, "motor_mujoco.py": code}
 

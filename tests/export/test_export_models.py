@@ -104,7 +104,7 @@ def test_mujoco_moves_as_rig_moves_the_motor(exported: Callable[..., Path], laws
     readings, _ = own_motion(motor_of(run_in(folder)), u_V)
     theirs = []
     for volts in u_V.tolist():
-        theirs.append(shaft.reading(data))
+        theirs.append(shaft.reading(float(data.qpos[0])))
         shaft.step(model, data, volts, PERIOD_S)
     assert np.abs(np.array(theirs) - readings).max() < 2e-3
 
@@ -241,7 +241,7 @@ def test_the_command_names_what_it_wrote_and_what_is_lacking(
         (["--to", "mujoco", "--stage", "relay-1"], "--to mujoco takes the model of the whole run"),
         (["--to", "mujoco", "--into", "none"], "none: is no folder"),
         (["--to", "a.mat", "--into", "none"], "--into is for a tool, and 'a.mat' is none"),
-        (["--to", "simulink"], "simulink: ends in none of .mat, .npz, .csv, .json"),
+        (["--to", "simulink"], "simulink: ends in none of .mat, .npz, .csv, .json, and is no tool"),
     ],
 )
 def test_what_cannot_be_is_refused(
