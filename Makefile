@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: docs stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: dist docs stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -87,6 +87,11 @@ firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/ri
 
 wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
 	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
+
+dist: .venv/.ready  ## wheel and source as they would be published, checked: dist
+	rm -rf dist
+	RIG_FIRMWARE=required .venv/bin/uv build --quiet -o dist
+	.venv/bin/twine check --strict dist/*
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py

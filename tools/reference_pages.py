@@ -54,7 +54,8 @@ def write_pages(folder: Path, gallery: Path) -> None:
 def faults() -> str:
     """A table of all faults: code, cause, cure."""
     rows = [(f"`{code}`", entry.cause, entry.cure) for code, entry in FAULTS.items()]
-    return f"# Faults\n\nWhat ends a run, why, and what to do.\n\n{markdown(('code', 'what happened', 'what to do'), rows)}\n"
+    table = markdown(("code", "what happened", "what to do"), rows)
+    return f"# Faults\n\nWhat ends a run, why, and what to do.\n\n{table}\n"
 
 
 def reports(gallery: Path) -> str:
@@ -71,7 +72,12 @@ def keys() -> str:
     """A table for each section of a config."""
     schema = json.loads(config.schema_text(config.Experiment))
     parts = schema.pop("$defs", {})
-    text = ["# Keys of a config", "", "Every key, its default and its range. `rig config list` names ready configs.", ""]
+    text = [
+        "# Keys of a config",
+        "",
+        "Every key, its default and its range. `rig config list` names ready configs.",
+        "",
+    ]
     text += ["## The config", "", _table(schema)]
     for name in in_order(schema, parts):
         text += ["", f"### {name}", "", parts[name].get("description", ""), "", _table(parts[name])]
