@@ -45,14 +45,30 @@ def largest_file() -> Callable[[int], contextlib.AbstractContextManager[None]]:
     return limited
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made but not rendered: what can go wrong with missing data goes wrong before that."""
+@contextlib.contextmanager
+def _no_drawing() -> Iterator[None]:
+    """In its block figures are made but not drawn: what can go wrong with missing data goes wrong before that."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
-    monkeypatch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
+        patch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
+    """To draw the figures of a report takes longer than a run in virtual time: tests marked ``drawn`` look at them."""
+    with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else _no_drawing():
+        yield
+
+
+@pytest.fixture
+def undrawn() -> Iterator[None]:
+    """No drawing in one test of a module marked ``drawn``."""
+    with _no_drawing():
+        yield
 
 
 @pytest.fixture
