@@ -41,6 +41,8 @@ from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.log_format import LogColumn, LogFormat
 from rig.recording.reader import read
 
+pytestmark = pytest.mark.long
+
 WITH_DRIVE_TIMES = ("t_s", "u_V", "y_rad", "t_u_s")
 PLAIN = WITH_DRIVE_TIMES[:3]
 NAMES = ("tau_s", "K_rad_s_V", "fc_V")

@@ -27,6 +27,8 @@ from rig.recording.errors import IdentifyError
 from rig.recording.reader import read
 from rig.recording.recording import Recording
 
+pytestmark = pytest.mark.long
+
 PLAIN = ("t_s", "u_V", "y_rad")
 ROWS = 1500
 NAMES = ("tau_s", "K_rad_s_V", "fc_V")

@@ -30,7 +30,7 @@ from rig.report.page import draw, render_page
 from rig.report.source import load
 from rig.report.style import style
 
-pytestmark = pytest.mark.drawn
+pytestmark = [pytest.mark.long, pytest.mark.drawn]
 
 FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
 # every subset without samples (quick); with them each file alone, the two that know the search, and all four

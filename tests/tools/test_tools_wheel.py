@@ -18,7 +18,10 @@ ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
 
 
-pytestmark = pytest.mark.timeout(900)  # 64 variants of the firmware for two boards, on a busy machine
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.timeout(900),
+]  # 64 variants of the firmware for two boards, on a busy machine
 
 
 @pytest.fixture(scope="module")
