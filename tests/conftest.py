@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import importlib
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -74,6 +75,14 @@ def undrawn() -> Iterator[None]:
     """No drawing in one test of a module marked ``drawn``."""
     with _no_drawing():
         yield
+
+
+@pytest.fixture
+def plain_motor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs look for no laws of the motor: that takes longer than they do, and tests/identify is about it."""
+    identification = importlib.import_module("rig.identify.identification")
+    for step in ("_add_motor_law", "_add_friction_law"):
+        monkeypatch.setattr(identification, step, lambda *_: None)
 
 
 @pytest.fixture
