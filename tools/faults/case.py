@@ -395,7 +395,7 @@ def _unidentified(run: Run) -> Iterator[str]:
         yield "no recording"
         return
     try:
-        estimate = identify([read_run(run.folder)], choose_law=False).estimates["sampled-data"]
+        estimate = identify([read_run(run.folder)]).estimates["sampled-data"]
     except (IdentifyError, RecordingError) as error:
         yield f"the recording cannot be identified: {error.cause}"
     else:
