@@ -122,7 +122,11 @@ def drive_by_lease(session: Session, longest_s: float, recorded: Callable[[int],
         drive(lambda: recorded(loop.rows))
         return
     if not isinstance(session.bench.clock, MonotonicClock):
-        raise Fault("CONFIG_MISMATCH", "a lease runs out in real time, and daq.driver: simulated has none")
+        raise Fault(
+            "CONFIG_MISMATCH",
+            "a lease runs out in real time, which daq.driver: simulated does not wait for; an emulated board "
+            "does: driver: serial with port: emulated",
+        )
     try:
         held = HeldLease(session.folder)
     except OSError as error:
