@@ -61,7 +61,7 @@ def at(device: Device, t_s: float, do: Callable[[], object]) -> list[float]:
             done.append(device.now_s())
         return sleep(due_s)
 
-    device.sleep_until = until  # type: ignore[method-assign]  # of this device alone
+    device.sleep_until = until  # type: ignore[assignment,method-assign]  # of this device alone
     return done
 
 

@@ -100,7 +100,8 @@ def test_a_lease_that_is_half_written_changes_nothing(tmp_path: Path, held: Held
 def test_a_jog_by_leases_ends_at_its_time_when_idle_or_when_told(
     promised: Callable[[float], float | None], ends_s: float
 ) -> None:
-    now_s, changes = 0.0, []
+    now_s = 0.0
+    changes: list[float | None] = []
     law = LeasedDrive(lambda: promised(now_s), changes.append, longest_s=4.0, idle_s=2.0)
     drives = []
     while not law.finished:
