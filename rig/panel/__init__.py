@@ -1,0 +1,11 @@
+"""The panel: the bench live in a browser. A process of its own, which no loop ever waits for.
+
+access    who may watch and who may drive: token, cookie, password, Host, Origin, security headers
+app       the pages, the JSON and the WebSocket
+sockets   what one WebSocket may cost
+watch     what the pages are told of a run, 25 times a second
+bench     starts, jogs and stops runs, each a process of its own
+prospect  what `rig check` says of a config, as JSON
+runs      past runs; series: one of them, thin enough to draw
+serve     the server: address, certificate, the process itself
+"""

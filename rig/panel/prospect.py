@@ -1,0 +1,53 @@
+"""What a run of a config would do, as JSON for the page that asks before a start: the verdict of `rig check`, and numbers.
+
+``python -m rig.panel.prospect CONFIG`` prints it. The panel runs it as a process: it takes a second, in which a Stop
+must not wait.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from rig import preflight
+from rig.config import ConfigError, Experiment, is_campaign
+from rig.preflight.plan import lasts_s
+from rig.preflight.room_to_stop import stopping_terms
+from rig.results import JsonObject
+
+
+def prospect(config: Path) -> JsonObject:
+    """``lines`` with a severity each, ``may_run``, and the ``plan``: null if the config is refused."""
+    try:
+        if is_campaign(config):
+            return _refused([f"{config} is the config of a campaign: nothing moves there; `rig campaign` runs it"])
+        experiment, found = preflight.check(config)
+    except ConfigError as error:
+        return _refused(str(error).splitlines())
+    lines = [
+        {"severity": "note" if line.startswith("note: ") else "ok", "text": line.removeprefix("note: ")}
+        for line in found.lines
+    ]
+    return {"lines": lines, "may_run": True, "plan": _plan(experiment)}
+
+
+def _refused(problems: list[str]) -> JsonObject:
+    return {"lines": [{"severity": "error", "text": line} for line in problems], "may_run": False, "plan": None}
+
+
+def _plan(e: Experiment) -> JsonObject:
+    endless = e.limits.is_endless
+    return {
+        "name": e.name,
+        "largest_drive_V": e.drive.max_V,
+        "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e)),
+        "soft_rad": None if endless else list(e.limits.soft_rad),
+        "hard_rad": None if endless else list(e.limits.hard_rad),
+        "max_speed_rad_s": e.limits.max_speed_rad_s,
+        "lasts_s": lasts_s(e),
+    }
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(prospect(Path(sys.argv[1]))))
