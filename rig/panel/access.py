@@ -19,6 +19,9 @@ from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Final, Literal
 
+from rig.errors import RigError
+from rig.panel.errors import RefusedError
+
 Kind = Literal["read", "write", "socket"]
 RawHeaders = Iterable[tuple[bytes, bytes]]
 
@@ -38,7 +41,7 @@ _REPORT_POLICY: Final = (
 )
 
 
-class AccessError(ValueError):
+class AccessError(RigError):
     """The panel may not be served in this way: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:
@@ -131,15 +134,6 @@ def password_of(text: str) -> str:
     return password
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a request is not answered: HTTP status, cause and cure for people."""
-
-    status: int
-    what: str
-    cure: str
-
-
 class Access:
     """The sessions of one panel, and who of them is the operator.
 
@@ -167,7 +161,7 @@ class Access:
 
     # ------------------------------------------------------------------ requests
 
-    def refusal(self, kind: Kind, raw: RawHeaders) -> Refusal | None:
+    def refusal(self, kind: Kind, raw: RawHeaders) -> RefusedError | None:
         """Why a request with these headers is not ours to answer; None if it is.
 
         read    GET: of our host, and not fetched by another site's page
@@ -177,15 +171,15 @@ class Access:
         headers = list(raw)
         hosts = _all(headers, b"host")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
-            return Refusal(
+            return RefusedError(
                 421, "this is the panel of another address", f"open {self.address.url} (`rig panel` prints it)"
             )
         if kind != "read":
             origins = _all(headers, b"origin")
             if len(origins) != 1 or origins[0] not in self._origins:
-                return Refusal(403, "this request comes from another site's page", f"use {self.address.url} itself")
+                return RefusedError(403, "this request comes from another site's page", f"use {self.address.url} itself")
         elif _is_fetched_by_another_site(headers):
-            return Refusal(403, "this request comes from another site's page", f"open {self.address.url} itself")
+            return RefusedError(403, "this request comes from another site's page", f"open {self.address.url} itself")
         return None
 
     # ------------------------------------------------------------------ sessions
@@ -197,9 +191,9 @@ class Access:
         self.token = None
         return self._new_session()
 
-    def log_in(self, authorization: str) -> str | Refusal:
+    def log_in(self, authorization: str) -> str | RefusedError:
         """A new session for a header Authorization with the password; the user's name does not matter."""
-        again = Refusal(429, "a wrong password was given a moment ago", "wait a second, then try again")
+        again = RefusedError(429, "a wrong password was given a moment ago", "wait a second, then try again")
         if self._clock() < self._closed_until_s:
             return again
         given = _basic_password(authorization)
@@ -207,7 +201,7 @@ class Access:
             return self._new_session()
         if given is not None:
             self._closed_until_s = self._clock() + _WRONG_PASSWORD_COSTS_S
-        return Refusal(401, "the panel asks for its password", "it is in the file that --password-file names")
+        return RefusedError(401, "the panel asks for its password", "it is in the file that --password-file names")
 
     def session_of(self, raw: RawHeaders) -> str | None:
         """The session that a request's cookie names; None if there is none such."""

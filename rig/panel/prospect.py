@@ -41,6 +41,7 @@ def _plan(e: Experiment) -> JsonObject:
     return {
         "name": e.name,
         "largest_drive_V": e.drive.max_V,
+        "jog_V": min(e.breakaway.max_V, e.drive.max_V),  # enough to move any shaft that a run would accept
         "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e)),
         "soft_rad": None if endless else list(e.limits.soft_rad),
         "hard_rad": None if endless else list(e.limits.hard_rad),
