@@ -256,9 +256,10 @@ class Loop:
         self._tick += 1 + self._skipped
 
     def check_stop(self) -> None:
-        """Raise Fault INTERRUPTED if a signal asked for a stop, or the fault that was seen in a pause."""
-        if self._stop.reason is not None:
-            raise Fault("INTERRUPTED", self._stop.reason)
+        """Raise Fault INTERRUPTED if a signal or the stop flag asks for a stop, or the fault that a pause showed."""
+        reason = self._stop.look()
+        if reason is not None:
+            raise Fault("INTERRUPTED", reason)
         self.pause_watch.check()
 
     def _complete_row(self, sample: Sample) -> None:
