@@ -4,7 +4,9 @@ access    who may watch and who may drive: token, cookie, password, Host, Origin
 app       the pages, the JSON and the WebSocket
 sockets   what one WebSocket may cost
 watch     what the pages are told of a run, 25 times a second
-bench     starts, jogs and stops runs, each a process of its own
+bench     checks, starts, jogs and stops
+processes the commands that were started, found again by a later panel
+aside     what takes a second, in a process of low priority
 prospect  what `rig check` says of a config, as JSON
 runs      past runs; series: one of them, thin enough to draw
 serve     the server: address, certificate, the process itself

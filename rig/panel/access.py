@@ -177,7 +177,9 @@ class Access:
         if kind != "read":
             origins = _all(headers, b"origin")
             if len(origins) != 1 or origins[0] not in self._origins:
-                return RefusedError(403, "this request comes from another site's page", f"use {self.address.url} itself")
+                return RefusedError(
+                    403, "this request comes from another site's page", f"use {self.address.url} itself"
+                )
         elif _is_fetched_by_another_site(headers):
             return RefusedError(403, "this request comes from another site's page", f"open {self.address.url} itself")
         return None

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import json
 import secrets
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +14,11 @@ from rig.live.lease import Leaser
 from rig.live.running import Running, running
 from rig.live.stop_flag import StopError, request_stop
 from rig.panel import processes
+from rig.panel.aside import answer_of
 from rig.panel.errors import RefusedError
 from rig.panel.processes import Ended, StartedProcess
-from rig.results import JsonObject
 
-PATIENCE_S: Final = 60.0  # for a process that reads or checks
 _CONFIRMED_FOR_S: Final = 600.0
-_LARGEST_ANSWER: Final = 16 * 1024 * 1024
 
 
 @dataclass(frozen=True)
@@ -104,7 +100,7 @@ class Bench:
             raise RefusedError(409, "this panel has no config to start", "start it as: rig panel CONFIG")
         return self.config
 
-    async def check(self) -> JsonObject:
+    async def check(self) -> dict[str, Any]:
         """What `rig check` says of the config, and a ``confirmation`` with which it may be started."""
         config = self._own_config()
         digest = await asyncio.to_thread(_digest, config)
@@ -116,7 +112,7 @@ class Bench:
             self._jog_V = float(found["plan"]["jog_V"])
         return {**found, "confirmation": confirmation}
 
-    def start(self, confirmation: object) -> JsonObject:
+    def start(self, confirmation: object) -> dict[str, Any]:
         """Start ``rig run`` on the config as it was checked. Raises RefusedError if anything is in the way."""
         config = self._own_config()
         given, self._confirmation = self._confirmation, None  # each starts once
@@ -150,7 +146,7 @@ class Bench:
 
     # ------------------------------------------------------------------ jog
 
-    async def start_jog(self) -> JsonObject:
+    async def start_jog(self) -> dict[str, Any]:
         """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease."""
         config = self._own_config()
         found = await answer_of("rig.panel.prospect", config)
@@ -200,30 +196,6 @@ class Bench:
         if self._jog is not None:
             self._jog.leaser.close()
         self._jog = None
-
-
-async def answer_of(module: str, path: Path) -> dict[str, Any]:
-    """What ``python -m MODULE PATH`` prints, as JSON, at low priority. Raises RefusedError if it prints nothing of use."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-P", "-c", f"import os, runpy, sys; os.nice(10); runpy.run_module({module!r}, run_name='__main__', alter_sys=True)",
-        str(path), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
-    try:
-        said, errors = await asyncio.wait_for(process.communicate(), PATIENCE_S)
-    except TimeoutError:
-        raise RefusedError(503, f"{path.name} took more than {PATIENCE_S:g} s", "try again, or look at it with rig") from None
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-    try:
-        answer = json.loads(said[:_LARGEST_ANSWER])
-    except ValueError:
-        last = errors.decode(errors="replace").strip().splitlines()[-1:]
-        raise RefusedError(503, f"{path.name} cannot be read: {' '.join(last) or 'no answer'}", "look at it with rig") from None
-    if isinstance(answer, dict) and isinstance(answer.get("error"), dict):
-        raise RefusedError(409, str(answer["error"].get("what")), str(answer["error"].get("cure")))
-    return dict(answer)
 
 
 def _digest(config: Path) -> str:

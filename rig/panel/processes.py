@@ -60,10 +60,10 @@ class StartedProcess:
         return self._child.poll() is None if self._child is not None else _born(self.pid) == self._born
 
     def interrupt(self) -> None:
-        """Ask it to stop, as Ctrl-C does."""
+        """Ask it to stop: it counts from the command's first moment on."""
         if self.lives:
             with contextlib.suppress(OSError):
-                os.kill(self.pid, signal.SIGINT)
+                os.kill(self.pid, signal.SIGTERM)
 
     def end(self) -> Ended:
         """How it ended; it is forgotten."""

@@ -1,23 +1,21 @@
-"""What a run of a config would do, as JSON for the page that asks before a start: the verdict of `rig check`, and numbers.
+"""What a run of a config would do: the verdict of `rig check`, and numbers for the page that asks before a start.
 
-``python -m rig.panel.prospect CONFIG`` prints it. The panel runs it as a process: it takes a second, in which a Stop
-must not wait.
+``python -m rig.panel.prospect CONFIG`` prints it as JSON.
 """
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
+from typing import Any
 
 from rig import preflight
 from rig.config import ConfigError, Experiment, is_campaign
+from rig.panel.aside import give
 from rig.preflight.plan import lasts_s
 from rig.preflight.room_to_stop import stopping_terms
-from rig.results import JsonObject
 
 
-def prospect(config: Path) -> JsonObject:
+def prospect(config: Path) -> dict[str, Any]:
     """``lines`` with a severity each, ``may_run``, and the ``plan``: null if the config is refused."""
     try:
         if is_campaign(config):
@@ -32,11 +30,11 @@ def prospect(config: Path) -> JsonObject:
     return {"lines": lines, "may_run": True, "plan": _plan(experiment)}
 
 
-def _refused(problems: list[str]) -> JsonObject:
+def _refused(problems: list[str]) -> dict[str, Any]:
     return {"lines": [{"severity": "error", "text": line} for line in problems], "may_run": False, "plan": None}
 
 
-def _plan(e: Experiment) -> JsonObject:
+def _plan(e: Experiment) -> dict[str, Any]:
     endless = e.limits.is_endless
     return {
         "name": e.name,
@@ -51,4 +49,4 @@ def _plan(e: Experiment) -> JsonObject:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(prospect(Path(sys.argv[1]))))
+    give(prospect)

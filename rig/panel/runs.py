@@ -16,7 +16,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import META, RESULT
 from rig.recording.path_kind import is_run
 from rig.recording.reader import read_meta, read_result
-from rig.results import EstimateResult, JsonObject, RunMeta, RunResult
+from rig.results import EstimateResult, RunMeta, RunResult
 from rig.signals import plain
 
 REPORT: Final = "report.html"
@@ -29,13 +29,15 @@ class Runs:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._known: dict[str, tuple[float, JsonObject]] = {}
+        self._known: dict[str, tuple[float, dict[str, Any]]] = {}
 
     def find(self, name: str) -> Path:
         """The run folder of this name. Raises RefusedError 404 if there is none."""
         found = self._folders().get(name)
         if found is None:
-            raise RefusedError(404, f"there is no run {plain(name)[:200]!r} in {self.folder}", "reload the list of runs")
+            raise RefusedError(
+                404, f"there is no run {plain(name)[:200]!r} in {self.folder}", "reload the list of runs"
+            )
         return found
 
     def report(self, name: str) -> Path:
@@ -45,14 +47,14 @@ class Runs:
             raise RefusedError(404, f"the run {name} has no report", f"make it: rig report {self.folder / name}")
         return path
 
-    def rows(self) -> list[JsonObject]:
+    def rows(self) -> list[dict[str, Any]]:
         """A row for each run, the newest first; at most ``MOST_RUNS``."""
         folders = self._folders()
         newest = sorted(folders, reverse=True)[:MOST_RUNS]
         self._known = {name: known for name, known in self._known.items() if name in folders}
         return [self._row(folders[name]) for name in newest]
 
-    def row(self, folder: Path) -> JsonObject:
+    def row(self, folder: Path) -> dict[str, Any]:
         """What came of one run; reads its small files."""
         notes: list[str] = []
         try:
@@ -67,7 +69,7 @@ class Runs:
             notes.append(f"{RESULT} {error.cause}")
         return _summary(folder, meta or RunMeta(), result, notes)
 
-    def _row(self, folder: Path) -> JsonObject:
+    def _row(self, folder: Path) -> dict[str, Any]:
         try:
             changed = max(path.stat().st_mtime for path in (folder, folder / RESULT) if path.exists())
         except (OSError, ValueError):
@@ -89,7 +91,7 @@ class Runs:
         }
 
 
-def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> JsonObject:
+def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> dict[str, Any]:
     estimate = None if result is None else _leading(result)
     fault = result.faults[0].code if result is not None and result.faults else None
     loop = None if result is None else result.loop
@@ -117,9 +119,9 @@ def _leading(result: RunResult) -> EstimateResult | None:
     return result.estimates.get(LEADING) or next(iter(result.estimates.values()), None)
 
 
-def _numbers(estimate: EstimateResult) -> JsonObject:
+def _numbers(estimate: EstimateResult) -> dict[str, Any]:
     """tau, K and f_c, each with half its 95 % interval; null where there is none."""
-    numbers: JsonObject = {}
+    numbers: dict[str, Any] = {}
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         value, interval = estimate.value(name), estimate.interval(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])

@@ -1,23 +1,20 @@
-"""One recorded run, thin enough to draw: ``python -m rig.panel.series FOLDER`` prints it as JSON.
-
-A process of its own reads it: a long recording takes a second, in which a Stop must not wait.
-"""
+"""One recorded run, thin enough to draw: ``python -m rig.panel.series FOLDER`` prints it as JSON."""
 
 from __future__ import annotations
 
-import json
-import sys
+import itertools
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.panel.aside import give
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
 from rig.recording.recording import Recording
 from rig.recording.stage import kind_of
-from rig.results import JsonObject, RunEvent
+from rig.results import RunEvent
 
 Array = NDArray[np.float64]
 
@@ -25,9 +22,12 @@ MOST_POINTS: Final = 4000
 _DRIVEN: Final = ("relay", "strokes", "hysteretic", "track")
 
 
-def drawn(folder: Path) -> JsonObject:
-    """Curves, stages, faults, and when the drive first changes its sign in a test. Raises RecordingError."""
-    recording = read_run(folder)
+def drawn(folder: Path) -> dict[str, Any]:
+    """Curves, stages, faults, and when the drive first changes its sign in a test; or what is wrong with the run."""
+    try:
+        recording = read_run(folder)
+    except RecordingError as error:
+        return {"error": {"what": f"{error.path}: {error.cause}", "cure": error.cure}}
     shown = thinned(recording.y_rad, MOST_POINTS)
     return {
         "series": {
@@ -51,7 +51,7 @@ def thinned(y_rad: Array, most: int) -> NDArray[np.intp]:
     edges = np.linspace(0, rows, most // 2 + 1).astype(int)
     found = [
         first + index
-        for first, last in zip(edges[:-1], edges[1:], strict=True)
+        for first, last in itertools.pairwise(edges.tolist())
         for index in (int(np.argmin(y_rad[first:last])), int(np.argmax(y_rad[first:last])))
     ]
     return np.unique(found)
@@ -69,7 +69,7 @@ def first_switch_s(recording: Recording) -> float | None:
     return None
 
 
-def _of(event: RunEvent, *keys: str) -> JsonObject:
+def _of(event: RunEvent, *keys: str) -> dict[str, Any]:
     return {"t_s": event.t_s, **{key: event.detail.get(key) for key in keys}}
 
 
@@ -77,15 +77,5 @@ def _numbers(values: Array, digits: int) -> list[float | None]:
     return [round(value, digits) if np.isfinite(value) else None for value in values.tolist()]
 
 
-def main(folder: Path) -> int:
-    """Print the run, or what is wrong with it."""
-    try:
-        found = drawn(folder)
-    except RecordingError as error:
-        found = {"error": {"what": f"{error.path}: {error.cause}", "cure": error.cure}}
-    sys.stdout.write(json.dumps(found, allow_nan=False))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    give(drawn)

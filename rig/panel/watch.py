@@ -12,13 +12,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rig.live.view import KEPT_ROWS, Estimate, LiveRow, LiveView, SeenFault, Snapshot
 from rig.panel.bench import Bench, StopAnswer
 from rig.panel.processes import Ended
 from rig.panel.runs import Runs
-from rig.results import JsonObject
 
 PERIOD_S: Final = 0.04
 ALIVE_S: Final = 0.25  # a page that hears nothing for longer says that it is not connected
@@ -43,8 +42,8 @@ class Scene:
     run: str | None = None
     opening: str | None = None
     snapshot: Snapshot | None = None
-    ended: JsonObject | None = None
-    news: tuple[tuple[int, JsonObject], ...] = ()
+    ended: dict[str, Any] | None = None
+    news: tuple[tuple[int, dict[str, Any]], ...] = ()
 
 
 @dataclass
@@ -61,11 +60,11 @@ class Watch:
     def __init__(self, bench: Bench, runs: Runs, opened: Path | None = None) -> None:
         self._bench, self._runs = bench, runs
         self._view = None if opened is None else LiveView(opened)
-        self._ended: JsonObject | None = None
+        self._ended: dict[str, Any] | None = None
         self._statuses: dict[int, Ended] = {}
         self._pid: int | None = None
         self._asked: dict[Path, _Asked] = {}
-        self._news: list[tuple[int, JsonObject]] = []
+        self._news: list[tuple[int, dict[str, Any]]] = []
         self._number = 0
         self._ticks = 0
         self._trouble = ""
@@ -92,7 +91,7 @@ class Watch:
         """A page that went."""
         self._followers.discard(follower)
 
-    def stop_asked(self, answer: StopAnswer) -> JsonObject:
+    def stop_asked(self, answer: StopAnswer) -> dict[str, Any]:
         """A Stop was given on: the message for who asked. What comes of it is told to every page."""
         at_s = time.monotonic()
         for folder in answer.runs:
@@ -173,7 +172,7 @@ class Watch:
                 stop.told = True
                 self._tell(_stop_message(asked.name, False, "the device has not confirmed 0 V", after_ms))
 
-    def _tell(self, message: JsonObject) -> None:
+    def _tell(self, message: dict[str, Any]) -> None:
         self._number += 1
         self._news = [*self._news[1 - _MOST_NEWS :], (self._number, message)]
 
@@ -200,7 +199,7 @@ class Follower:
 
     def due(self, scene: Scene, *, operator: bool, now_s: float) -> list[str]:
         """The messages that the page lacks, now."""
-        messages: list[JsonObject] = []
+        messages: list[dict[str, Any]] = []
         if operator != self._operator:
             self._operator = operator
             messages.append({"type": "operator", "you": operator})
@@ -214,10 +213,10 @@ class Follower:
             self._spoke_s = now_s
         return [json.dumps(message, allow_nan=False, separators=(",", ":")) for message in messages]
 
-    def _of_run(self, scene: Scene, run: str, snapshot: Snapshot, now_s: float) -> list[JsonObject]:
+    def _of_run(self, scene: Scene, run: str, snapshot: Snapshot, now_s: float) -> list[dict[str, Any]]:
         if run != self._run:
             self._run, self._after_row, self._estimates, self._faults, self._ended = run, -1, 0, 0, False
-        messages: list[JsonObject] = []
+        messages: list[dict[str, Any]] = []
         rows = snapshot.rows[_first_after(snapshot.rows, self._after_row) :]
         is_silent = now_s - self._spoke_s >= ALIVE_S - 0.5 * PERIOD_S
         too_many = self._seen is not None and self._number - self._seen >= _MOST_UNSEEN
@@ -234,7 +233,7 @@ class Follower:
         return messages
 
 
-def live(run: str, snapshot: Snapshot, rows: Sequence[LiveRow]) -> JsonObject:
+def live(run: str, snapshot: Snapshot, rows: Sequence[LiveRow]) -> dict[str, Any]:
     """The numbers of a run, and its newest rows."""
     limits, planes, cycle, health = snapshot.limits, snapshot.planes, snapshot.cycle, snapshot.loop
     runner = snapshot.runner
@@ -288,15 +287,15 @@ def _first_after(rows: Sequence[LiveRow], number: int) -> int:
     return 0 if not rows else min(max(number + 1 - rows[0].number, 0), KEPT_ROWS)
 
 
-def _estimate(run: str, one: Estimate) -> JsonObject:
+def _estimate(run: str, one: Estimate) -> dict[str, Any]:
     return {"type": "estimate", "run": run, **one._asdict()}
 
 
-def _fault(run: str, one: SeenFault) -> JsonObject:
+def _fault(run: str, one: SeenFault) -> dict[str, Any]:
     return {"type": "fault", "run": run, **one._asdict()}
 
 
-def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> JsonObject:
+def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> dict[str, Any]:
     return {
         "type": "stop", "received": True, "run": run, "drive_zero": drive_zero, "after_ms": after_ms, "why": why,
     }  # fmt: skip
@@ -308,5 +307,3 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 def _finite(pair: tuple[float, float]) -> list[float] | None:
     return list(pair) if all(map(math.isfinite, pair)) else None
-
-
