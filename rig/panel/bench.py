@@ -70,6 +70,9 @@ class Bench:
     def look(self) -> None:
         """Look anew which runs go on. It reads the folder."""
         self._running = running(self.out)
+        pids = {one.runner.pid for one in self._running}
+        for process in self._started:
+            process.has_folder |= process.pid in pids
 
     @property
     def running(self) -> list[Running]:
@@ -79,8 +82,7 @@ class Bench:
     @property
     def opening(self) -> list[StartedProcess]:
         """What was started here, goes on, and has no run folder yet."""
-        known = {one.runner.pid for one in self._running}
-        return [process for process in self._started if process.pid not in known and process.lives]
+        return [process for process in self._started if not process.has_folder and process.lives]
 
     def ended(self) -> list[Ended]:
         """What was started here and has ended since the last call."""

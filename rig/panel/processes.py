@@ -43,11 +43,13 @@ class Ended:
 class StartedProcess:
     """A command that a panel started: this one, or one before it.
 
-    command  run or jog
+    command     run or jog
+    has_folder  whether its run folder was seen
     """
 
     def __init__(self, note: Path, command: str, pid: int, born: str, child: subprocess.Popen[bytes] | None) -> None:
         self.command, self.pid = command, pid
+        self.has_folder = False
         self._note, self._born, self._child = note, born, child
 
     def status(self) -> int | None:
