@@ -33,7 +33,7 @@ from rig.recording.folder import create_run, write_config, write_meta, write_res
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.recording import Recording
-from rig.recording.sink import RowSink
+from rig.recording.sink import JsonScalar, RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
@@ -105,7 +105,7 @@ class Session:
         self.recording = read_run(self.folder, self.recording)
         return self.recording
 
-    def note(self, kind: str, **fields: str | float | int | bool) -> None:
+    def note(self, kind: str, **fields: JsonScalar) -> None:
         """Write an event, with the time of now."""
         self.recorder.event(self.loop.now_s, kind, **fields)
 

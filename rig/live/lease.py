@@ -17,6 +17,7 @@ from rig.live.shared_page import MappedPage, OthersPage
 
 NAME: Final = "jog.lease"
 LONGEST_NS: Final = 150_000_000
+_OVER: Final = -1  # in place of a time: nobody gives leases any more
 _LEASE: Final = struct.Struct("=qdqq")  # number, u_V, expires_ns, number again: they differ in a lease half written
 
 
@@ -33,9 +34,10 @@ class Lease(NamedTuple):
     expires_ns: int
 
 
-class LeasedDrive:
-    """The drive of the lease that holds, as the loop reads it each tick. Raises OSError where the folder has no room.
+class HeldLease:
+    """The lease as the loop reads it each tick, for the block. Raises OSError where the folder has no room for it.
 
+    folder  the run folder; no other lease may be in it
     now_ns  the clock of the leases
 
     refused  leases that reached further ahead than LONGEST_NS, or asked for no number of volts: they drive nothing
@@ -47,8 +49,14 @@ class LeasedDrive:
         self._held = Lease(0, 0.0, 0)
         self.refused = 0
 
-    def u_V(self) -> float:
-        """The drive that is promised now, V; 0.0: none is."""
+    def __enter__(self) -> HeldLease:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._page.close()
+
+    def u_V(self) -> float | None:
+        """The drive that is promised now, V; 0.0: none is; None: nobody gives leases any more."""
         number, u_V, expires_ns, number_again = _LEASE.unpack(self._page.read(0, _LEASE.size))
         now_ns = self._now_ns()
         if number == number_again and number > self._held.number:
@@ -56,11 +64,9 @@ class LeasedDrive:
                 self.refused += 1
                 u_V, expires_ns = 0.0, 0
             self._held = Lease(number, u_V, expires_ns)
+        if self._held.expires_ns == _OVER:
+            return None
         return self._held.u_V if now_ns < self._held.expires_ns else 0.0
-
-    def close(self) -> None:
-        """Delete the file: nobody jogs any more."""
-        self._page.close()
 
 
 class Leaser:
@@ -88,6 +94,10 @@ class Leaser:
     def release(self) -> Lease:
         """Give the lease back: the drive is 0 from the next tick on."""
         return self._write(0.0, 0)
+
+    def end(self) -> Lease:
+        """End the jog: its run comes to its end in order."""
+        return self._write(0.0, _OVER)
 
     def close(self) -> None:
         """Let go of the file; a lease that was given runs out by itself."""

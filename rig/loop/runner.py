@@ -14,6 +14,7 @@ from rig.control.law import Law
 from rig.control.motion import is_obeyed
 from rig.faults import Fault
 from rig.loop.device_relay import DeviceRelay
+from rig.loop.link_watch import LinkWatch
 from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
@@ -51,6 +52,7 @@ class Loop:
         self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
         self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
+        self._link_watch = LinkWatch(driver, record)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False
@@ -251,6 +253,7 @@ class Loop:
         """Go to the next tick of the grid that is still ahead."""
         if self.statistics.ticks % _CHECK_EVERY_TICKS == 0:
             self._record.check()
+            self._link_watch.look(self.now_s)
         self._skipped = max(int((self._clock.now_s() - due_s) / self._period_s), 0)
         self.statistics.skipped += self._skipped
         self._tick += 1 + self._skipped
