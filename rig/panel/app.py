@@ -183,7 +183,7 @@ class _Pages:
         asked = await _json_of(request)
         if asked.get("confirmed") is not True:
             raise RefusedError(400, "a start must be confirmed", "look at what will happen, then confirm it")
-        return JSONResponse(self._panel.bench.start(asked.get("confirmation")))
+        return JSONResponse(await asyncio.to_thread(self._panel.bench.start, asked.get("confirmation")))
 
     async def stop(self, request: Request) -> Response:
         """Stop. It needs no session and asks nothing; a body that is no JSON stops all the same."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import secrets
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +20,7 @@ from rig.panel.aside import answer_of
 from rig.panel.errors import RefusedError
 from rig.panel.processes import Ended, StartedProcess
 
+HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
 _CONFIRMED_FOR_S: Final = 600.0
 
 
@@ -42,12 +45,13 @@ class _Confirmation:
     until_s: float
 
 
-@dataclass(frozen=True)
-class _Jog:
-    """A jog that waits for leases: who holds it, and how much a whole share of drive is."""
+@dataclass
+class _Hold:
+    """A button that a page holds: which page, its leases, and when the last one was given."""
 
     holder: str
     leaser: Leaser
+    at_s: float
 
 
 class Bench:
@@ -59,10 +63,13 @@ class Bench:
 
     def __init__(self, config: Path | None, out: Path) -> None:
         self.config, self.out = config, out
+        # the look, a Stop and the pages come from different threads
+        self._lock, self._jog_lock = threading.Lock(), threading.RLock()
         self._started = processes.found_again(out)
         self._confirmation: _Confirmation | None = None
         self._jog_V = 0.0
-        self._jog: _Jog | None = None
+        self._hold: _Hold | None = None
+        self._interrupted: set[str] = set()  # pages whose hold was interrupted, until they let go
         self._running: list[Running] = []
 
     # ------------------------------------------------------------------ what goes on
@@ -71,8 +78,9 @@ class Bench:
         """Look anew which runs go on. It reads the folder."""
         self._running = running(self.out)
         pids = {one.runner.pid for one in self._running}
-        for process in self._started:
-            process.has_folder |= process.pid in pids
+        with self._lock:
+            for process in self._started:
+                process.has_folder |= process.pid in pids
 
     @property
     def running(self) -> list[Running]:
@@ -82,18 +90,25 @@ class Bench:
     @property
     def opening(self) -> list[StartedProcess]:
         """What was started here, goes on, and has no run folder yet."""
-        return [process for process in self._started if not process.has_folder and process.lives]
+        with self._lock:
+            return [process for process in self._started if not process.has_folder and process.lives]
 
     def ended(self) -> list[Ended]:
         """What was started here and has ended since the last call."""
-        over = [process for process in self._started if not process.lives]
-        self._started = [process for process in self._started if process not in over]
+        with self._lock:
+            over = [process for process in self._started if not process.lives]
+            self._started = [process for process in self._started if process not in over]
         return [process.end() for process in over]
 
-    def _require_idle(self) -> None:
+    def _start(self, command: str, *arguments: str) -> dict[str, Any]:
+        """Start a command, if nothing else goes on."""
         self.look()
         if busy := [one.folder.name for one in self._running] + [one.command for one in self.opening]:
             raise RefusedError(409, f"{busy[-1]} goes on already", "wait for its end, or press Stop")
+        with self._lock:
+            process = processes.start(self.out, command, arguments)
+            self._started.append(process)
+        return {"run": None, "pid": process.pid}
 
     # ------------------------------------------------------------------ start
 
@@ -122,10 +137,7 @@ class Bench:
             raise RefusedError(409, "this start was not confirmed, or too long ago", "check the config again")
         if _digest(config) != given.digest:
             raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
-        self._require_idle()
-        process = processes.start(self.out, "run", [str(config)])
-        self._started.append(process)
-        return {"run": None, "pid": process.pid}
+        return self._start("run", str(config))
 
     # ------------------------------------------------------------------ stop
 
@@ -155,10 +167,8 @@ class Bench:
         if not found.get("may_run"):
             raise RefusedError(409, "rig refuses this config", "press START: the check says why")
         self._jog_V = float(found["plan"]["jog_V"])
-        self._require_idle()
-        process = processes.start(self.out, "jog", [str(config), "--leased"])
-        self._started.append(process)
-        return {"run": None, "pid": process.pid, "jog_V": self._jog_V}
+        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased")
+        return {**started, "jog_V": self._jog_V}
 
     def jog(self, holder: str, share: float) -> None:
         """Drive with this share of the jog's voltage, -1 to 1, until the lease runs out.
@@ -166,24 +176,28 @@ class Bench:
         holder  the socket that asks; another one cannot while this one holds
         Raises RefusedError if no jog goes on.
         """
-        if self._jog is not None and self._jog.holder != holder:
-            raise RefusedError(409, "another page holds the jog", "let go there")
-        if self._jog is None:
-            self._jog = _Jog(holder, self._leaser())
-        try:
-            self._jog.leaser.drive(min(max(share, -1.0), 1.0) * self._jog_V)
-        except OSError as error:
-            self._drop()
-            raise RefusedError(409, f"the jog takes no lease: {error.strerror}", "start it again") from error
+        now_s = time.monotonic()
+        with self._jog_lock:
+            if self._hold is not None and now_s - self._hold.at_s > HOLD_ENDS_S:
+                self._interrupted.add(self._hold.holder)
+                self._drop()
+            if holder in self._interrupted:  # what comes now may be old: the page, the network or this panel slept
+                raise RefusedError(409, "the hold was interrupted", "let go, then press again")
+            if self._hold is not None and self._hold.holder != holder:
+                raise RefusedError(409, "another page holds the jog", "let go there")
+            hold = self._hold = self._hold or _Hold(holder, self._leaser(), now_s)
+            hold.at_s = now_s
+            try:
+                hold.leaser.drive(min(max(share, -1.0), 1.0) * self._jog_V)
+            except OSError as error:
+                self._drop()
+                raise RefusedError(409, f"the jog takes no lease: {error.strerror}", "start it again") from error
 
     def release(self, holder: str | None = None) -> None:
         """Give the lease back at once, if ``holder`` has it; None: whoever has it."""
-        if self._jog is not None and holder in (None, self._jog.holder):
-            try:
-                self._jog.leaser.release()
-            except OSError:
-                pass  # the jog is over, or its lease runs out by itself
-            finally:
+        with self._jog_lock:
+            self._interrupted.discard(holder or "")
+            if self._hold is not None and holder in (None, self._hold.holder):
                 self._drop()
 
     def _leaser(self) -> Leaser:
@@ -195,9 +209,11 @@ class Bench:
         raise RefusedError(409, "no jog goes on", "press Jog first, and wait until the device is open")
 
     def _drop(self) -> None:
-        if self._jog is not None:
-            self._jog.leaser.close()
-        self._jog = None
+        if self._hold is not None:
+            with contextlib.suppress(OSError):  # the jog is over, or its lease runs out by itself
+                self._hold.leaser.release()
+            self._hold.leaser.close()
+        self._hold = None
 
 
 def _digest(config: Path) -> str:

@@ -13,14 +13,16 @@ from typing import Any, Final
 from rig.estimators import LEADING
 from rig.panel.errors import RefusedError
 from rig.recording.errors import RecordingError
-from rig.recording.folder import META, RESULT
+from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import is_run
 from rig.recording.reader import read_meta, read_result
+from rig.recording.writer import EVENTS, SAMPLES
 from rig.results import EstimateResult, RunMeta, RunResult
 from rig.signals import plain
 
 REPORT: Final = "report.html"
 MOST_RUNS: Final = 300
+_FILES: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, REPORT)
 _NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\\x00-\x1f]{1,180}")
 
 
@@ -43,7 +45,7 @@ class Runs:
     def report(self, name: str) -> Path:
         """The report of a run. Raises RefusedError 404 if it has none."""
         path = self.find(name) / REPORT
-        if path.is_symlink() or not path.is_file():
+        if not path.is_file():
             raise RefusedError(404, f"the run {name} has no report", f"make it: rig report {self.folder / name}")
         return path
 
@@ -87,7 +89,12 @@ class Runs:
         return {
             path.name: path
             for path in there
-            if _NAME.fullmatch(path.name) and not path.is_symlink() and path.is_dir() and is_run(path)
+            if _NAME.fullmatch(path.name)
+            and not path.is_symlink()
+            and path.is_dir()
+            and is_run(path)
+            # a link could lead to a file that the watchers of this panel must not read
+            and not any((path / name).is_symlink() for name in _FILES)
         }
 
 
