@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,14 @@ import pytest
 from processes import PATIENCE_S, alive, wait_until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from rig.live.running import running
 
 pytestmark = pytest.mark.realtime
 
-DEMO = Path(__file__).resolve().parents[2] / "config" / "demo.yaml"
+CONFIGS = Path(__file__).resolve().parents[2] / "config"
+DEMO, UNO = CONFIGS / "demo.yaml", CONFIGS / "uno.yaml"
 
 
 class Served:
@@ -45,10 +48,11 @@ class Served:
         found = re.search(r"(http://127\.0\.0\.1:(\d+))/\?token=(\S+)", self.process.stdout.readline())
         assert found is not None
         self.origin, self.port = found[1], int(found[2])
+        self.socket_url = f"ws://127.0.0.1:{self.port}/ws"
         wait_until(self._answers)
         self.browser = httpx.Client(base_url=self.origin, headers={"origin": self.origin}, timeout=PATIENCE_S)
         self.browser.get("/", params={"token": found[3]})
-        self._open: list[ClientConnection] = []
+        self._stack = ExitStack()
 
     def _answers(self) -> bool:
         with socket.socket() as probe:
@@ -62,36 +66,42 @@ class Served:
     def page(self, *, session: bool = True) -> Page:
         cookie = "; ".join(f"{key}={value}" for key, value in self.browser.cookies.items()) if session else ""
         opened = connect(
-            self.origin.replace("http", "ws") + "/ws", origin=self.origin,  # type: ignore[arg-type]
-            additional_headers={"cookie": cookie}, compression=None,
-        )  # fmt: skip
-        self._open.append(opened)
-        return Page(opened)
+            self.socket_url, origin=Origin(self.origin), additional_headers={"cookie": cookie}, close_timeout=0.1
+        )
+        return Page(self._stack.enter_context(opened))
 
     def end(self, number: int = signal.SIGKILL) -> None:
         self.process.send_signal(signal.SIGCONT)
         self.process.send_signal(number)
         self.process.wait(PATIENCE_S)
-        for one in self._open:
-            one.close()
+        self._stack.close()
         self.browser.close()
         assert self.process.stdout is not None
         self.process.stdout.close()
 
 
-@dataclass
 class Page:
-    """A WebSocket of the panel."""
+    """A WebSocket of the panel. It reads all the time, as a browser does."""
 
-    socket: ClientConnection
+    def __init__(self, opened: ClientConnection) -> None:
+        self.socket = opened
+        self._heard: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        threading.Thread(target=self._hear, daemon=True).start()
+
+    def _hear(self) -> None:
+        with suppress(ConnectionClosed, OSError):
+            for text in self.socket:
+                self._heard.put(json.loads(text))
+        self._heard.put({"type": "closed"})
 
     def until(self, kind: str, true: Callable[[dict[str, Any]], bool] = lambda message: True) -> dict[str, Any]:
         """The next message of this kind for which it is true."""
         until_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < until_s:
-            message = json.loads(self.socket.recv(PATIENCE_S))
+            message = self._heard.get(timeout=PATIENCE_S)
             if message["type"] == kind and true(message):
-                return dict(message)
+                return message
+            assert message["type"] != "closed", "the panel closed the socket"
         raise AssertionError(f"no {kind}")
 
     def say(self, kind: str, **what: object) -> None:
@@ -136,7 +146,7 @@ def test_a_run_outlives_the_panel_and_a_new_one_finds_and_stops_it(served: list[
 
     served.append(Served(bench))
     panel = served[-1]
-    page, watcher = panel.page(), panel.page(session=False)
+    page = panel.page(session=False)
     live = page.until("live", lambda live: live["run"] == seen["run"])
     assert len(live["rows"]["t_s"]) > 20, "all that is known at once"
     assert panel.browser.get("/api/state").json()["running"] == [{"run": seen["run"], "pid": seen["pid"]}]
@@ -144,11 +154,10 @@ def test_a_run_outlives_the_panel_and_a_new_one_finds_and_stops_it(served: list[
         f"{panel.origin}/api/stop", headers={"origin": panel.origin}
     ).json()  # a browser without a session
     assert (said["received"], said["run"]) == (True, seen["run"])
-    for one in (page, watcher):
-        assert one.until("stop", lambda stop: stop["drive_zero"] is not None)["drive_zero"] is True
-        assert one.until("fault")["code"] == "INTERRUPTED"
-        ended = one.until("ended")
-        assert (ended["run"], ended["why"], ended["exit"]) == (seen["run"], "INTERRUPTED", None)
+    assert page.until("stop", lambda stop: stop["drive_zero"] is not None)["drive_zero"] is True
+    assert page.until("fault")["code"] == "INTERRUPTED"
+    ended = page.until("ended")
+    assert (ended["run"], ended["why"], ended["exit"]) == (seen["run"], "INTERRUPTED", None)
     [row] = panel.browser.get("/api/runs").json()["runs"]
     assert (row["name"], row["fault"], row["report"]) == (seen["run"], "INTERRUPTED", True)
     assert page.until("idle")["opening"] is None
@@ -159,23 +168,18 @@ def test_a_start_that_fails_says_its_last_words(served: list[Served], bench: Pat
     page = panel.page()
     config = bench / "bench.yaml"
     good = config.read_bytes()
-    config.write_bytes(good.replace(b"port: emulated", b"port: /dev/nowhere\n  baudrate_unknown: 1"))
     try:
+        config.write_bytes(good.replace(b"max_V: 3.0", b"max_V: 3.0\n  max_volts: 3.0"))
         checked = panel.post("/api/check")
         assert (checked["may_run"], checked["confirmation"]) == (False, None)
-        config.write_bytes(good)
+        assert "max_volts" in checked["lines"][0]["text"]
+        config.write_bytes(UNO.read_bytes().replace(b"/dev/ttyACM0", b"/dev/nowhere"))
         checked = panel.post("/api/check")
-        config.write_bytes(good + b"\n")
+        config.write_bytes(config.read_bytes() + b"\n")
         body = {"confirmed": True, "confirmation": checked["confirmation"]}
         assert "has changed" in panel.browser.post("/api/start", json=body).text
-        config.write_bytes(
-            good.replace(b"port: emulated", b"port: /dev/nowhere\n  # x").replace(
-                b"supply_V: 12.0", b"supply_V: 12.0\n  bridge: in1-in2"
-            )
-        )
-        checked = panel.post("/api/check")
-        assert checked["may_run"], checked
-        panel.post("/api/start", confirmed=True, confirmation=checked["confirmation"])
+        body["confirmation"] = panel.post("/api/check")["confirmation"]
+        panel.post("/api/start", **body)
         ended = page.until("ended", lambda message: message["run"] is None)
         assert ended["exit"] == 1
         assert "/dev/nowhere" in ended["words"]
@@ -237,27 +241,26 @@ def test_a_flood_and_half_open_sockets_leave_the_others_alone(served: list[Serve
     panel = served[-1]
     with ExitStack() as stack:
         silent = stack.enter_context(socket.create_connection(("127.0.0.1", panel.port), timeout=PATIENCE_S))
-        silent.sendall(
-            f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{panel.port}\r\nOrigin: {panel.origin}\r\nUpgrade: websocket\r\n"
-            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-        )
+        lines = (
+            "GET /ws HTTP/1.1", f"Host: 127.0.0.1:{panel.port}", f"Origin: {panel.origin}", "Upgrade: websocket",
+            "Connection: Upgrade", "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", "", "",
+        )  # fmt: skip
+        silent.sendall("\r\n".join(lines).encode())
         assert b" 101 " in silent.recv(65536)
 
-        for origin in ("http://evil.example", f"http://localhost:{panel.port + 1}", None):
-            with pytest.raises(InvalidStatus) as denied:
-                connect(panel.origin.replace("http", "ws") + "/ws", origin=origin)  # type: ignore[arg-type]
+        for origin in ("http://evil.example", f"http://localhost:{panel.port + 1}", "null"):
+            with pytest.raises(InvalidStatus) as denied, connect(panel.socket_url, origin=Origin(origin)):
+                pass
             assert denied.value.response.status_code == 403
 
         watcher, flood, large = panel.page(), panel.page(), panel.page()
-        with pytest.raises(ConnectionClosed):
+        with suppress(ConnectionClosed):
             for _ in range(10_000):
                 flood.say("seen", n=1)
-            while True:
-                flood.socket.recv(PATIENCE_S)
-        large.socket.send("x" * 1_000_000)
-        with pytest.raises(ConnectionClosed):
-            while True:
-                large.socket.recv(PATIENCE_S)
+        with suppress(ConnectionClosed):
+            large.socket.send("x" * 1_000_000)
+        assert flood.until("closed")
+        assert large.until("closed")
         for _ in range(3):
             watcher.until("idle")
         assert panel.post("/api/stop")["received"]
