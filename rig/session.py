@@ -188,7 +188,7 @@ def _set_up_flag(stop: StopRequest, folder: Path) -> list[str]:
         if stop.flag is not None:
             stop.flag.begin(folder)
     except OSError as error:
-        return [f"no stop flag in {folder}: {error.strerror}. `rig panel` cannot stop this run; Ctrl-C can"]
+        return [f"no stop flag in {folder}: {error.strerror}. no panel can stop this run; Ctrl-C can"]
     return []
 
 

@@ -33,7 +33,7 @@ def jog(config_path: Path, u_V: float | None, leased: bool, seconds: float | Non
 
     If it stands outside the limits, it can only be driven inward: that brings it back.
 
-    With --leased another program gives the drive, as `rig panel` does: by leases of at most 150 ms, which it renews as
+    With --leased another program gives the drive, as the panel does: by leases of at most 150 ms, which it renews as
     long as somebody holds the button (docs/panel.md). If that program ends or hangs, the drive is 0.
     """
     if leased == (u_V is not None):

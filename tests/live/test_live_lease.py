@@ -1,0 +1,120 @@
+"""Leases: the drive that is promised, until when, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.control.leased import LeasedDrive
+from rig.live.lease import LONGEST_NS, NAME, HeldLease, Leaser
+from rig.live.shared_page import SIZE, OthersPage
+from rig.signals import Sample
+
+
+class Clock:
+    """A clock that the test sets."""
+
+    ns = 10_000_000_000
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def held(tmp_path: Path, clock: Clock) -> Iterator[HeldLease]:
+    with HeldLease(tmp_path, clock) as lease:
+        yield lease
+
+
+def test_a_lease_drives_until_it_runs_out_is_renewed_or_given_back(
+    tmp_path: Path, held: HeldLease, clock: Clock
+) -> None:
+    leaser = Leaser(tmp_path, clock)
+    assert held.u_V() == 0.0
+    leaser.drive(0.8, 0.15)
+    clock.ns += LONGEST_NS - 1
+    assert held.u_V() == 0.8
+    clock.ns += 1
+    assert held.u_V() == 0.0
+    leaser.drive(-0.5, 0.05)
+    assert held.u_V() == -0.5
+    leaser.release()
+    assert held.u_V() == 0.0
+    leaser.drive(0.3)
+    leaser.close()
+    again = Leaser(tmp_path, clock)  # another process goes on, also after the first has died
+    again.drive(0.4)
+    assert held.u_V() == 0.4
+    again.end()
+    assert held.u_V() is None
+    assert held.refused == 0
+
+
+@pytest.mark.parametrize(
+    ("u_V", "ahead_ns"), [(0.8, LONGEST_NS + 1), (0.8, 2**62), (math.nan, 1_000_000), (math.inf, 1_000_000)]
+)
+def test_a_lease_that_reaches_too_far_or_asks_for_no_volts_drives_nothing_and_is_counted(
+    tmp_path: Path, held: HeldLease, clock: Clock, u_V: float, ahead_ns: int
+) -> None:
+    """Both sides refuse: who gives it, and the loop whoever wrote it."""
+    leaser = Leaser(tmp_path, clock)
+    leaser.drive(0.2)
+    assert held.u_V() == 0.2
+    with pytest.raises(ValueError, match="a lease of"):
+        leaser.drive(u_V, ahead_ns * 1e-9)
+    leaser._write(u_V, clock.ns + ahead_ns)
+    assert held.u_V() == 0.0
+    assert held.u_V() == 0.0
+    assert held.refused == 1
+
+
+def test_a_lease_that_is_half_written_changes_nothing(tmp_path: Path, held: HeldLease, clock: Clock) -> None:
+    leaser = Leaser(tmp_path, clock)
+    leaser.drive(0.2)
+    assert held.u_V() == 0.2
+    with OthersPage(tmp_path / NAME, writes=True) as page:
+        page.write(0, (99).to_bytes(8, "little"))  # a number, and not yet the same at the end
+        assert held.u_V() == 0.2
+        page.write(0, bytes(SIZE))  # an older one
+    assert held.u_V() == 0.2
+    clock.ns += LONGEST_NS
+    assert held.u_V() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("promised", "ends_s"),
+    [
+        (lambda t_s: 0.5, 4.0),
+        (lambda t_s: 0.5 if t_s < 1.0 else 0.0, 3.0),
+        (lambda t_s: 0.5 if t_s < 1.0 else None, 1.0),
+    ],
+)
+def test_a_jog_by_leases_ends_at_its_time_when_idle_or_when_told(
+    promised: Callable[[float], float | None], ends_s: float
+) -> None:
+    now_s = 0.0
+    changes: list[float | None] = []
+    law = LeasedDrive(lambda: promised(now_s), changes.append, longest_s=4.0, idle_s=2.0)
+    drives = []
+    while not law.finished:
+        drives.append(law.step(Sample(now_s, 0.0, 512)))
+        now_s += 0.25
+    assert now_s - 0.25 == ends_s
+    assert drives[0] == 0.5 and drives[-1] == 0.0
+    assert changes == ([0.5] if ends_s == 4.0 else [0.5, promised(now_s)])
+
+
+def test_nobody_gives_leases_where_no_jog_waits(tmp_path: Path, clock: Clock) -> None:
+    with pytest.raises(FileNotFoundError):
+        Leaser(tmp_path, clock)
+    (tmp_path / NAME).write_bytes(b"short")
+    with pytest.raises(ValueError, match="is no page of rig"):
+        Leaser(tmp_path, clock)
