@@ -18,6 +18,12 @@ export class Bench {
   #run = null;
   #frame = 0;
   #live = null;
+  #onDrawn;
+
+  /** onDrawn is called with the number of each message that is on the screen. */
+  constructor(onDrawn) {
+    this.#onDrawn = onDrawn;
+  }
 
   /** Set up the curves, if uPlot is there. */
   start() {
@@ -46,29 +52,33 @@ export class Bench {
   }
 
   /** Take a "fault" message: its cause and its cure, newest first. */
-  fault({ run, t_s, code, cause, cure }) {
+  fault({ run, t_s, code, cause, detail, cure }) {
     if (run) this.#begin(run);
     const list = byId("faults");
     const when = Number.isFinite(t_s) ? `${fixed(t_s, 1)} s` : "";
     list.prepend(
-      element("article", { className: "fault" }, element("h3", {}, code, element("small", { textContent: when })), element("p", { textContent: `${cause}.` }), element("p", { className: "cure" }, element("b", { textContent: "Do: " }), `${cure}.`)),
+      element("article", { className: "fault" }, element("h3", {}, code, element("small", { textContent: when })), element("p", { textContent: detail ? `${cause}: ${detail}.` : `${cause}.` }), element("p", { className: "cure" }, element("b", { textContent: "Do: " }), `${cure}.`)),
     );
     while (list.children.length > FAULTS_KEPT) list.lastChild.remove();
     show(byId("no-faults"), false);
   }
 
-  /** Take an "ended" message. */
-  ended({ why, verdict, exit, words }) {
-    setText(byId("stage"), verdict ? `ended: ${verdict}` : "ended");
+  /** Take an "ended" message. What the run said last is shown where no fault says it. */
+  ended({ run, why, verdict, exit, words }) {
     this.#rest();
-    if (exit && words) this.fault({ code: "The run failed", cause: words.trim().replace(/\.$/, ""), cure: "mend this, check, and start again" });
-    else if (why) setText(byId("stage"), `ended: ${why}`);
+    setText(byId("stage"), "ended");
+    setText(byId("words"), why || verdict || "");
+    if (exit && words && (!run || byId("faults").children.length === 0)) {
+      this.fault({ code: why || "The run failed", cause: words.trim().replace(/\.$/, ""), cure: "mend this, check, and start again" });
+    }
   }
 
-  /** No run drives. */
-  idle() {
-    if (this.#live !== null) setText(byId("stage"), "ended");
+  /** No run drives; a command may be opening its device. */
+  idle(opening) {
+    const was = this.#live;
     this.#rest();
+    if (opening || was) setText(byId("stage"), opening ? "opening" : "ended");
+    if (opening || was) setText(byId("words"), opening ? `rig ${opening} opens the device` : "");
   }
 
   #rest() {
@@ -77,6 +87,7 @@ export class Bench {
     setText(byId("run-left"), "–");
     setText(byId("u"), "–");
     show(byId("computing"), false);
+    document.body.classList.remove("old");
   }
 
   // a new run, or the same one from its beginning: nothing of the old one may stay
@@ -97,6 +108,7 @@ export class Bench {
     const { y_rad, u_V } = this.#rows;
     const number = (id, text) => setText(byId(id), text);
     setText(byId("stage"), live.stage ?? "starting");
+    setText(byId("words"), live.words ?? "");
     number("stage-left", fixed(live.stage_left_s, 1));
     number("run-left", fixed(live.run_left_s, 1));
     number("y", fixed(y_rad.at(-1), 3, { signed: true }));
@@ -114,5 +126,6 @@ export class Bench {
     if (old) setText(byId("computing"), `The run computes: no reading for ${fixed(live.age_ms / 1000, 0)} s.`);
     this.#scope.draw();
     this.#phase.draw();
+    this.#onDrawn(live.n);
   }
 }

@@ -23,13 +23,20 @@ export class Jog {
     document.addEventListener("visibilitychange", () => this.release());
     stop.addEventListener("pressed", () => this.release());
     connection.addEventListener("silent", () => this.release());
+    connection.addEventListener("refused", ({ detail }) => {
+      this.release();
+      setText(byId("jog-state"), `${detail.what}: ${detail.cure}.`);
+    });
   }
 
   /** Let the buttons work only while a jog runs and this page has the bench. */
   allow(allowed) {
+    if (!allowed) this.release();
+    const before = byId("jog-ready").disabled;
     for (const id of ["jog-minus", "jog-plus"]) byId(id).disabled = !allowed;
     byId("jog-ready").disabled = allowed;
-    if (!allowed) this.release();
+    if (allowed && !before) setText(byId("jog-state"), "Hold a button to turn. Stop ends the jog.");
+    if (!allowed && before) setText(byId("jog-state"), "The jog is over.");
   }
 
   /** End the hold, and say so to the server. */
@@ -77,7 +84,6 @@ export class Jog {
     setText(state, "Opening the device…");
     try {
       await ask("/api/jog/start", {});
-      setText(state, "Hold a button to turn. Stop ends the jog.");
     } catch (error) {
       setText(state, error.message);
     }

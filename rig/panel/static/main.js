@@ -17,10 +17,15 @@ const stop = new Stop(connection); // first of all, so that it works whatever el
 const jog = new Jog(connection, stop);
 const start = new Start(stop);
 const runs = new Runs();
-const bench = new Bench();
+const SEEN_EVERY = 5; // the server slows down for a page that does not answer
+let seen = 0;
+const bench = new Bench((number) => {
+  if (number >= seen + SEEN_EVERY || number < seen) connection.send({ type: "seen", n: (seen = number) });
+});
 
 let state = { operator: false, has_token: false, config: null };
 let command = null; // of the run that drives
+let opens = null; // command that was started, and opens its device
 
 const VIEWS = ["bench", "runs", "report"];
 
@@ -35,18 +40,19 @@ function route() {
   if (shown === "report") runs.report(decodeURIComponent(name ?? ""));
 }
 
-/** What the bench does: "idle", "run" or "jog". */
+/** What the bench does: the command that drives ("run", "jog"...), or null. */
 function drives(next) {
   command = next;
+  if (next !== null) opens = null;
   body.dataset.bench = next === null ? "idle" : "driving";
-  setText(byId("lamp"), next === null ? "Idle" : next === "jog" ? "Jogging" : "Running");
+  setText(byId("lamp"), next === null ? (opens ? "Opening" : "Idle") : next === "jog" ? "Jogging" : "Running");
   buttons();
 }
 
 function buttons() {
   const mine = state.operator && connection.alive;
-  byId("start").disabled = !mine || command !== null || !state.config;
-  byId("jog").disabled = !mine || (command !== null && command !== "jog") || !state.config;
+  byId("start").disabled = !mine || command !== null || opens !== null || !state.config;
+  byId("jog").disabled = !mine || opens !== null || (command !== null && command !== "jog") || !state.config;
   jog.allow(mine && command === "jog");
   show(byId("take"), !state.operator && state.has_token);
   const note = byId("watcher");
@@ -88,10 +94,15 @@ connection.addEventListener("ended", ({ detail }) => {
   drives(null);
   if (body.dataset.view === "runs") runs.reload();
 });
-connection.addEventListener("idle", () => {
-  if (command === null && body.dataset.bench === "idle") return;
-  bench.idle();
+connection.addEventListener("idle", ({ detail }) => {
+  const opening = detail.opening ?? null;
+  if (command === null && body.dataset.bench === "idle" && opening === opens) return;
+  opens = opening;
+  bench.idle(opening);
   drives(null);
+});
+connection.addEventListener("trouble", ({ detail }) => {
+  bench.fault({ code: "Not readable", cause: detail.what, cure: "check the disk and the folder of runs" });
 });
 connection.addEventListener("operator", ({ detail }) => {
   state.operator = detail.you;

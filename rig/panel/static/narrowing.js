@@ -4,7 +4,7 @@ import { byId, element, setText } from "./dom.js";
 import { colour, onTheme } from "./theme.js";
 import { PARAMETERS, percent, withInterval } from "./words.js";
 
-const WIDEST = 0.3; // of the value: wider intervals are cut off, else the last ones would be too thin to see
+const WIDEST = 8; // newest half widths: wider intervals are cut off, else the newest would be too thin to see
 
 export class Narrowing {
   #history = [];
@@ -71,7 +71,7 @@ export class Narrowing {
     if (points.length === 0) return;
     const last = points.at(-1);
     const widest = Math.max(...points.map((p) => Math.abs(p.value - last.value) + p.half));
-    const reach = Math.max(Math.min(widest, WIDEST * Math.abs(last.value)), 1e-12);
+    const reach = Math.max(Math.min(widest, WIDEST * last.half), 1e-12);
     const span = Math.max(last.t - points[0].t, 1e-9);
     const x = (t) => (points.length === 1 ? width - 4 : 4 + ((width - 8) * (t - points[0].t)) / span);
     const y = (v) => height / 2 - ((height / 2 - 3) * Math.max(-1.2, Math.min(1.2, (v - last.value) / reach)));

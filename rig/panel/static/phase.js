@@ -2,13 +2,14 @@
 // of our own, so that it is there without uPlot too.
 
 import { byId } from "./dom.js";
+import { font } from "./plot.js";
 import { firstFrom, roundUp } from "./rows.js";
 import { colour, onTheme } from "./theme.js";
 import { fixed } from "./words.js";
 
 const TRAIL_S = 6;
 const PIECES = 12; // the trail fades from piece to piece
-const MARGIN = { left: 50, right: 14, top: 12, bottom: 34 };
+const MARGIN = { left: 56, right: 14, top: 12, bottom: 34 };
 
 export class Phase {
   #rows;
@@ -41,7 +42,7 @@ export class Phase {
     const ctx = canvas.getContext("2d");
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, width, height);
-    ctx.font = "12px system-ui, sans-serif";
+    ctx.font = font();
     const { t_s, y_rad, z_rad_s } = this.#rows;
     const from = firstFrom(t_s, (this.#rows.last_s ?? 0) - TRAIL_S);
     this.#scale(z_rad_s, y_rad, from);

@@ -27,14 +27,15 @@ export const join = (tables) => uPlot.join(tables);
 /** Steps, for a value that holds until the next row. */
 export const steps = () => uPlot.paths.stepped({ align: 1 });
 
-const FONT = "12px system-ui, sans-serif";
+/** The font of a canvas: a share of the page's, which grows with the screen. */
+export const font = (share = 0.8) => `${Math.round(share * parseFloat(getComputedStyle(document.documentElement).fontSize))}px system-ui, sans-serif`;
 
 /** An axis in the page's colours. */
 export function axis(options = {}) {
   return {
     stroke: () => colour("--muted"),
-    font: FONT,
-    labelFont: FONT,
+    font: font(),
+    labelFont: font(),
     grid: { stroke: () => colour("--grid"), width: 1 },
     ticks: { stroke: () => colour("--grid"), width: 1, size: 4 },
     ...options,
@@ -75,7 +76,7 @@ export function level(plot, value, name, stroke, dash) {
   ctx.lineTo(bbox.left + bbox.width, y);
   ctx.stroke();
   if (name) {
-    ctx.font = `${11 * ratio}px system-ui, sans-serif`;
+    ctx.font = font(0.75 * ratio);
     ctx.textAlign = "right";
     ctx.textBaseline = value > 0 ? "top" : "bottom";
     ctx.fillText(name, bbox.left + bbox.width - 4 * ratio, y + (value > 0 ? 3 : -3) * ratio);

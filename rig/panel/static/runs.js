@@ -82,6 +82,7 @@ export class Runs {
       show(note, true);
       return;
     } else this.#ticked.push(name);
+    setText(byId("overlay-empty"), "Reading…");
     try {
       if (!this.#read.has(name)) this.#read.set(name, await ask(`/api/runs/${encodeURIComponent(name)}`));
     } catch (error) {
@@ -97,6 +98,7 @@ export class Runs {
     this.#drawn?.remove();
     this.#drawn = null;
     const runs = this.#ticked.map((name) => this.#read.get(name)).filter(Boolean);
+    setText(byId("overlay-empty"), "Tick two runs or more in the list.");
     show(byId("overlay-empty"), runs.length === 0);
     show(byId("overlay-body"), runs.length > 0);
     if (runs.length === 0) return;

@@ -54,11 +54,12 @@ export class Stop extends EventTarget {
     this.#show("asked");
     this.dispatchEvent(new CustomEvent("pressed"));
     this.#connection.send({ type: "stop" });
-    this.#after(GIVE_UP_MS, "asked", "lost");
+    this.#giveUp();
     try {
-      this.#answer(await ask("/api/stop", {}, { timeout_ms: GIVE_UP_MS }));
+      const answer = await ask("/api/stop", {}, { timeout_ms: GIVE_UP_MS });
+      if (number === this.#asked) this.#answer(answer);
     } catch {
-      if (number === this.#asked && this.#state === "asked") this.#show("lost");
+      // the timer says so, if the socket does not answer either
     }
   }
 
@@ -69,29 +70,30 @@ export class Stop extends EventTarget {
 
   #answer(answer) {
     if (!answer?.received) return;
-    if (answer.run === null || answer.run === undefined) {
+    if (answer.why) {
+      this.#show("driving", answer.why);
+    } else if (answer.run === null || answer.run === undefined) {
       if (this.#state === "asked" || this.#state === "lost") this.#show("nothing");
     } else if (answer.drive_zero === true) {
       this.#show("zero");
     } else if (answer.drive_zero === false) {
       this.#show("driving");
     } else if (this.#state === "asked" || this.#state === "lost") {
-      this.#show("received");
-      this.#after(2 * GIVE_UP_MS, "received", "driving");
+      this.#show("received"); // what becomes of it comes over the socket, within about a second
     }
   }
 
-  #after(wait_ms, from, to) {
+  // the socket may answer before the request does, or instead of it
+  #giveUp() {
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => {
-      if (this.#state === from) this.#show(to);
-    }, wait_ms);
+      if (this.#state === "asked") this.#show("lost");
+    }, GIVE_UP_MS);
   }
 
-  #show(state) {
+  #show(state, why = "") {
     this.#state = state;
-    const dock = byId("dock");
-    dock.dataset.state = state;
-    setText(byId("stop-state"), WORDS[state]);
+    byId("dock").dataset.state = state;
+    setText(byId("stop-state"), why ? `${WORDS[state]} (${why})` : WORDS[state]);
   }
 }
