@@ -108,6 +108,7 @@ def make_app(panel: Panel) -> ASGIApp:
             Route("/api/start", pages.start, methods=["POST"]),
             Route("/api/stop", pages.stop, methods=["POST"]),
             Route("/api/jog/start", pages.start_jog, methods=["POST"]),
+            Route("/api/jog/end", pages.end_jog, methods=["POST"]),
             Route("/api/runs", pages.runs),
             Route("/api/runs/{name}", pages.run),
             Route("/runs/{name}/report.html", pages.report),
@@ -197,6 +198,12 @@ class _Pages:
         self._require_operator(request)
         async with self._one_at_a_time:
             return JSONResponse(await self._panel.bench.start_jog())
+
+    async def end_jog(self, request: Request) -> Response:
+        """End the jog, as its operator leaves it."""
+        self._require_operator(request)
+        await asyncio.to_thread(self._panel.bench.end_jog)
+        return JSONResponse({"ended": True})
 
     async def runs(self, request: Request) -> Response:
         """The past runs."""

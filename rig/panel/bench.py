@@ -170,6 +170,18 @@ class Bench:
         started = await asyncio.to_thread(self._start, "jog", str(config), "--leased")
         return {**started, "jog_V": self._jog_V}
 
+    def end_jog(self) -> None:
+        """End the jog that waits for leases, in order: it is no fault. Raises RefusedError if there is none."""
+        with self._jog_lock:
+            self._drop()
+            leaser = self._leaser()
+            try:
+                leaser.end()
+            except OSError as error:
+                raise RefusedError(409, f"the jog cannot be ended: {error.strerror}", "press Stop") from error
+            finally:
+                leaser.close()
+
     def jog(self, holder: str, share: float) -> None:
         """Drive with this share of the jog's voltage, -1 to 1, until the lease runs out.
 

@@ -59,7 +59,9 @@ class StartedProcess:
     @property
     def lives(self) -> bool:
         """Whether it goes on."""
-        return self._child.poll() is None if self._child is not None else _born(self.pid) == self._born
+        if self._child is not None:
+            return self._child.poll() is None
+        return bool(self._born) and _born(self.pid) == self._born
 
     def interrupt(self) -> None:
         """Ask it to stop: it counts from the command's first moment on."""
@@ -129,7 +131,8 @@ def found_again(out: Path) -> list[StartedProcess]:
 def _born(pid: int) -> str:
     """What tells this process from a later one of the same number: the time at which it began; empty if there is none.
 
-    A process that has ended, but whose end nobody has asked for, is none.
+    A process that has ended, but whose end nobody has asked for, is none. Systems without /proc tell of none: there a
+    new panel finds a run once it has its folder, as any other's run.
     """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
