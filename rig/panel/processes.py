@@ -30,14 +30,16 @@ _LAST_WORDS_LINES: Final = 12
 class Ended:
     """How a started command ended.
 
-    status  its exit status, negative for the signal that killed it; None: not known
-    words   the last that it said on standard error
+    status   its exit status, negative for the signal that killed it; None: not known
+    words    the last that it said on standard error
+    stopped  whether a Stop ended it before it had a run folder
     """
 
     pid: int
     command: str
     status: int | None
     words: str
+    stopped: bool
 
 
 class StartedProcess:
@@ -50,6 +52,7 @@ class StartedProcess:
     def __init__(self, note: Path, command: str, pid: int, born: str, child: subprocess.Popen[bytes] | None) -> None:
         self.command, self.pid = command, pid
         self.has_folder = False
+        self._stopped = False
         self._note, self._born, self._child = note, born, child
 
     def status(self) -> int | None:
@@ -65,13 +68,14 @@ class StartedProcess:
 
     def interrupt(self) -> None:
         """Ask it to stop: it counts from the command's first moment on."""
+        self._stopped = True
         if self.lives:
             with contextlib.suppress(OSError):
                 os.kill(self.pid, signal.SIGTERM)
 
     def end(self) -> Ended:
         """How it ended; it is forgotten."""
-        ended = Ended(self.pid, self.command, self.status(), self.last_words())
+        ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped)
         for path in (self._note, self._words):
             with contextlib.suppress(OSError):
                 path.unlink()

@@ -128,8 +128,7 @@ class Watch:
         for pid in [pid for pid in self._statuses if pid != self._pid]:  # it never had a run folder
             over = self._statuses.pop(pid)
             if over.status != 0:
-                self._tell({"type": "ended", "run": None, "why": f"rig {over.command} did not start", "verdict": None,
-                            "exit": over.status, "words": over.words})  # fmt: skip
+                self._tell(_ended_early(over))
         self._watch_stops(folder, snapshot)
         opening = bench.opening
         self.scene = Scene(
@@ -285,6 +284,14 @@ def _late(snapshot: Snapshot) -> int | None:
 def _first_after(rows: Sequence[LiveRow], number: int) -> int:
     """Index of the first row after this number; the rows are numbered without gaps."""
     return 0 if not rows else min(max(number + 1 - rows[0].number, 0), KEPT_ROWS)
+
+
+def _ended_early(over: Ended) -> dict[str, Any]:
+    """A command ended before it had a run folder."""
+    why = f"rig {over.command} was stopped before it drove" if over.stopped else f"rig {over.command} did not start"
+    return {
+        "type": "ended", "run": None, "why": why, "verdict": None, "exit": over.status, "words": over.words,
+    }  # fmt: skip
 
 
 def _estimate(run: str, one: Estimate) -> dict[str, Any]:

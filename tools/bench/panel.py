@@ -216,9 +216,7 @@ def measure(seconds: float, folder: Path) -> dict[str, Any]:
     finally:
         panel.close()
     p50, p99 = np.percentile(ages_ms, [50, 99]).tolist()
-    late = late_us(run, zero_s, begun)
-    ratio = round(late["with"]["p50"] / late["without"]["p50"], 3)
-    return found | {"age_ms": {"p50": p50, "p99": p99}, "late_us": late, "late_p50_ratio": ratio}
+    return found | {"age_ms": {"p50": p50, "p99": p99}, "late_us": late_us(run, zero_s, begun)}
 
 
 def table(found: dict[str, Any]) -> str:
