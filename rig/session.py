@@ -153,8 +153,9 @@ def record(
             outcome = Outcome(session.folder, RunResult(), fault, failures)
             _measure_tracking(session, outcome)
             _write_result(session, outcome)
-            if stop.reason is not None and fault is None:
-                outcome.failures.append(f"{stop.reason} came after the experiment had ended")
+            late = stop.look()
+            if late is not None and fault is None:
+                outcome.failures.append(f"{late} came after the experiment had ended")
         return _conclude(session, outcome)
 
 

@@ -66,9 +66,9 @@ class Tail:
         self._last_bytes = last_bytes
 
     def lines(self) -> list[str]:
-        """Lines completed since the last call; none while there is no file."""
+        """Lines completed since the last call; none while there is no file. Raises OSError for what is no file."""
         try:
-            with self.path.open("rb") as file:
+            with open(self.path, "rb", opener=_without_waiting) as file:
                 torn = self._skip(file)
                 file.seek(self._offset)
                 data = file.read()
@@ -85,6 +85,11 @@ class Tail:
             return 0
         self._offset = max(file.seek(0, os.SEEK_END) - last_bytes, 0)
         return int(self._offset > 0)
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a file; a pipe of its name, which nobody writes, would hold up an ordinary open."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 class Progress:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from rig.control.leased import LeasedDrive
 from rig.live.lease import LONGEST_NS, NAME, HeldLease, Leaser
 from rig.live.shared_page import SIZE, OthersPage
-from rig.signals import Sample
 
 
 class Clock:
@@ -87,29 +85,6 @@ def test_a_lease_that_is_half_written_changes_nothing(tmp_path: Path, held: Held
     assert held.u_V() == 0.2
     clock.ns += LONGEST_NS
     assert held.u_V() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("promised", "ends_s"),
-    [
-        (lambda t_s: 0.5, 4.0),
-        (lambda t_s: 0.5 if t_s < 1.0 else 0.0, 3.0),
-        (lambda t_s: 0.5 if t_s < 1.0 else None, 1.0),
-    ],
-)
-def test_a_jog_by_leases_ends_at_its_time_when_idle_or_when_told(
-    promised: Callable[[float], float | None], ends_s: float
-) -> None:
-    now_s = 0.0
-    changes: list[float | None] = []
-    law = LeasedDrive(lambda: promised(now_s), changes.append, longest_s=4.0, idle_s=2.0)
-    drives = []
-    while not law.finished:
-        drives.append(law.step(Sample(now_s, 0.0, 512)))
-        now_s += 0.25
-    assert now_s - 0.25 == ends_s
-    assert drives[0] == 0.5 and drives[-1] == 0.0
-    assert changes == ([0.5] if ends_s == 4.0 else [0.5, promised(now_s)])
 
 
 def test_nobody_gives_leases_where_no_jog_waits(tmp_path: Path, clock: Clock) -> None:

@@ -112,7 +112,7 @@ def test_a_stop_in_any_stage_ends_it_with_the_next_tick_and_a_replay_ends_there_
     assert again.is_same and again.replayed == again.rows
 
 
-def test_a_stop_before_anything_drives_and_one_while_it_identifies_count_and_one_after_the_end_is_told(
+def test_a_stop_before_anything_drives_and_one_while_it_identifies_count(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
 ) -> None:
     def ask(folder: Path, notes: tuple[str, ...]) -> None:
@@ -136,6 +136,21 @@ def test_a_stop_before_anything_drives_and_one_while_it_identifies_count_and_one
     outcome = script.run_relay(experiment, tmp_path)
     interrupted(outcome)
     assert outcome.result.estimates  # as after Ctrl-C
+
+
+def test_a_stop_after_the_end_is_told_and_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
+) -> None:
+    close = Recorder.close
+
+    def closing(recorder: Recorder) -> None:
+        close(recorder)
+        request_stop(recorder.folder, "test")
+
+    monkeypatch.setattr(Recorder, "close", closing)
+    outcome = script.jog(experiment, 0.3, 0.1, tmp_path)
+    assert outcome.fault is None
+    assert outcome.failure == "Stop by test came after the experiment had ended"
 
 
 def test_a_folder_that_cannot_hold_the_flag_costs_the_flag_and_says_so(
