@@ -63,7 +63,10 @@ async function eventually(name, true_) {
 async function holdJog() {
   for (let tries = 0; tries < 5; tries++) {
     await until("a jog can begin, or be held", () => !document.getElementById("jog").disabled && (!document.getElementById("jog-ready").disabled || !document.getElementById("jog-plus").disabled));
-    if (await page.isEnabled("#jog-ready")) await page.click("#jog-ready");
+    if (await page.isEnabled("#jog-ready")) {
+      await page.click("#jog-ready");
+      await until("the jog begins", () => document.getElementById("lamp").textContent !== "Idle");
+    }
     await until("the jog can be held, or is over", () => !document.getElementById("jog-plus").disabled || document.getElementById("lamp").textContent === "Idle");
     if (!(await page.isEnabled("#jog-plus"))) continue;
     await page.locator("#jog-plus").scrollIntoViewIfNeeded();
@@ -73,6 +76,7 @@ async function holdJog() {
     await eventually("the jog drives", () => jog().drives.at(-1) > 0 || jog().over);
     if (!jog().over) return;
     await page.mouse.up();
+    await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
   }
   throw new Error("no jog lasted until it drove");
 }
@@ -107,8 +111,8 @@ const steps = {
   async starts_and_shows_the_run() {
     const curve = () => page.evaluate(() => document.querySelector("#plot-y canvas").toDataURL());
     await page.evaluate(() => {
-      globalThis.shifted = 0;
-      new PerformanceObserver((list) => list.getEntries().forEach((entry) => (globalThis.shifted += entry.hadRecentInput ? 0 : entry.value))).observe({ type: "layout-shift" });
+      globalThis.shifted = [];
+      new PerformanceObserver((list) => list.getEntries().filter((entry) => !entry.hadRecentInput).forEach((entry) => globalThis.shifted.push(...entry.sources.map(({ node }) => node?.id || node?.className || node?.nodeName)))).observe({ type: "layout-shift" });
     });
     await page.click("#confirm");
     await until("rows", () => document.getElementById("y").textContent !== "–");
