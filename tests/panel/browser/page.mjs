@@ -62,8 +62,8 @@ async function eventually(name, true_) {
 /** Hold the jog's button until the shaft is driven. An emulated board on a busy machine may end a jog: begin again. */
 async function holdJog() {
   for (let tries = 0; tries < 5; tries++) {
-    await until("a jog can begin, or be held", () => !document.getElementById("jog").disabled && (!document.getElementById("jog-ready").disabled || !document.getElementById("jog-plus").disabled));
-    if (await page.isEnabled("#jog-ready")) {
+    await until("a jog can begin, or be held", () => !document.getElementById("jog").disabled);
+    if (await page.isDisabled("#jog-plus")) {
       await page.click("#jog-ready");
       await until("the jog begins", () => document.getElementById("lamp").textContent !== "Idle");
     }
@@ -189,11 +189,11 @@ const steps = {
       await says("silence", "Not connected");
     });
     Object.assign(seen.frozen, { words: await text("silence") });
+    await page.mouse.up();
     // a Stop that cannot get through says so
     await page.locator("#stop").click();
     await says("stop-state", "did not get through");
     seen.frozen.stop = await text("stop-state");
-    await page.mouse.up();
     process.kill(panel_pid, "SIGCONT");
     await until("connected again", () => document.getElementById("silence").hidden);
   },
