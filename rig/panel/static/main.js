@@ -78,8 +78,8 @@ async function readState() {
 }
 
 connection.addEventListener("live", ({ detail }) => {
-  if (detail.run !== bench.run) stop.forget();
   bench.live(detail);
+  if (command === null) stop.forget();
   if (command !== (detail.command ?? "run")) drives(detail.command ?? "run");
   // the report's frame would swallow Stop's keys
   if (document.activeElement === byId("report")) {
