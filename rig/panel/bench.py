@@ -161,7 +161,10 @@ class Bench:
     # ------------------------------------------------------------------ jog
 
     async def start_jog(self) -> dict[str, Any]:
-        """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease."""
+        """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease.
+
+        Raises RefusedError if anything is in the way.
+        """
         config = self._own_config()
         found = await answer_of("rig.panel.prospect", config)
         if not found.get("may_run"):
