@@ -41,6 +41,8 @@ install_missing
 need arm-none-eabi-gcc gcc-arm-none-eabi
 need node nodejs
 need npm npm
+# a browser, for the test of the panel's page
+need chromium chromium
 install_missing --no-install-recommends
 if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
@@ -57,8 +59,8 @@ VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
 .venv/bin/python -m rig.identify.ready
-# the second emulator of the Uno's chip, the Pico's, and uPlot; npm keeps its own stamp of what it has installed
-for folder in tests/hil/avr8js firmware/emulator/pico tools/uplot; do
+# the second emulator of the Uno's chip, the Pico's, uPlot, and what drives the browser; npm keeps its own stamp of what it has installed
+for folder in tests/hil/avr8js firmware/emulator/pico tools/uplot tests/panel/browser; do
     [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
         (cd "$folder" && npm ci --loglevel=error >/dev/null)
 done

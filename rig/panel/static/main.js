@@ -111,6 +111,7 @@ connection.addEventListener("operator", ({ detail }) => {
 connection.addEventListener("alive", () => {
   body.dataset.link = "alive";
   show(byId("silence"), false);
+  setText(byId("silence"), "");
   document.title = "rig panel";
   readState();
 });
