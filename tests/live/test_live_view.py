@@ -113,6 +113,8 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
     )
     seen = view.read()
     assert (seen.drive_is_off, seen.planes, seen.is_over) == (True, None, False)
+    write(folder, "events.jsonl", event("stage", 6.0, name="identify"))
+    assert view.read().drive_is_off, "while rig computes nothing drives"
     assert (seen.faults[0].code, seen.faults[0].detail) == ("INTERRUPTED", "Stop by panel")
     write(folder, "events.jsonl", event("end", 8.2))
     seen = view.read()
