@@ -59,7 +59,8 @@ VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
 .venv/bin/python -m rig.identify.ready
-# the second emulator of the Uno's chip, the Pico's, uPlot, and what drives the browser; npm keeps its own stamp of what it has installed
+# the second emulator of the Uno's chip, the Pico's, uPlot, what drives the browser; npm keeps its own stamp of what it
+# has installed
 for folder in tests/hil/avr8js firmware/emulator/pico tools/uplot tests/panel/browser; do
     [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
         (cd "$folder" && npm ci --loglevel=error >/dev/null)

@@ -9,13 +9,14 @@ export class Jog {
   #connection;
   #timer = 0;
   #held = null;
+  #allowed = false;
   #lease = 0;
 
   constructor(connection, stop) {
     this.#connection = connection;
     this.#bind(byId("jog-minus"), -1);
     this.#bind(byId("jog-plus"), +1);
-    byId("jog-ready").addEventListener("click", () => this.#getReady());
+    byId("jog-ready").addEventListener("click", () => this.#beginOrEnd());
     const level = byId("jog-level");
     level.addEventListener("input", () => setText(byId("jog-level-out"), `${level.value} %`));
     addEventListener("blur", () => this.release());
@@ -32,11 +33,11 @@ export class Jog {
   /** Let the buttons work only while a jog runs and this page has the bench. */
   allow(allowed) {
     if (!allowed) this.release();
-    const before = byId("jog-ready").disabled;
+    if (allowed === this.#allowed) return;
+    this.#allowed = allowed;
     for (const id of ["jog-minus", "jog-plus"]) byId(id).disabled = !allowed;
-    byId("jog-ready").disabled = allowed;
-    if (allowed && !before) setText(byId("jog-state"), "Hold a button to turn. Stop ends the jog.");
-    if (!allowed && before) setText(byId("jog-state"), "The jog is over.");
+    setText(byId("jog-ready"), allowed ? "End the jog" : "Get ready to jog");
+    setText(byId("jog-state"), allowed ? "Hold a button to turn." : "The jog is over.");
   }
 
   /** End the hold, and say so to the server. */
@@ -79,11 +80,11 @@ export class Jog {
     if (this.#held !== null) this.#timer = setInterval(renew, RENEW_MS);
   }
 
-  async #getReady() {
+  async #beginOrEnd() {
     const state = byId("jog-state");
-    setText(state, "Opening the device…");
+    setText(state, this.#allowed ? "Ending the jog…" : "Opening the device…");
     try {
-      await ask("/api/jog/start", {});
+      await ask(this.#allowed ? "/api/jog/end" : "/api/jog/start", {});
     } catch (error) {
       setText(state, error.message);
     }

@@ -4,6 +4,7 @@
 import { ask, byId, setText } from "./dom.js";
 
 const GIVE_UP_MS = 900;
+const ONE_PRESS_MS = 1000; // a touch and the click that follows it
 
 const WORDS = {
   ready: "",
@@ -23,12 +24,18 @@ export class Stop extends EventTarget {
   #connection;
   #state = "ready";
   #asked = 0;
+  #pressed_ms = -Infinity;
   #timer = 0;
 
   constructor(connection) {
     super();
     this.#connection = connection;
-    byId("stop").addEventListener("click", () => this.press());
+    // at the touch, and from a second finger too: a click comes only when the first one is let go. Enter and screen
+    // readers click without a touch
+    byId("stop").addEventListener("pointerdown", () => this.press());
+    byId("stop").addEventListener("click", () => {
+      if (performance.now() - this.#pressed_ms > ONE_PRESS_MS) this.press();
+    });
     // before any element sees the key, so that space on a button stops, and presses nothing
     const onKey = (event) => {
       if (!isStopKey(event)) return;
@@ -51,6 +58,7 @@ export class Stop extends EventTarget {
   /** Ask for Stop. */
   async press() {
     const number = ++this.#asked;
+    this.#pressed_ms = performance.now();
     this.#show("asked");
     this.dispatchEvent(new CustomEvent("pressed"));
     this.#connection.send({ type: "stop" });

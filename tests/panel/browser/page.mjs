@@ -62,8 +62,11 @@ async function eventually(name, true_) {
 /** Hold the jog's button until the shaft is driven. An emulated board on a busy machine may end a jog: begin again. */
 async function holdJog() {
   for (let tries = 0; tries < 5; tries++) {
-    await until("a jog can begin, or be held", () => !document.getElementById("jog").disabled && (!document.getElementById("jog-ready").disabled || !document.getElementById("jog-plus").disabled));
-    if (await page.isEnabled("#jog-ready")) await page.click("#jog-ready");
+    await until("a jog can begin, or be held", () => !document.getElementById("jog").disabled);
+    if (await page.isDisabled("#jog-plus")) {
+      await page.click("#jog-ready");
+      await until("the jog begins", () => document.getElementById("lamp").textContent !== "Idle");
+    }
     await until("the jog can be held, or is over", () => !document.getElementById("jog-plus").disabled || document.getElementById("lamp").textContent === "Idle");
     if (!(await page.isEnabled("#jog-plus"))) continue;
     await page.locator("#jog-plus").scrollIntoViewIfNeeded();
@@ -73,6 +76,7 @@ async function holdJog() {
     await eventually("the jog drives", () => jog().drives.at(-1) > 0 || jog().over);
     if (!jog().over) return;
     await page.mouse.up();
+    await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
   }
   throw new Error("no jog lasted until it drove");
 }
@@ -107,8 +111,8 @@ const steps = {
   async starts_and_shows_the_run() {
     const curve = () => page.evaluate(() => document.querySelector("#plot-y canvas").toDataURL());
     await page.evaluate(() => {
-      globalThis.shifted = 0;
-      new PerformanceObserver((list) => list.getEntries().forEach((entry) => (globalThis.shifted += entry.hadRecentInput ? 0 : entry.value))).observe({ type: "layout-shift" });
+      globalThis.shifted = [];
+      new PerformanceObserver((list) => list.getEntries().filter((entry) => !entry.hadRecentInput).forEach((entry) => globalThis.shifted.push(...entry.sources.map(({ node }) => node?.id || node?.className || node?.nodeName)))).observe({ type: "layout-shift" });
     });
     await page.click("#confirm");
     await until("rows", () => document.getElementById("y").textContent !== "–");
@@ -185,11 +189,11 @@ const steps = {
       await says("silence", "Not connected");
     });
     Object.assign(seen.frozen, { words: await text("silence") });
+    await page.mouse.up();
     // a Stop that cannot get through says so
     await page.locator("#stop").click();
     await says("stop-state", "did not get through");
     seen.frozen.stop = await text("stop-state");
-    await page.mouse.up();
     process.kill(panel_pid, "SIGCONT");
     await until("connected again", () => document.getElementById("silence").hidden);
   },
