@@ -34,7 +34,7 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         missing = [tool for tool in TOOLS if shutil.which(tool) is None]
         if missing:
             self._lack(
-                f"{', '.join(missing)} missing: this wheel carries no prebuilt firmware, and `rig flash` will need them",
+                f"{', '.join(missing)} missing: this wheel has no prebuilt firmware, and `rig flash` will need them",
                 f"Debian: apt-get install {PACKAGES}",
             )
             return

@@ -164,9 +164,8 @@ class Access:
     def refusal(self, kind: Kind, raw: RawHeaders) -> RefusedError | None:
         """Why a request with these headers is not ours to answer; None if it is.
 
-        read    GET: of our host, and not fetched by another site's page
-        write   POST: of our host and our origin
-        socket  the WebSocket: as ``write``
+        What reads must be of our host, and not fetched by another site's page. What writes, and the WebSocket, must be
+        of our host and of our origin.
         """
         headers = list(raw)
         hosts = _all(headers, b"host")

@@ -93,6 +93,12 @@ class Bench:
         with self._lock:
             return [process for process in self._started if not process.has_folder and process.lives]
 
+    @property
+    def pids(self) -> set[int]:
+        """The processes that were started here and whose end was not told yet."""
+        with self._lock:
+            return {process.pid for process in self._started}
+
     def ended(self) -> list[Ended]:
         """What was started here and has ended since the last call."""
         with self._lock:
@@ -161,7 +167,10 @@ class Bench:
     # ------------------------------------------------------------------ jog
 
     async def start_jog(self) -> dict[str, Any]:
-        """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease."""
+        """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease.
+
+        Raises RefusedError if anything is in the way.
+        """
         config = self._own_config()
         found = await answer_of("rig.panel.prospect", config)
         if not found.get("may_run"):

@@ -24,6 +24,7 @@ ALIVE_S: Final = 0.25  # a page that hears nothing for longer says that it is no
 _LOOK_EVERY: Final = 6  # ticks between two looks at which runs go on
 _MOST_UNSEEN: Final = 10  # live messages on their way to a page that says what it has seen
 _MOST_NEWS: Final = 20
+_MOST_TICKS_TO_EXIT: Final = 100
 _LATE_SHARE: Final = 0.1  # of the period, beyond which a tick counts as late
 _ZERO_WITHIN_S: Final = 1.0
 
@@ -67,6 +68,7 @@ class Watch:
         self._news: list[tuple[int, dict[str, Any]]] = []
         self._number = 0
         self._ticks = 0
+        self._over_ticks = 0
         self._trouble = ""
         self.scene = Scene()
         self._followers: set[Follower] = set()
@@ -117,18 +119,9 @@ class Watch:
             bench.look()
             self._choose()
         self._ticks += 1
-        for ended in bench.ended():
-            self._statuses[ended.pid] = ended
         snapshot = None if self._view is None else self._view.read()
         folder = None if self._view is None else self._view.folder
-        if snapshot is not None and snapshot.runner is not None:
-            self._pid = snapshot.runner.pid
-        if folder is not None and snapshot is not None and snapshot.state != "runs" and self._ended is None:
-            self._end(folder, snapshot)
-        for pid in [pid for pid in self._statuses if pid != self._pid]:  # it never had a run folder
-            over = self._statuses.pop(pid)
-            if over.status != 0:
-                self._tell(_ended_early(over))
+        self._take_ends(folder, snapshot)
         self._watch_stops(folder, snapshot)
         opening = bench.opening
         self.scene = Scene(
@@ -143,10 +136,26 @@ class Watch:
         """Follow the newest run that goes on, once the one that is followed is over."""
         going = [one.folder for one in self._bench.running]
         if going and (self._view is None or self._view.folder not in going):
-            self._view, self._ended, self._pid = LiveView(going[-1]), None, None
+            self._view, self._ended, self._pid, self._over_ticks = LiveView(going[-1]), None, None, 0
+
+    def _take_ends(self, folder: Path | None, snapshot: Snapshot | None) -> None:
+        """Tell of the run that is over, and of commands that ended before they had a run folder."""
+        for ended in self._bench.ended():
+            self._statuses[ended.pid] = ended
+        if snapshot is not None and snapshot.runner is not None:
+            self._pid = snapshot.runner.pid
+        if folder is not None and snapshot is not None and snapshot.state != "runs" and self._ended is None:
+            # a process that was started here still has to say its last words and its exit status
+            self._over_ticks += 1
+            if self._pid not in self._bench.pids or self._over_ticks > _MOST_TICKS_TO_EXIT:
+                self._end(folder, snapshot)
+        for pid in [pid for pid in self._statuses if pid != self._pid]:
+            early = self._statuses.pop(pid)
+            if early.status != 0:
+                self._tell(_ended_early(early))
 
     def _end(self, folder: Path, snapshot: Snapshot) -> None:
-        """The run is over. One that was started here may take a moment until its status is known."""
+        """The run is over."""
         row = self._runs.row(folder)
         mine = self._statuses.pop(self._pid, None) if self._pid is not None else None
         died = "the process died, and left no end" if snapshot.state == "died" else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def test_a_lease_that_is_half_written_changes_nothing(tmp_path: Path, held: Held
     leaser.drive(0.2)
     assert held.u_V() == 0.2
     with OthersPage(tmp_path / NAME, writes=True) as page:
-        page.write(0, (99).to_bytes(8, "little"))  # a number, and not yet the same at the end
+        page.write(0, struct.pack("=qd", 99, 0.9))  # number and drive, and not yet the number again
         assert held.u_V() == 0.2
         page.write(0, bytes(SIZE))  # an older one
     assert held.u_V() == 0.2

@@ -87,7 +87,7 @@ def interrupted(outcome: Outcome, by: str = "test") -> None:
     assert (outcome.folder / "report.html").is_file()
 
 
-@pytest.mark.parametrize("stage", ["breakaway", "search", "relay-1", "rest", "survey", "track:sampled-data", "jog"])
+@pytest.mark.parametrize("stage", ["breakaway", "search", "relay-1", "survey", "track:sampled-data", "jog"])
 def test_a_stop_in_any_stage_ends_it_with_the_next_tick_and_a_replay_ends_there_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment, stage: str
 ) -> None:

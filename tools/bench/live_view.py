@@ -5,17 +5,20 @@ PYTHONPATH=tools python -m bench.live_view [--json] [--seconds 8] [--viewers 5]
 A relay test runs on the emulated serial board in real time, recorded to disk, at 10 ms. In every other half second it
 has a stop flag, and each of the viewers, a process of its own, reads the run folder 25 times a second, as a panel does.
 In between they stand still. Told are lateness and parts of the tick of both, the age of the newest row as the viewers
-saw it, and the cost of a look at the flag.
+saw it, the cost of a look at the flag, and the time from a request to stop, at any instant, until the device has
+confirmed that its drive is 0.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -24,12 +27,14 @@ import numpy as np
 
 from bench.benchmark import options, tell
 from bench.tick import CONFIG, GAINS_V, TURN_S, Limited, in_real_time
-from rig.config import load
+from rig.backends.registry import Bench
+from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
+from rig.control.law import Constant
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
-from rig.live.stop_flag import StopFlag
+from rig.live.stop_flag import StopFlag, request_stop
 from rig.live.view import LiveView
 from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
@@ -37,11 +42,13 @@ from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
 from rig.recording.recorder import Recorder
+from rig.recording.sink import JsonScalar, NullSink
 from shared.table import markdown
 
 EVERY_S = 0.04
 PARTS = ("late_us", "compute_us", "record_us")
 LOOKS = 100_000
+STOPS = 20
 
 
 def view(folder: Path) -> int:
@@ -60,6 +67,51 @@ def view(folder: Path) -> int:
             ages_ms += [1e3 * seen.age_s] if is_paced else []
     print(" ".join(f"{age:.2f}" for age in ages_ms))
     return 0
+
+
+class StopTime(NullSink):
+    """When the loop was told that the device had confirmed the stop, s; nan: not yet."""
+
+    at_s = math.nan
+
+    def event(self, t_s: float, kind: str, **fields: JsonScalar) -> None:
+        """Take an event."""
+        if kind == "stop":
+            self.at_s = time.monotonic()
+
+
+def stop_ms(bench: Bench, experiment: Experiment, folder: Path, faults: list[str]) -> list[float]:
+    """Times from a request to stop until the device has confirmed it, ms: each request in another part of a tick.
+
+    They end early with a device that latches a fault, which ``faults`` gets.
+    """
+    times_ms: list[float] = []
+    for number in range(STOPS):
+        one = folder / f"stop-{number}"
+        one.mkdir()
+        asked_s: list[float] = []
+
+        def ask(one: Path = one, asked_s: list[float] = asked_s) -> None:
+            request_stop(one, "bench")
+            asked_s.append(time.monotonic())
+
+        with StopFlag() as flag:
+            flag.begin(one)
+            guard, stopped = Guard(guard_settings_of(experiment)), StopTime()
+            loop = Loop(bench.driver, bench.clock, guard, stopped, experiment.period_s, StopRequest(flag))
+            asking = threading.Timer(0.1 + number / STOPS * experiment.period_s, ask)
+            try:
+                with real_time(real_time_of(experiment)), loop.armed(experiment.device_limits):
+                    asking.start()
+                    loop.run(Constant(0.3, 1.0), "jog")
+            except Fault as fault:
+                if asking.ident is not None:
+                    asking.join()
+                if fault.code != "INTERRUPTED":
+                    faults.append(fault.code)
+                    break
+                times_ms.append(1e3 * (stopped.at_s - asked_s[0]))
+    return times_ms
 
 
 def look_ns(flag: StopFlag | None) -> float:
@@ -112,26 +164,34 @@ def measure(seconds: float, viewers: int, folder: Path) -> dict[str, Any]:
             for process in watching:
                 os.kill(process.pid, signal.SIGCONT)
         ages_ms = [float(age) for process in watching for age in process.communicate()[0].split()]
-        with_flag_ns, without_ns = look_ns(flag), look_ns(None)
-    return result(loops, ages_ms, (with_flag_ns, without_ns)) | {"viewers": viewers, "faults": faults}
+        looks_ns = {"with_flag": round(look_ns(flag), 1), "without": round(look_ns(None), 1)}
+        stops_ms = stop_ms(bench, experiment, folder, faults)
+    return result(loops) | {
+        "age_ms": spread(ages_ms),
+        "stop_ms": spread(stops_ms),
+        "look_ns": looks_ns,
+        "viewers": viewers,
+        "faults": faults,
+    }
 
 
-def result(loops: list[Loop], ages_ms: list[float], looks_ns: tuple[float, float]) -> dict[str, Any]:
-    """What was measured, as JSON."""
+def spread(values: list[float]) -> dict[str, float]:
+    """Median, 99th percentile, largest and number."""
+    p50, p99, largest = np.percentile(values, [50, 99, 100]) if values else [math.nan] * 3
+    return {"p50": round(p50, 1), "p99": round(p99, 1), "max": round(largest, 1), "number": len(values)}
+
+
+def result(loops: list[Loop]) -> dict[str, Any]:
+    """Of both loops, and their ratios."""
     found: dict[str, Any] = {}
     for name, loop in zip(("watched", "alone"), loops, strict=True):
         told = loop.statistics.summary().as_json()
         found[name] = {"ticks": told["ticks"], "skipped": told["skipped"]} | {part: told[part] for part in PARTS}
-    ages = np.percentile(ages_ms, [50, 99, 100]) if ages_ms else [float("nan")] * 3
     ratios = {
         f"{part.removesuffix('_us')}_p50_ratio": round(found["watched"][part]["p50"] / found["alone"][part]["p50"], 3)
         for part in PARTS[1:]
     }
-    return found | {
-        "age_ms": {"p50": round(ages[0], 1), "p99": round(ages[1], 1), "max": round(ages[2], 1), "reads": len(ages_ms)},
-        "look_ns": {"with_flag": round(looks_ns[0], 1), "without": round(looks_ns[1], 1)},
-        **ratios,
-    }
+    return found | ratios
 
 
 def table(found: dict[str, Any]) -> str:
@@ -147,13 +207,15 @@ def table(found: dict[str, Any]) -> str:
                 *(f"{one[part]['p50']:.1f} / {one[part]['p99']:.1f}" for part in PARTS),
             )
         )
-    age, look = found["age_ms"], found["look_ns"]
+    age, stop, look = found["age_ms"], found["stop_ms"], found["look_ns"]
     return "\n".join(
         [
             markdown(("loop", "ticks", "skipped", "wake", "compute", "record"), rows),
             "",
             f"Each: median / p99, us. {found['viewers']} viewers; age of the newest row at a read: {age['p50']:g} ms "
-            f"(median), {age['p99']:g} (p99), {age['max']:g} (largest of {age['reads']}).",
+            f"(median), {age['p99']:g} (p99), {age['max']:g} (largest of {age['number']}).",
+            f"From a request to stop until the device has confirmed 0 V: {stop['p50']:g} ms (median), {stop['max']:g} "
+            f"(largest of {stop['number']}).",
             *([f"ended by {', '.join(found['faults'])}"] if found["faults"] else []),
             f"A look at the stop request: {look['with_flag']:g} ns with a flag, {look['without']:g} ns without.",
         ]
