@@ -74,10 +74,12 @@ async function holdJog() {
     const box = await page.locator("#jog-plus").boundingBox();
     await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
     await page.mouse.down();
-    await eventually("the jog drives", () => jog().drives.at(-1) > 0 || jog().over);
-    if (!jog().over) return;
+    while (!jog().over && (await page.locator(".held").count()) === 1) {
+      if (jog().drives.at(-1) > 0) return;
+      await sleep(20);
+    }
     await page.mouse.up();
-    await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
+    if (jog().over) await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
   }
   throw new Error("no jog lasted until it drove");
 }
