@@ -115,5 +115,5 @@ def test_a_jog_ends_with_its_lease_however_the_page_loses_the_bench(seen: dict[s
     if loss == "cut":
         assert lost["held"] == 0
         assert "Stop cannot work" in lost["stop"]
-    if loss == "frozen":
+    if loss == "killed":
         assert lost["stop"] == "Stop did not get through. Use the e-stop."

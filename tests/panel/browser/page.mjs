@@ -193,21 +193,22 @@ const steps = {
     });
     Object.assign(seen.frozen, { words: await text("silence") });
     await page.mouse.up();
-    // a Stop that cannot get through says so
-    await page.locator("#stop").click();
-    await says("stop-state", "did not get through");
-    seen.frozen.stop = await text("stop-state");
     process.kill(panel_pid, "SIGCONT");
     await until("connected again", () => document.getElementById("silence").hidden);
   },
 
   async jogs_until_the_panel_is_killed() {
-    await says("lamp", "Idle"); // the Stop of before arrived with the thaw, and ended that jog
     seen.killed = await jogUntil(async () => {
       process.kill(panel_pid, "SIGKILL");
       await says("silence", "Not connected");
     });
     Object.assign(seen.killed, { words: await text("silence") });
+    await page.mouse.up();
+    // a Stop that cannot get through says so
+    await page.locator("#stop").click();
+    await says("stop-state", "did not get through");
+    seen.killed.stop = await text("stop-state");
+    await picture("killed");
   },
 };
 
