@@ -76,7 +76,7 @@ def test_the_page_works_from_the_first_look_to_the_panels_death(seen: dict[str, 
 def test_a_start_shows_what_will_happen_and_leaves_stop_in_reach(seen: dict[str, Any]) -> None:
     sheet = seen["sheet"]
     assert "token" not in sheet["address"]
-    for words in ("Largest drive, V3.00", "Distance to stop, rad1.91", "Soft limits, rad−1.10 … 1.10", "−1.95 … 1.95"):
+    for words in ("Largest drive, V3.00", "Distance to stop, rad1.76", "Soft limits, rad−1.10 … 1.10", "−1.95 … 1.95"):
         assert words in sheet["plan"]
     assert sheet["lines"] > 5
     assert sheet["on_top_at_stop"] == "stop"

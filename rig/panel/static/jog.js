@@ -24,6 +24,8 @@ export class Jog {
     document.addEventListener("visibilitychange", () => this.release());
     stop.addEventListener("pressed", () => this.release());
     connection.addEventListener("silent", () => this.release());
+    // a hold that was lost on the way: the server takes no other one until it hears that it is over
+    connection.addEventListener("alive", () => connection.send({ type: "release" }));
     connection.addEventListener("refused", ({ detail }) => {
       this.release();
       setText(byId("jog-state"), `${detail.what}: ${detail.cure}.`);

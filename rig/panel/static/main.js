@@ -25,6 +25,7 @@ const bench = new Bench((number) => {
 
 let state = { operator: false, has_token: false, config: null };
 let command = null; // of the run that drives
+let opened = false; // a jog that waits for a hold: its device is open
 let opens = null; // command that was started, and opens its device
 
 const VIEWS = ["bench", "runs", "report"];
@@ -44,6 +45,7 @@ function route() {
 function drives(next) {
   command = next;
   if (next !== null) opens = null;
+  else opened = false;
   body.dataset.bench = next === null ? "idle" : "driving";
   setText(byId("lamp"), next === null ? (opens ? "Opening" : "Idle") : next === "jog" ? "Jogging" : "Running");
   buttons();
@@ -52,8 +54,8 @@ function drives(next) {
 function buttons() {
   const mine = state.operator && connection.alive;
   byId("start").disabled = !mine || command !== null || opens !== null || !state.config;
-  byId("jog").disabled = !mine || opens !== null || (command !== null && command !== "jog") || !state.config;
-  jog.allow(mine && command === "jog");
+  byId("jog").disabled = !mine || opens !== null || (command !== null && !opened) || !state.config;
+  jog.allow(mine && command === "jog" && opened);
   show(byId("take"), !state.operator && state.has_token);
   const note = byId("watcher");
   show(note, !state.operator || !state.config);
@@ -78,9 +80,13 @@ async function readState() {
 }
 
 connection.addEventListener("live", ({ detail }) => {
-  if (detail.run !== bench.run) stop.forget();
   bench.live(detail);
-  if (command !== (detail.command ?? "run")) drives(detail.command ?? "run");
+  if (command === null) stop.forget();
+  const waits = detail.command === "jog" && detail.stage === "jog";
+  if (command !== (detail.command ?? "run") || opened !== waits) {
+    opened = waits;
+    drives(detail.command ?? "run");
+  }
   // the report's frame would swallow Stop's keys
   if (document.activeElement === byId("report")) {
     document.activeElement.blur();

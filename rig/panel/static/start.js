@@ -59,7 +59,7 @@ export class Start {
       byId("plan").append(element("div", {}, element("dt", { textContent: `${name}, ${unit}` }), element("dd", { textContent: read(plan) })));
     }
     for (const { severity, text } of lines ?? []) {
-      byId("check-lines").append(element("li", { className: severity }, element("span", { className: "sign", textContent: SIGNS[severity] ?? "·", ariaLabel: severity }), text));
+      byId("check-lines").append(element("li", { className: `line-${severity}` }, element("span", { className: "sign", textContent: SIGNS[severity] ?? "·", ariaLabel: severity }), text));
     }
     if (may_run) this.#confirmation = confirmation;
     else this.#refuse("rig refuses to run this config. Mend what the list says, then check again.");

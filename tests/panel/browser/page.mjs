@@ -5,7 +5,7 @@
 //
 // config: the file that the panel starts; jog_config: what it becomes before the jogs; shots: folder for pictures or null
 
-import { copyFileSync, readFileSync, readdirSync } from "node:fs";
+import { copyFileSync, existsSync, readFileSync, readdirSync } from "node:fs";
 import { chromium } from "playwright-core";
 
 const { url, panel_pid, runs, config, jog_config, shots } = JSON.parse(process.argv[2]);
@@ -43,6 +43,7 @@ async function open(context, address) {
 /** The newest jog on the disk, where the panel may be dead: its drives, V, and whether it is over. */
 function jog() {
   const folder = `${runs}/${readdirSync(runs).filter((name) => name.includes("-jog")).sort().at(-1)}`;
+  if (!existsSync(`${folder}/samples.csv`)) return { drives: [], over: false };
   const [head, ...lines] = readFileSync(`${folder}/samples.csv`, "utf8").split("\n").slice(0, -1);
   const column = head.split(",").indexOf("u_V");
   const drives = lines.map((line) => Number(line.split(",")[column])).filter(Number.isFinite);
@@ -73,10 +74,12 @@ async function holdJog() {
     const box = await page.locator("#jog-plus").boundingBox();
     await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
     await page.mouse.down();
-    await eventually("the jog drives", () => jog().drives.at(-1) > 0 || jog().over);
-    if (!jog().over) return;
+    while (!jog().over && (await page.locator(".held").count()) === 1) {
+      if (jog().drives.at(-1) > 0) return;
+      await sleep(20);
+    }
     await page.mouse.up();
-    await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
+    if (jog().over) await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
   }
   throw new Error("no jog lasted until it drove");
 }
