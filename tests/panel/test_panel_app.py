@@ -202,7 +202,7 @@ def test_a_flood_is_closed_and_bytes_are_no_message(watcher: TestClient) -> None
         socket.send_bytes(b"\0\1")
         assert closed(socket)[0] == 1008
     with watcher.websocket_connect("ws://127.0.0.1:8470/ws") as socket:
-        for _ in range(10_000):
+        for _ in range(1000):
             socket.send_text('{"type": "seen", "n": 1}')
         assert closed(socket) == (1008, f"more than {MOST_MESSAGES_S} messages a second")
 
