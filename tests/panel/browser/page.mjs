@@ -130,6 +130,22 @@ const steps = {
     await picture("live");
   },
 
+  async is_watched_without_a_token_and_without_uplot() {
+    const context = await browser.newContext({ viewport: { width: 360, height: 740 }, colorScheme: "dark" });
+    const watcher = await context.newPage();
+    await watcher.route("**/uPlot.esm.js", (route) => route.abort());
+    await watcher.goto(new URL("/", url).href);
+    await watcher.waitForFunction(() => document.getElementById("y").textContent !== "–" && !document.getElementById("no-uplot").hidden);
+    seen.watcher = {
+      note: await watcher.locator("#watcher").textContent(),
+      start: await watcher.isEnabled("#start"),
+      stop: await watcher.isEnabled("#stop"),
+      too_wide_px: await watcher.evaluate(() => document.documentElement.scrollWidth - innerWidth),
+    };
+    if (shots) await watcher.screenshot({ path: `${shots}/watcher.png` });
+    await context.close();
+  },
+
   async stops_by_a_key() {
     await page.focus("#zoom");
     await page.keyboard.press("Space");
