@@ -26,6 +26,7 @@ from rig.signals import FLAG_SKIPPED, Limits
 KEPT_ROWS: Final = 1024
 KEPT_ESTIMATES: Final = 4096
 _FIRST_BYTES: Final = 4_000_000  # of a recording that has grown before it is looked at: half an hour at 10 ms
+_COMPUTES: Final = "identify"  # the stage in which nothing drives
 _TESTS: Final = (StageKind.SEARCH, StageKind.RELAY, StageKind.STROKES)
 
 State = Literal["absent", "runs", "ended", "died"]
@@ -292,7 +293,7 @@ class _Story:
         if kind == "stage":
             name = str(event["name"])
             self.stages.append((t_s, name))
-            self.drive_is_off = False
+            self.drive_is_off = self.drive_is_off and name == _COMPUTES
             self.cycle = None
             drives = kind_of(name) in (StageKind.RELAY, StageKind.SEARCH)
             self.planes, self._gains = (self._gains if drives else None), None

@@ -118,6 +118,9 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
     seen = view.read()
     assert (seen.state, seen.is_over, seen.left.run_s) == ("runs", True, None)  # it identifies, and writes its report
     assert [name for _, name in seen.stages] == ["search", "relay-1"]
+    for stage, is_off in (("identify", True), ("rest", False), ("identify", False)):
+        write(folder, "events.jsonl", event("stage", 9.0, name=stage))
+        assert view.read().drive_is_off is is_off, "while rig identifies, nothing drives that did not before"
 
 
 def test_a_run_that_nobody_makes_has_ended_or_died_or_was_never_there(folder: Path, tmp_path: Path) -> None:
