@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from rig.cli import (
+    calibrate,
     campaign,
     check,
     config,
@@ -57,6 +58,7 @@ def main() -> None:
 
 
 for _command in (
+    calibrate.calibrate,
     campaign.campaign,
     check.check,
     config.ready_configs,
