@@ -12,10 +12,12 @@ from typing import Any, Self
 
 from rig.backends.registry import Bench, backend_of, connect
 from rig.calibrate.dialogue import Hold, Pose, Read, Reading, SetZero, Strokes, StrokesSeen
+from rig.calibrate.refusal import Refusal
 from rig.config.schema import Experiment
 from rig.control.guard import Guard
 from rig.control.law import Rest
 from rig.experiment import run_breakaway, zero
+from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import stop_on_signals
 from rig.preflight.loop_settings import guard_settings_of
@@ -53,7 +55,20 @@ class HandBench:
         self._close()
 
     def perform(self, request: Read | SetZero | Strokes | Hold) -> Any:
-        """What the request wants. Raises Fault of link, device and guard, but for what ended the strokes."""
+        """What the request wants.
+
+        Raises Refusal for a fault of link, device or guard, for the dialogue: the bench is opened anew for the next
+        request. Raises Fault INTERRUPTED for a signal.
+        """
+        try:
+            return self._perform(request)
+        except Fault as fault:
+            self._close()
+            if fault.code == "INTERRUPTED":
+                raise
+            raise Refusal(str(fault), fault.cure) from fault
+
+    def _perform(self, request: Read | SetZero | Strokes | Hold) -> Any:
         match request:
             case Read():
                 return self._read(request)
@@ -67,7 +82,7 @@ class HandBench:
                 return _strokes(request.experiment, self._runs)
             case Hold():
                 self._close()
-                return _hold(request)
+                return _hold(_motor_off(request.experiment) if self._is_emulated else request.experiment, request)
 
     def _close(self) -> None:
         self._bench = None
@@ -108,16 +123,26 @@ def _reading(bench: Bench, period_s: float) -> Reading:
 
 
 def _strokes(e: Experiment, runs: Path) -> StrokesSeen:
-    outcome = run_breakaway(e, runs)
+    try:
+        outcome = run_breakaway(e, runs)
+    except Fault as fault:  # the bench could not be opened
+        return StrokesSeen(fault, math.nan, math.nan, "")
     found = outcome.result.breakaway
     seen = (None, None) if found is None else (found.seen_plus_V, found.seen_minus_V)
     plus_V, minus_V = (math.nan if level is None else level for level in seen)
     return StrokesSeen(outcome.fault, plus_V, minus_V, str(outcome.folder))
 
 
-def _hold(request: Hold) -> float:
+def _motor_off(e: Experiment) -> Experiment:
+    """The emulated bench with its motor taken off the bridge."""
+    if e.emulated is None:
+        raise ValueError("only an emulated bench has this hand")
+    wiring = e.emulated.wiring.model_copy(update={"drive": "dead", "fault_after_s": 0.0})
+    return e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wiring})})
+
+
+def _hold(e: Experiment, request: Hold) -> float:
     """How far the shaft turned, rad. Nothing is recorded."""
-    e = request.experiment
     law = _Held(request.u_V, request.seconds, e.breakaway.motion_rad)
     with stop_on_signals() as stop, connect(e) as bench:
         guard = Guard(replace(guard_settings_of(e), limits=e.device_limits))

@@ -7,7 +7,8 @@ A step is a generator: it yields one of these requests, and is sent what the req
     while True:
         request = dialogue.send(answer to request)     # StopIteration brings the finished draft
 
-To leave a step out, throw ``Skipped`` at a question instead of an answer.
+To leave a step out, throw ``Skipped`` at a question instead of an answer. If a reading fails, throw the ``Refusal``:
+the step shows it, and asks again.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ import click
 
 from rig.calibrate.dialogue import Ask, Hold, Say, Skipped, Strokes
 from rig.calibrate.draft import Draft
+from rig.calibrate.refusal import Refusal
 from rig.calibrate.wiring import text as drawn
 from rig.cli.driving import compiled
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
@@ -72,8 +73,8 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
                         if isinstance(request, Strokes | Hold):
                             compiled()
                         request = dialogue.send(bench.perform(request))
-                except Skipped as skipped:
-                    request = dialogue.throw(skipped)
+                except (Skipped, Refusal) as instead:
+                    request = dialogue.throw(instead)
     except StopIteration as end:
         found: Draft = end.value
     except _Quit as quit_:

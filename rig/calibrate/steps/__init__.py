@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 
 from rig.calibrate.dialogue import Say, Skipped
 from rig.calibrate.draft import Draft
+from rig.calibrate.refusal import Refusal
 from rig.calibrate.steps.angles import angles_step
 from rig.calibrate.steps.dead_band import dead_band_step
-from rig.calibrate.steps.questions import Steps
+from rig.calibrate.steps.questions import Steps, refused
 from rig.calibrate.steps.strokes import strokes_step
 from rig.calibrate.steps.travel import travel_step
 from rig.calibrate.steps.turn import turn_step
@@ -30,6 +31,8 @@ def calibration(draft: Draft, names: Sequence[str]) -> Steps[Draft]:
             draft = yield from step(draft)
         except Skipped:
             yield Say(f"{name} is left out")
+        except Refusal as refusal:  # what the step cannot ask for again
+            yield refused(refusal)
     return draft
 
 

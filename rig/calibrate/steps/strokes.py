@@ -38,7 +38,8 @@ def strokes_step(draft: Draft) -> Steps[Draft]:
         if seen.fault is None:
             return (yield from _friction(draft, seen))
         code = seen.fault.code
-        yield Say(f"recorded: {seen.folder}")
+        if seen.folder:
+            yield Say(f"recorded: {seen.folder}")
         if code == "POLARITY":
             answer = yield from choice(
                 Say(f"moved the wrong way: {seen.fault.detail}", "refused", wiring.swapped_motor(e)),

@@ -11,10 +11,11 @@ from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
 from rig.calibrate.steps.questions import MOVED_COUNTS, Steps, choice, must_stand, refused
 from rig.calibrate.sums.travel import Travel, travel
+from rig.preflight.room_to_stop import limits_are_ordered, room_rad, stopping_terms
 
 
 def travel_step(draft: Draft) -> Steps[Draft]:
-    """Sets limits.hard_rad and .soft_rad."""
+    """Sets limits.hard_rad and .soft_rad; limits.max_speed_rad_s where there is no room to stop from it."""
     e = draft.experiment
     answer = yield from choice(
         None, "does the shaft have mechanical stops?", (("yes", "it meets one on each side"), ("no", "it turns freely"))
@@ -46,9 +47,26 @@ def travel_step(draft: Draft) -> Steps[Draft]:
         )
         if wanted == "keep":
             return draft
-    return draft.with_changes(
+    draft = draft.with_changes(
         {("limits", "soft_rad"): list(found.soft_rad), ("limits", "hard_rad"): list(found.hard_rad)}
     )
+    return (yield from _with_room_to_stop(draft))
+
+
+def _with_room_to_stop(draft: Draft) -> Steps[Draft]:
+    """With a largest speed from which the shaft stops inside the limits, if somebody says yes to that."""
+    e = draft.experiment
+    distance_rad, room = sum(rad for _, rad in stopping_terms(e)), room_rad(e)
+    if not limits_are_ordered(e) or distance_rad <= room:
+        return draft
+    speed_rad_s = math.floor(100.0 * e.limits.max_speed_rad_s * room / distance_rad) / 100.0
+    answer = yield from choice(
+        Say(f"from limits.max_speed_rad_s, {e.limits.max_speed_rad_s:g}, the shaft would need {distance_rad:.2f} rad to "
+            f"stop; there are {room:.2f} rad from the centre to the nearer hard limit", "refused"),
+        f"lower limits.max_speed_rad_s to {speed_rad_s:g}?",
+        (("yes", "a faster shaft ends the run"), ("no", "`rig check` will refuse the config")),
+    )  # fmt: skip
+    return draft.with_changes({("limits", "max_speed_rad_s"): speed_rad_s}) if answer == "yes" else draft
 
 
 def _stops(draft: Draft) -> Steps[tuple[Draft, tuple[float, float]]]:

@@ -53,8 +53,7 @@ def turn_step(draft: Draft) -> Steps[Draft]:
     if found.counts_per_turn != encoder.counts_per_turn:
         yield Say(
             f"counts_per_turn {encoder.counts_per_turn} is off by a factor of "
-            f"{found.counts_per_turn / encoder.counts_per_turn:g}: it counts all four edges of a line",
-            "refused",
+            f"{found.counts_per_turn / encoder.counts_per_turn:g}: it counts all four edges of a line"
         )
         changes["sensor", "encoder", "counts_per_turn"] = found.counts_per_turn
     if found.sign != encoder.sign:
