@@ -87,7 +87,7 @@ def drive(e: Experiment, board: str) -> tuple[Wiring, ...]:
     out = _OUTPUTS.get(e.drive.bridge or "", ("output 1", "output 2"))
     return (
         Wiring("1. is the supply on, the e-stop released, the fuse whole?", "motor supply", "bridge",
-               (("plus, over fuse and e-stop", "motor supply in"), ("minus", "ground"))),
+               (("plus (fuse, e-stop)", "motor supply in"), ("minus", "ground"))),
         Wiring("2. do these wires sit?", pins.words, "bridge", inputs),
         Wiring("3. and these?", "bridge", "motor", ((out[0], "terminal 1"), (out[1], "terminal 2"))),
     )  # fmt: skip
@@ -137,7 +137,7 @@ def svg(w: Wiring) -> str:
             f'<text x="{middle:g}" y="56" text-anchor="middle" font-weight="600">{escape(name)}</text>',
         ]
     y = [_TOP + _ROW * (row + 0.5) for row in range(len(w.wires))]
-    for row, (left, right) in enumerate(w.wires):
+    for row in range(len(w.wires)):
         end = row
         if w.swap is not None and row in (w.swap, w.swap + 1):
             end = 2 * w.swap + 1 - row
@@ -145,9 +145,12 @@ def svg(w: Wiring) -> str:
                 f'<path d="M{inner} {y[row]:g}H{outer}" fill="none" stroke="currentColor" stroke-opacity="0.35" '
                 'stroke-dasharray="4 5"/>'
             )
-        parts += [
+        parts.append(
             f'<path d="M{inner} {y[row]:g}L{outer} {y[end]:g}" fill="none" stroke="var(--accent, #c33)" '
-            'stroke-width="3"/>',
+            'stroke-width="3"/>'
+        )
+    for row, (left, right) in enumerate(w.wires):
+        parts += [
             f'<circle cx="{inner}" cy="{y[row]:g}" r="5"/><circle cx="{outer}" cy="{y[row]:g}" r="5"/>',
             f'<text x="{inner - 14}" y="{y[row] + 5:g}" text-anchor="end">{escape(left)}</text>',
             f'<text x="{outer + 14}" y="{y[row] + 5:g}">{escape(right)}</text>',

@@ -142,13 +142,14 @@ def _finish(found: Draft, terminal: _Terminal, file: Path, text: str, as_json: b
 def _lines(answers: Path | None) -> Iterator[str]:
     """Answers, one after the other: from the file without its comments; else from stdin, as they come."""
     if answers is None:
-        yield from sys.stdin
-        return
+        return sys.stdin
     try:
         lines = answers.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        fail(EXIT_BAD_INPUT, f"{answers}: cannot be read: {error}", "name a text file with an answer a line")
-    yield from (line for line in lines if not line.startswith("#"))
+    except OSError as error:
+        fail(EXIT_BAD_INPUT, f"{answers}: cannot be read: {error.strerror}", "name a text file with an answer a line")
+    except UnicodeDecodeError:
+        fail(EXIT_BAD_INPUT, f"{answers} is no text in UTF-8", "name a text file with an answer a line")
+    return (line for line in lines if not line.startswith("#"))
 
 
 class _Terminal:
@@ -179,7 +180,10 @@ class _Terminal:
         hint = f" ({names})" if names else ""
         default = f" [{question.default}]" if question.default else ""
         click.echo(f"{question.words}{hint}{default}: ", nl=False, err=self._err)
-        line = next(self._answers, None)
+        try:
+            line = next(self._answers, None)
+        except UnicodeDecodeError:
+            fail(EXIT_BAD_INPUT, "an answer is no text in UTF-8", "nothing is written: start again")
         if line is None:
             self._echo("")
             because = f"; before: {self._refused}" if self._refused else ""

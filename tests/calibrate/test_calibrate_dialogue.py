@@ -245,5 +245,3 @@ def test_drawings_are_readable_in_both_forms(board: str, bridge: str) -> None:
         words = [element.text for element in page.iter() if element.text]
         assert {end for wire in drawing.wires for end in wire} < set(words)
         assert all(end in text(drawing) for wire in drawing.wires for end in wire)
-
-

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from rig.calibrate.save import read_text, save
-from rig.config.edit import EditError
+from rig.config.edit import EditError, Value
 from rig.recording.errors import CannotWriteError
 
 TEXT = "\ufeffdrive:  # the bridge\r\n  max_V: 3.0  # little\r\n"
-VALUES = {("drive", "max_V"): 2.5}
+VALUES: dict[tuple[str | int, ...], Value] = {("drive", "max_V"): 2.5}
 
 
 def test_the_file_changes_in_place_with_a_dated_backup(tmp_path: Path) -> None:

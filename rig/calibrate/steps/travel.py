@@ -61,11 +61,14 @@ def _with_room_to_stop(draft: Draft) -> Steps[Draft]:
         return draft
     speed_rad_s = math.floor(100.0 * e.limits.max_speed_rad_s * room / distance_rad) / 100.0
     answer = yield from choice(
-        Say(f"from limits.max_speed_rad_s, {e.limits.max_speed_rad_s:g}, the shaft would need {distance_rad:.2f} rad to "
-            f"stop; there are {room:.2f} rad from the centre to the nearer hard limit", "refused"),
+        Say(
+            f"from limits.max_speed_rad_s, {e.limits.max_speed_rad_s:g}, the shaft would need {distance_rad:.2f} rad "
+            f"to stop; there are {room:.2f} rad from the centre to the nearer hard limit",
+            "refused",
+        ),
         f"lower limits.max_speed_rad_s to {speed_rad_s:g}?",
         (("yes", "a faster shaft ends the run"), ("no", "`rig check` will refuse the config")),
-    )  # fmt: skip
+    )
     return draft.with_changes({("limits", "max_speed_rad_s"): speed_rad_s}) if answer == "yes" else draft
 
 
