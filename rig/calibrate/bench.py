@@ -130,7 +130,8 @@ def _strokes(e: Experiment, runs: Path) -> StrokesSeen:
     found = outcome.result.breakaway
     seen = (None, None) if found is None else (found.seen_plus_V, found.seen_minus_V)
     plus_V, minus_V = (math.nan if level is None else level for level in seen)
-    return StrokesSeen(outcome.fault, plus_V, minus_V, str(outcome.folder))
+    notes = tuple(note for note in outcome.result.notes if not note.startswith("loop: "))  # of the bench alone
+    return StrokesSeen(outcome.fault, plus_V, minus_V, str(outcome.folder), notes)
 
 
 def _motor_off(e: Experiment) -> Experiment:

@@ -94,12 +94,14 @@ class StrokesSeen:
     fault            what ended it; None: it came to its end
     plus_V, minus_V  drive at the first motion to each side, V; nan after a fault
     folder           the run folder, as text
+    notes            what the run noted, a sentence each
     """
 
     fault: Fault | None
     plus_V: float
     minus_V: float
     folder: str
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

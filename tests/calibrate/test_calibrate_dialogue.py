@@ -88,7 +88,7 @@ UNO, ENCODER = ready.text("uno"), ready.text("encoder")
 COUNTS = {-100: 140, -50: 326, 0: 512, 50: 698, 100: 884}  # 0.26882 degrees for a count
 ALL_ANGLES = ["", "", "-100", "-50", "50", "100", ""]
 ALL_COUNTS = [512.0, 140.0, 326.0, 698.0, 884.0]
-SEEN = StrokesSeen(None, 0.6, 0.5, "runs/breakaway")
+SEEN = StrokesSeen(None, 0.6, 0.5, "runs/breakaway", ("friction differs",))
 
 
 def fault(code: str) -> StrokesSeen:
@@ -101,6 +101,7 @@ def test_five_angles_make_the_section() -> None:
         "sensor.calibration": [{"counts": 140, "rad": -1.74533}, {"counts": 884, "rad": 1.74533}],
         "sensor.linearity_percent": 0.21,
     }
+    assert "  -100.00°    140.0        -0.00°" in done.words
     assert done.driven == []
 
 
@@ -173,6 +174,7 @@ def test_the_motor_moves_only_after_a_yes() -> None:
         assert talk(UNO, "strokes", [answer]).driven == []
     done = talk(UNO, "strokes", ["maybe", "yes"], strokes=[SEEN])
     assert [type(request) for request in done.driven] == [Strokes]
+    assert "friction differs" in done.words
     assert done.changes == {}  # breakaway.max_V 1.5 is two to three times 0.6
 
 

@@ -62,7 +62,7 @@ def angles_step(draft: Draft) -> Steps[Draft]:
             yield Say(f"angle {len(angles)}: {math.degrees(rad):+.4g}° at {new.counts:g} counts", "found")
         except Refusal as refusal:
             yield refused(refusal)
-    yield Say(_fit_words(fit, belief), "found")
+    yield Say(_table(sorted(angles), fit) + "\n" + _fit_words(fit, belief), "found")
     draft = draft.with_changes(
         {
             ("sensor", "calibration"): [{"counts": counts, "rad": rad} for counts, rad in fit.points],
@@ -106,6 +106,13 @@ def _with_wires(
     except Refusal as refusal:
         drawings = wiring.sensor(draft.board) if "has not moved" in refusal.cause else ()
         raise Refusal(refusal.cause, refusal.cure, drawings) from refusal
+
+
+def _table(angles: Sequence[Angle], fit: SensorFit) -> str:
+    lines = ["     angle   counts   off the line"]
+    for angle, off_rad in zip(angles, fit.off_rad, strict=True):
+        lines.append(f"{math.degrees(angle.rad):+9.2f}° {angle.counts:8.1f} {math.degrees(off_rad):+12.2f}°")
+    return "\n".join(lines)
 
 
 def _fit_words(fit: SensorFit, belief: Belief) -> str:

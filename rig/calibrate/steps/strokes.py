@@ -35,6 +35,8 @@ def strokes_step(draft: Draft) -> Steps[Draft]:
             yield Say("the motor does not move: polarity and static friction are not measured")
             return draft
         seen: StrokesSeen = yield Strokes(e)
+        for note in seen.notes:
+            yield Say(note)
         if seen.fault is None:
             return (yield from _friction(draft, seen))
         code = seen.fault.code

@@ -57,7 +57,7 @@ class SensorFit:
 
     points         counts and rad for ``sensor.calibration``: two of the straight line, or all angles of a curved one
     rad_per_count  of the straight line
-    departure_rad  the angle farthest from that line
+    off_rad        each angle's distance from that line, in the order of the counts
     bend_rad       how far a parabola through the angles is from its line, at most; nan: fewer than four angles
     linearity_percent  departure from the line, with the error of the angles, in % of the full range; None: unknown,
                    with fewer than ``FEWEST_FOR_LINEARITY`` angles
@@ -65,9 +65,14 @@ class SensorFit:
 
     points: tuple[tuple[int, float], ...]
     rad_per_count: float
-    departure_rad: float
+    off_rad: tuple[float, ...]
     bend_rad: float
     linearity_percent: float | None
+
+    @property
+    def departure_rad(self) -> float:
+        """The largest distance from the line."""
+        return max(map(abs, self.off_rad))
 
     @property
     def is_straight(self) -> bool:
@@ -153,7 +158,8 @@ def sensor_fit(angles: Sequence[Angle], belief: Belief) -> SensorFit:
         points = [(round(c), r + slope * (round(c) - c)) for c, r in chosen]
     else:
         points = [(round(c), r + slope * (round(c) - c)) for c, r in zip(counts.tolist(), rad.tolist(), strict=True)]
-    return SensorFit(tuple((c, round(r, 5)) for c, r in points), slope, worst_rad, bend_rad, linearity)
+    off_rad = tuple((rad - slope * counts - zero_rad).tolist())
+    return SensorFit(tuple((c, round(r, 5)) for c, r in points), slope, off_rad, bend_rad, linearity)
 
 
 def _must_be_one_to_one(angles: Sequence[Angle]) -> None:
