@@ -93,6 +93,11 @@ def _with_value(text: str, path: Path, value: Value) -> str:
 
 def _replaced(text: str, node: yaml.Node, value: Value) -> str:
     """The text with ``value`` where ``node`` stands."""
+    if _is_on_one_line(node):
+        old = parse(f"v: {text[node.start_mark.index : node.end_mark.index]}", "config").data["v"]
+        if json.dumps(old) == json.dumps(_plain(value)):
+            return text  # `1.80` may stay as it is
+        return _overwritten(text, node.start_mark.index, node.end_mark.index, _flow(value))
     if isinstance(node, yaml.SequenceNode) and isinstance(value, Sequence) and not isinstance(value, str):
         if len(node.value) == len(value):
             for item, inner in reversed(list(zip(node.value, value, strict=True))):
@@ -106,17 +111,19 @@ def _replaced(text: str, node: yaml.Node, value: Value) -> str:
             for key, inner in reversed(own.items()):
                 text = _replaced(text, inner, value[key])
             return text
-    if isinstance(node, yaml.ScalarNode) and not isinstance(value, str):
-        same = parse(f"v: {text[node.start_mark.index : node.end_mark.index]}", "config").data["v"]
-        if type(same) in (int, float) and type(value) in (int, float) and same == value:
-            return text  # `1.80` may stay as it is
     return _overwritten(text, node.start_mark.index, _end(node), _flow(value))
+
+
+def _is_on_one_line(node: yaml.Node) -> bool:
+    """Whether it is a value, or brackets, that begins and ends in the same line: no comment can be inside."""
+    is_flow = not isinstance(node, yaml.CollectionNode) or bool(node.flow_style)
+    return is_flow and bool(node.start_mark.line == node.end_mark.line)
 
 
 def _overwritten(text: str, start: int, end: int, new: str) -> str:
     """The text with ``new`` from start to end. A comment behind it stays in its column, if it can."""
     old = text[start:end]
-    if _COMMENT.search(old):
+    if "\n" in old and _COMMENT.search(old):
         raise EditError(
             f"the value {old.splitlines()[0].strip()} ... has comments between its brackets",
             "write it with one item a line, each behind a `- `",

@@ -65,6 +65,8 @@ def test_any_values_change_nothing_else(name: str, new: dict[tuple[str | int, ..
     [
         pytest.param("a: 1.80   # why\n", ("a",), 1.8, "a: 1.80   # why\n", id="the same number stays as written"),
         pytest.param("a: 1   # why\n", ("a",), 12.5, "a: 12.5 # why\n", id="a comment stays in its column"),
+        pytest.param("a: [1.0, 2]  # b\n", ("a",), [-1.25, 2], "a: [-1.25, 2] # b\n", id="a comment moves if it must"),
+        pytest.param('a: "x # y" # z\n', ("a",), "u", 'a: "u"     # z\n', id="no comment within quotes"),
         pytest.param("a: [1, 2]", ("a",), [3, 4], "a: [3, 4]", id="no line break at the end"),
         pytest.param("s:\n  a: 1 # x\nt: 2\n", ("s", "b"), True, "s:\n  a: 1 # x\n  b: true\nt: 2\n", id="a new key"),
         pytest.param("s: {a: 1}\n", ("s", "b"), 2, "s: {a: 1, b: 2}\n", id="a new key in braces"),
