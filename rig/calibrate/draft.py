@@ -21,12 +21,14 @@ class Draft:
     data      the keys of the file
     changes   new values by path
     board     name of the device's board, once it is known
+    follows   the strokes have shown that the sensor follows the drive
     """
 
     original: Experiment
     data: Mapping[str, Any]
     changes: Mapping[Path, Value] = field(default_factory=dict)
     board: str = ""
+    follows: bool = False
 
     @property
     def experiment(self) -> Experiment:

@@ -22,6 +22,7 @@ from rig.config.load import load_with_places
 from rig.config.problems import ConfigError, key_of
 from rig.preflight import preflight
 from rig.recording.folder import json_text
+from rig.signals import plain
 
 _NEEDED_BEFORE = ("daq", "drive.bridge", "emulated")  # keys without which no device can be opened
 
@@ -190,7 +191,7 @@ class _Terminal:
             raise _Quit(f"the answers ended at: {question.words}{because}")
         answer = line.rstrip("\r\n")
         if self._echoes:
-            self._echo(answer)
+            self._echo(plain(answer))
         if answer.strip() == "quit":
             raise _Quit("")
         if answer.strip() == "skip":

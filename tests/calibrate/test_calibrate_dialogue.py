@@ -46,10 +46,10 @@ def talk(
     strokes: Iterable[StrokesSeen] = (),
     turned_rad: float = 0.0,
 ) -> Talk:
-    """The whole step with these answers; `(skip)` leaves it out."""
+    """The whole step, or steps, with these answers; `(skip)` leaves it out."""
     done = Talk()
     experiment = load(parse(config, "config").data)
-    dialogue = calibration(Draft(experiment, parse(config, "config").data), [step])
+    dialogue = calibration(Draft(experiment, parse(config, "config").data), step.split())
     said, read, seen = iter(answers), iter(readings), iter(strokes)
     reply: Any = None
     try:
@@ -208,15 +208,21 @@ def test_another_fault_says_its_cure() -> None:
 
 def test_a_dead_band_is_measured_with_the_motor_off() -> None:
     volts = ["0.928", "1.86", "2.784", "-1.20", "-2.10", "-3.00"]  # at duties of 0.12, 0.21, 0.3
-    done = talk(UNO, "dead-band", ["yes", *volts])
+    done = talk(UNO, "strokes dead-band", ["yes", "yes", *volts], strokes=[SEEN])
     assert done.changes == {"drive.dead_band_duty": {"plus": pytest.approx(0.03, abs=0.001), "minus": 0.0}}
     assert [round(r.u_V, 2) for r in done.driven if isinstance(r, Hold)] == [1.2, 2.1, 3.0, -1.2, -2.1, -3.0]
 
 
 def test_a_dead_band_is_not_measured_with_the_motor_on() -> None:
-    done = talk(UNO, "dead-band", ["yes", "(skip)"], turned_rad=0.03)
+    done = talk(UNO, "strokes dead-band", ["yes", "yes", "(skip)"], strokes=[SEEN], turned_rad=0.03)
     assert "the motor is still at the bridge" in done.words
-    assert len(done.driven) == 1 and done.changes == {}
+    assert [type(request) for request in done.driven] == [Strokes, Hold]
+    assert done.changes == {}
+
+
+def test_the_bridge_drives_nothing_before_the_strokes_have_proven_the_sensor() -> None:
+    done = talk(UNO, "dead-band", [])
+    assert done.driven == [] and "the bridge does not drive" in done.words
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,13 @@ _HOLD_S = 5.0  # long enough for a hand-held meter
 def dead_band_step(draft: Draft) -> Steps[Draft]:
     """Sets drive.dead_band_duty. The bridge drives, with no motor at it."""
     e = draft.experiment
+    if not draft.follows:
+        yield Say(
+            "the bridge does not drive: only a sensor that follows the drive can tell that the motor is off.\n"
+            "Do the step `strokes` before this one, in the same go",
+            "refused",
+        )
+        return draft
     answer = yield from choice(
         Say(
             "With the motor's supply off: take the motor off the bridge, put a resistor of 1 kOhm and a voltmeter\n"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rig.calibrate import wiring
 from rig.calibrate.dialogue import Say, Strokes, StrokesSeen
 from rig.calibrate.draft import Draft
@@ -80,7 +82,7 @@ def strokes_step(draft: Draft) -> Steps[Draft]:
 
 def _friction(draft: Draft, seen: StrokesSeen) -> Steps[Draft]:
     """What the strokes have found, and a largest breakaway drive that goes with it."""
-    e = draft.experiment
+    e, draft = draft.experiment, replace(draft, follows=True)
     larger_V = max(seen.plus_V, seen.minus_V)
     yield Say(
         f"the shaft follows the drive, in its sense; it breaks away at {seen.plus_V:.2f} V towards rising positions, "

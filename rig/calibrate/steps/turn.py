@@ -22,7 +22,8 @@ def turn_step(draft: Draft) -> Steps[Draft]:
     error_rad = yield from angle_error(math.radians(2.0))
     while True:
         try:
-            yield Ask("turn the shaft to its zero, the middle of its travel, and press Enter")
+            mark = "a mark" if e.limits.is_endless else "its zero, the middle of its travel,"
+            yield Ask(f"turn the shaft to {mark} and press Enter")
             if not e.limits.is_endless:
                 yield SetZero(e)
             draft, before = yield from standing(draft, Read(e, 0.0))
