@@ -242,6 +242,12 @@ def test_a_turn_of_an_encoder(counts: int, answers: list[str], changes: dict[str
     assert crossing == ([0] if counts < 0 else [])
 
 
+def test_an_encoder_that_has_not_moved() -> None:
+    done = talk(ENCODER, "turn", ["", "", "140", "(skip)"], [0.0, 2.0])
+    assert "the encoder has not moved: +2 counts" in done.words
+    assert [drawing.wires[0] for say in done.said for drawing in say.drawings] == [("D2", "A")]
+
+
 @pytest.mark.parametrize("board", ["uno", "pico", "other"])
 @pytest.mark.parametrize("bridge", ["in1-in2", "pwm-dir"])
 def test_drawings_are_readable_in_both_forms(board: str, bridge: str) -> None:

@@ -37,7 +37,7 @@ def choice(before: Say | None, words: str, choices: tuple[tuple[str, str], ...])
 
 
 def standing(draft: Draft, request: Read) -> Steps[tuple[Draft, Reading]]:
-    """A reading of a shaft that stands, away from the rails; and the draft that knows the board."""
+    """A reading of a shaft that stands, away from the rails; and the draft that knows the board. Raises Refusal."""
     reading: Reading = yield request
     must_stand(reading)
     e = request.experiment
@@ -105,13 +105,12 @@ def angle_error(believed_rad: float) -> Steps[float]:
             "by how many degrees may each angle be off? a printed protractor is good to 0.5", "number", default
         )
         try:
-            if answer.strip() in ("", default):
-                return believed_rad
-            error_deg = number(answer)
-            if not 0.0 < error_deg <= _LARGEST_ERROR_DEG:
-                raise Refusal(
-                    f"{error_deg:g}° is no error of an angle", f"more than 0, at most {_LARGEST_ERROR_DEG:g}°"
-                )
-            return math.radians(error_deg)
+            return believed_rad if answer.strip() in ("", default) else _error_rad(number(answer))
         except Refusal as refusal:
             yield refused(refusal)
+
+
+def _error_rad(error_deg: float) -> float:
+    if not 0.0 < error_deg <= _LARGEST_ERROR_DEG:
+        raise Refusal(f"{error_deg:g}° is no error of an angle", f"more than 0, at most {_LARGEST_ERROR_DEG:g}°")
+    return math.radians(error_deg)

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from rig.calibrate import wiring
-from rig.calibrate.dialogue import Ask, Read, Say, SetZero
+from rig.calibrate.dialogue import Ask, Read, Reading, Say, SetZero
 from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
 from rig.calibrate.steps.questions import MOVED_COUNTS, Steps, angle_error, angle_rad, choice, refused, standing
@@ -33,13 +33,7 @@ def turn_step(draft: Draft) -> Steps[Draft]:
             )
             rad = angle_rad(answer)
             draft, after = yield from standing(draft, Read(e, rad))
-            moved = after.y_counts - before.y_counts
-            if abs(moved) < MOVED_COUNTS:
-                raise Refusal(
-                    f"the encoder has not moved: {moved:+.0f} counts",
-                    "turn the shaft; if you did, look at these wires",
-                    wiring.encoder(draft.board),
-                )
+            moved = _moved_counts(before, after)
             found = turn(moved, rad, error_rad, (encoder.counts_per_turn, encoder.gear))
             break
         except Refusal as refusal:
@@ -72,3 +66,14 @@ def turn_step(draft: Draft) -> Steps[Draft]:
         else:
             yield Say("swap them now, and do this step again after the next start: rig has not seen it work")
     return draft.with_changes(changes)
+
+
+def _moved_counts(before: Reading, after: Reading) -> float:
+    moved = after.y_counts - before.y_counts
+    if abs(moved) < MOVED_COUNTS:
+        raise Refusal(
+            f"the encoder has not moved: {moved:+.0f} counts",
+            "turn the shaft; if you did, look at these wires",
+            wiring.encoder(after.board),
+        )
+    return moved

@@ -89,7 +89,12 @@ def objection(before: Sequence[Angle], new: Angle, belief: Belief) -> Refusal | 
         moved, turned = abs(new.counts - old.counts), abs(new.rad - old.rad)
         if turned == 0.0:
             raise Refusal(f"{_degrees(new.rad)} is given already", "turn the shaft to another angle")
-        if moved < _NOT_MOVED_COUNTS and turned > 2.0 * belief.allowed_rad:
+        if moved < _NOT_MOVED_COUNTS and turned <= 2.0 * belief.allowed_rad:
+            raise Refusal(
+                f"{_degrees(new.rad)} is too near to {_degrees(old.rad)}: {moved:.0f} counts apart",
+                "turn the shaft farther",
+            )
+        if moved < _NOT_MOVED_COUNTS:
             raise Refusal(
                 f"the reading has not moved: {new.counts:.0f} counts at {_degrees(new.rad)}, as at {_degrees(old.rad)}",
                 "turn the shaft; if you did, look at the sensor's wires and its coupling",
