@@ -110,7 +110,7 @@ def test_a_sensor_that_stands_still_is_told() -> None:
 
 
 def test_an_angle_too_near_to_another_is_refused() -> None:
-    with pytest.raises(Refusal, match="0.2° is too near to 0°: 1 counts apart"):
+    with pytest.raises(Refusal, match="is too near to 0°: 1 counts apart"):
         objection([Angle(512, 0.0)], Angle(513, 0.2 * DEGREE), BELIEF)
 
 
