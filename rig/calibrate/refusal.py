@@ -14,3 +14,7 @@ class Refusal(RigError):
         self.cure = cure
         self.drawings = drawings
         super().__init__(f"{cause}\n{cure}")
+
+
+class NotMovedError(Refusal):
+    """The reading stood still while the shaft turned."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from rig.calibrate import wiring
 from rig.calibrate.dialogue import Ask, Read, Say
 from rig.calibrate.draft import Draft
-from rig.calibrate.refusal import Refusal
+from rig.calibrate.refusal import NotMovedError, Refusal
 from rig.calibrate.steps.questions import Steps, angle_error, angle_rad, refused, standing
 from rig.calibrate.sums.angles import Angle, Belief, SensorFit, objection, sensor_fit
 from rig.config.sensor import count_rad
@@ -54,7 +54,7 @@ def angles_step(draft: Draft) -> Steps[Draft]:
             draft, reading = yield from standing(draft, Read(e, rad))
             belief = replace(belief, noise_counts=max(belief.noise_counts, reading.noise_counts))
             new = Angle(reading.y_counts, rad)
-            doubt = _with_wires(objection, draft, angles, new, belief)
+            doubt = _objection(draft, angles, new, belief)
             if doubt is not None and rad != doubted_rad:
                 doubted_rad = rad
                 raise doubt
@@ -93,19 +93,12 @@ def _dropped(angles: list[Angle], number: int) -> str:
     return f"{math.degrees(gone.rad):+.4g}° is dropped; left are {left}"
 
 
-def _with_wires(
-    judge: Callable[[Sequence[Angle], Angle, Belief], Refusal | None],
-    draft: Draft,
-    before: Sequence[Angle],
-    new: Angle,
-    belief: Belief,
-) -> Refusal | None:
-    """As ``judge``; a reading that has not moved comes with the sensor's wires."""
+def _objection(draft: Draft, before: Sequence[Angle], new: Angle, belief: Belief) -> Refusal | None:
+    """As ``objection``; a reading that has not moved comes with the sensor's wires."""
     try:
-        return judge(before, new, belief)
-    except Refusal as refusal:
-        drawings = wiring.sensor(draft.board) if "has not moved" in refusal.cause else ()
-        raise Refusal(refusal.cause, refusal.cure, drawings) from refusal
+        return objection(before, new, belief)
+    except NotMovedError as refusal:
+        raise Refusal(refusal.cause, refusal.cure, wiring.sensor(draft.board)) from refusal
 
 
 def _table(angles: Sequence[Angle], fit: SensorFit) -> str:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.calibrate.refusal import Refusal
+from rig.calibrate.refusal import NotMovedError, Refusal
 
 FEWEST = 3
 FEWEST_FOR_LINEARITY = 5  # angles that show how straight a potentiometer is
@@ -83,7 +83,7 @@ class SensorFit:
 def objection(before: Sequence[Angle], new: Angle, belief: Belief) -> Refusal | None:
     """What speaks against a new angle beside those before; None: nothing. The shaft still stands there.
 
-    Raises Refusal for an angle that cannot be, whatever the others are.
+    Raises NotMovedError, and Refusal for another angle that cannot be, whatever the others are.
     """
     for old in before:
         moved, turned = abs(new.counts - old.counts), abs(new.rad - old.rad)
@@ -95,7 +95,7 @@ def objection(before: Sequence[Angle], new: Angle, belief: Belief) -> Refusal | 
                 "turn the shaft farther",
             )
         if moved < _NOT_MOVED_COUNTS:
-            raise Refusal(
+            raise NotMovedError(
                 f"the reading has not moved: {new.counts:.0f} counts at {_degrees(new.rad)}, as at {_degrees(old.rad)}",
                 "turn the shaft; if you did, look at the sensor's wires and its coupling",
             )
