@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from rig.cli import (
+    calibrate,
     campaign,
     check,
     config,
@@ -58,6 +59,7 @@ def main() -> None:
 
 
 for _command in (
+    calibrate.calibrate,
     campaign.campaign,
     check.check,
     config.ready_configs,
