@@ -149,7 +149,7 @@ def test_the_check_of_a_thorough_config_names_the_sweeps(tmp_path: Path) -> None
 
 def test_a_thorough_run_tells_what_the_plain_run_leaves_open(tmp_path: Path) -> None:
     """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
-    survey = {"speeds_rad_s": [0.7, 0.4], "longest_s": 60}  # enough for a supply, which sags at any speed
+    survey = {"speeds_rad_s": [0.7, 0.3], "longest_s": 60}  # enough for a supply, which sags at any speed
     path = written(tmp_path, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True}, survey=survey)
     outcome = json.loads(rig("run", path, "--out", tmp_path / "runs", "--json").stdout)
     assert any(note.startswith("thorough: the tests left") for note in outcome["notes"])
