@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: stopping campaign-real design emps tracking wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: pages dist docs stopping campaign-real design emps tracking wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -23,7 +23,7 @@ search: .venv/.ready firmware  ## the properties among the tests, with other ran
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
-check: lint types analysis  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
+check: lint types pages analysis  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
 
 lint: .venv/.ready
 	.venv/bin/ruff format --check .
@@ -36,8 +36,16 @@ lint: .venv/.ready
 types: .venv/.ready
 	.venv/bin/mypy
 
+pages: .venv/.ready
+	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+
 analysis: .venv/.ready
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
+
+docs: .venv/.ready  ## the documentation as a site, with a gallery of reports, in build/site
+	.venv/bin/python tools/gallery.py docs/gallery
+	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+	@echo "open build/site/index.html"
 
 format: .venv/.ready  ## format the Python code
 	.venv/bin/ruff check --fix --quiet . || true
@@ -89,6 +97,11 @@ firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/ri
 
 wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
 	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
+
+dist: .venv/.ready  ## wheel and source as they would be published, checked: dist
+	rm -rf dist
+	RIG_FIRMWARE=required .venv/bin/uv build --quiet -o dist
+	.venv/bin/twine check --strict dist/*
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py
