@@ -51,7 +51,8 @@ def written(folder: Path, parts: dict[str, float] | None = None, **sections: obj
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("survey")
-    result = rig("survey", written(folder), "--out", folder / "runs", "--json")
+    sweeps = {"speeds_rad_s": [0.7, 0.4, 0.3], "longest_s": 60}
+    result = rig("survey", written(folder, survey=sweeps), "--out", folder / "runs", "--json")
     outcome: dict[str, Any] = json.loads(result.stdout)
     assert result.exit_code == 0, outcome.get("cause")
     return outcome
