@@ -90,6 +90,12 @@ def test_a_run_is_live_and_nothing_jumps(seen: dict[str, Any]) -> None:
     assert live["live_regions"] == [None, None, "stage", "faults", "silence"], "numbers are not read aloud"
 
 
+def test_without_token_and_uplot_a_narrow_page_still_shows_numbers_and_stop(seen: dict[str, Any]) -> None:
+    watcher = seen["watcher"]
+    assert "You watch. Stop works." in watcher["note"]
+    assert (watcher["start"], watcher["stop"], watcher["too_wide_px"]) == (False, True, 0)
+
+
 def test_stop_is_one_key_anywhere_but_in_text(seen: dict[str, Any]) -> None:
     stopped = seen["stopped"]
     assert stopped["zoomed"] == "false", "space pressed no button but Stop"
@@ -115,5 +121,5 @@ def test_a_jog_ends_with_its_lease_however_the_page_loses_the_bench(seen: dict[s
     if loss == "cut":
         assert lost["held"] == 0
         assert "Stop cannot work" in lost["stop"]
-    if loss == "frozen":
+    if loss == "killed":
         assert lost["stop"] == "Stop did not get through. Use the e-stop."

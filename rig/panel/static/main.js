@@ -136,6 +136,8 @@ byId("take").addEventListener("click", () => connection.send({ type: "take" }));
 addEventListener("hashchange", route);
 
 connection.open();
-show(byId("no-uplot"), !(await loadPlots()));
+const curves = await loadPlots();
+show(byId("no-uplot"), !curves);
+for (const id of ["plot-y", "plot-u", "plot-overlay", "zoom"]) show(byId(id), curves);
 bench.start();
 route();

@@ -130,6 +130,22 @@ const steps = {
     await picture("live");
   },
 
+  async is_watched_without_a_token_and_without_uplot() {
+    const context = await browser.newContext({ viewport: { width: 360, height: 740 }, colorScheme: "dark" });
+    const watcher = await context.newPage();
+    await watcher.route("**/uPlot.esm.js", (route) => route.abort());
+    await watcher.goto(new URL("/", url).href);
+    await watcher.waitForFunction(() => document.getElementById("y").textContent !== "–" && !document.getElementById("no-uplot").hidden);
+    seen.watcher = {
+      note: await watcher.locator("#watcher").textContent(),
+      start: await watcher.isEnabled("#start"),
+      stop: await watcher.isEnabled("#stop"),
+      too_wide_px: await watcher.evaluate(() => document.documentElement.scrollWidth - innerWidth),
+    };
+    if (shots) await watcher.screenshot({ path: `${shots}/watcher.png` });
+    await context.close();
+  },
+
   async stops_by_a_key() {
     await page.focus("#zoom");
     await page.keyboard.press("Space");
@@ -193,21 +209,22 @@ const steps = {
     });
     Object.assign(seen.frozen, { words: await text("silence") });
     await page.mouse.up();
-    // a Stop that cannot get through says so
-    await page.locator("#stop").click();
-    await says("stop-state", "did not get through");
-    seen.frozen.stop = await text("stop-state");
     process.kill(panel_pid, "SIGCONT");
     await until("connected again", () => document.getElementById("silence").hidden);
   },
 
   async jogs_until_the_panel_is_killed() {
-    await says("lamp", "Idle"); // the Stop of before arrived with the thaw, and ended that jog
     seen.killed = await jogUntil(async () => {
       process.kill(panel_pid, "SIGKILL");
       await says("silence", "Not connected");
     });
     Object.assign(seen.killed, { words: await text("silence") });
+    await page.mouse.up();
+    // a Stop that cannot get through says so
+    await page.locator("#stop").click();
+    await says("stop-state", "did not get through");
+    seen.killed.stop = await text("stop-state");
+    await picture("killed");
   },
 };
 
