@@ -121,6 +121,10 @@ def identify(
     found = _found(data)
     chosen = [e for e in wanted if methods or e.series(data)]
     errors = _add_estimates(chosen, data, found)
+    leading = found.estimates.get(LEADING)
+    if leading is not None and leading.verdict == "refused" and data.take_searches():
+        found = _found(data)
+        errors = _add_estimates(chosen, data, found)
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
         errors = _add_estimates(chosen, data, found)

@@ -76,6 +76,29 @@ class Measurements:
         self.further = [(late[id(series)], number) for series, number in self.further]
         self.sources = [(name, [late.get(id(series), series) for series in each]) for name, each in self.sources]
 
+    def take_searches(self) -> bool:
+        """Read the gain searches as tests, too, before the others; whether there were any.
+
+        For tests that are too short to tell a motor: the run ended soon after its search.
+        """
+        found = [(one, k) for one, k in self.further if one.stage is not None and one.stage.kind is StageKind.SEARCH]
+        if not found:
+            return False
+        searches = [search for search, _ in found]
+        kept = [(one, k + len(found)) for one, k in self.further if all(one is not search for search in searches)]
+        names = [self.recording_of[number] for _, number in found]
+        self.further = kept
+        short = " and ".join(test.name for test in self.tests)
+        self.notes.append(f"{short}: too little alone to tell the motor: the gain search is a test, too")
+        self.tests = [*searches, *self.tests]
+        self.cycles = [*([None] * len(found)), *self.cycles]
+        self.recording_of = [*names, *self.recording_of]
+        self.sources = [
+            (name, [*(s for s, own in zip(searches, names, strict=True) if own == name), *each])
+            for name, each in self.sources
+        ]
+        return True
+
 
 def measurements(
     recordings: Sequence[Recording], *, with_cycles: bool, plain_is_hysteretic: bool, without: Sequence[str] = ()

@@ -27,6 +27,7 @@ from rig.identify.starts import Start, grid_starts, ridge_starts
 from rig.model.sensitivity import Theta, position
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries, Window, joined_times_s, spread_rad
+from rig.recording.stage import StageKind
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,12 @@ class SampledData(Estimator):
         if data.settled:
             first = data.settled[0]
             starts = ridge_starts(first.omega_rad_s, first.amplitude_rad, first.h1_V, first.h2_V)
-        of_tests = fit(data.tests, starts, periods_s=data.periods_s)
-        found = together(of_tests, data.tests, data.beside)
+        searches = [test for test in data.tests if test.stage is not None and test.stage.kind is StageKind.SEARCH]
+        tests, beside, periods_s = data.tests, data.beside, data.periods_s
+        if 0 < len(searches) < len(tests):  # the others tell too little alone
+            tests, beside, periods_s = searches, [*tests[len(searches) :], *beside], [None] * len(searches)
+        of_tests = fit(tests, starts, periods_s=periods_s)
+        found = together(of_tests, tests, beside)
         estimate = replace(found.estimate, remarks=found.remarks)
         return estimate.judged("doubtful", *found.objections) if found.objections else estimate
 

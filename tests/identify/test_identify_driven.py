@@ -74,6 +74,17 @@ def test_a_run_that_ends_in_its_search_or_soon_after_tells_the_motor_by_it(run: 
         assert getattr(estimate, name) == pytest.approx(true, rel=0.005)
 
 
+def test_a_test_that_is_too_short_to_tell_the_motor_by_itself_leaves_it_to_the_search(run: Recording) -> None:
+    short = run.select(0, run.stage_rows("relay-1").start + 50)
+    assert plain(short, "search").verdict == "refused"
+    found = identify([short], LED_BY, choose_law=False)
+    assert any("too little alone to tell the motor" in note for note in found.notes)
+    estimate = leading(found)
+    assert estimate.verdict == "ok"
+    for name, true in TRUTH.items():
+        assert getattr(estimate, name) == pytest.approx(true, rel=0.005)
+
+
 def test_short_tests_that_never_settled_are_enough_beside_the_search(run: Recording) -> None:
     """As a run has them that stops when its motor is known: a second or so of each relay."""
     first, second = run.stage_rows("relay-1"), run.stage_rows("relay-2")
