@@ -20,6 +20,7 @@ def pico_parameters(
     clock_error_ppm: float = 0.0,
     options: UnoOptions = PLAIN_UNO,
     dead_time_s: float = 0.0,
+    wires: int | None = None,
     build_folder: Path | None = None,
 ) -> dict[str, Any]:
     """What a ``VirtualPico`` is made of; firmware and emulator are built.
@@ -29,6 +30,7 @@ def pico_parameters(
     clock_error_ppm  of the chip's clock against virtual time
     options          that the firmware is built with
     dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    wires            of a loop-back on a bare board, whose bench is not there: as of ``VirtualChip``
     build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator is missing or cannot be built.
     """
@@ -44,4 +46,5 @@ def pico_parameters(
         "bridge": options.bridge,
         "dead_time_s": dead_time_s,
         "clock_error_ppm": clock_error_ppm,
+        "wires": wires,
     }

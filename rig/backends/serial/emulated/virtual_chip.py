@@ -102,6 +102,8 @@ class VirtualChip(VirtualDevice):
     clock_error_ppm  of the chip's clock against virtual time
     options          that the firmware is built with
     dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    wires            of a loop-back on a bare board, whose bench is not there (``rig doctor --loopback``): 1 of PWM or
+                     IN1, 2 of direction or IN2, 4 of the e-stop. None: no bare board
     measure          count masked interrupts and time spent in them: 3 to 10 times as slow
     build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
@@ -116,11 +118,14 @@ class VirtualChip(VirtualDevice):
         options: UnoOptions = PLAIN_UNO,
         dead_time_s: float = 0.0,
         measure: bool = False,
+        wires: int | None = None,
         build_folder: Path | None = None,
     ) -> None:
         firmware = firmware_build.build_chip(options, build_folder)
         wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
+        if wires is not None:
+            wanted["bare"] = str(wires)
         super().__init__(_load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
 
     def truth(self) -> ChipTruth:

@@ -1,0 +1,144 @@
+#include "loopback.h"
+
+#include <avr/interrupt.h>
+#include <util/atomic.h>
+
+#include "clock.h"
+#include "wiring.h"
+
+#define ENDS ((uint8_t)(PIN_WIRE_A | PIN_WIRE_B))
+#define PATIENCE 200u /* looks at the e-stop's input, some 60 us: its pull-up has to lift a wire */
+#define LOOKS 256u    /* for a share: eight periods, less than half a tick */
+
+static volatile uint8_t ends_before; /* of the ends, at the last edge */
+static volatile uint16_t rises[2];
+static volatile uint32_t last_us[2];
+static volatile uint32_t estop_us;
+
+static inline void note_edge(uint8_t which, bool is_high, uint32_t now_us)
+{
+    last_us[which] = now_us;
+    if (is_high) {
+        rises[which]++;
+    }
+}
+
+ISR(PCINT1_vect)
+{
+    const uint8_t now = (uint8_t)(PINC & ENDS);
+    const uint8_t changed = (uint8_t)(now ^ ends_before);
+    const uint32_t now_us = clock_us();
+    ends_before = now;
+    if ((changed & PIN_WIRE_A) != 0u) {
+        note_edge(0, (now & PIN_WIRE_A) != 0u, now_us);
+    }
+    if ((changed & PIN_WIRE_B) != 0u) {
+        note_edge(1, (now & PIN_WIRE_B) != 0u, now_us);
+    }
+}
+
+/* Low closes the contact that is not there; as an input the pin leaves it to the pull-up of the e-stop's. */
+static void open_estop(bool open)
+{
+    if (open) {
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+        {
+            estop_us = clock_us();
+            clear_bits(&DDRC, PIN_ESTOP_WIRE);
+        }
+    } else {
+        clear_bits(&PORTC, PIN_ESTOP_WIRE);
+        set_bits(&DDRC, PIN_ESTOP_WIRE);
+    }
+}
+
+static bool estop_becomes(uint8_t level)
+{
+    bool is = false;
+    for (uint8_t i = 0; i < PATIENCE && !is; i++) {
+        is = (PIND & PIN_ESTOP) == level;
+    }
+    return is;
+}
+
+static void disconnect(void)
+{
+    PCICR = BIT(PCIE2);
+    PCMSK1 = 0;
+    clear_bits(&DDRC, PIN_ESTOP_WIRE);
+    clear_bits(&PORTC, PIN_WIRE_A);
+    clear_bits(&PORTC, PIN_WIRE_B);
+}
+
+static bool connect(void)
+{
+    disconnect();
+    set_bits(&PORTC, PIN_WIRE_A); /* a pull-up: an end without its wire is high */
+    set_bits(&PORTC, PIN_WIRE_B);
+    open_estop(false);
+    bool follows = estop_becomes(0u);
+    open_estop(true);
+    follows = estop_becomes(PIN_ESTOP) && follows;
+    open_estop(false);
+    follows = estop_becomes(0u) && follows;
+    ends_before = (uint8_t)(PINC & ENDS);
+    PCMSK1 = (uint8_t)(BIT(PCINT11) | BIT(PCINT12));
+    PCICR = (uint8_t)(BIT(PCIE2) | BIT(PCIE1));
+    return follows;
+}
+
+static inline uint8_t bit_of(uint8_t byte, uint8_t which)
+{
+    return (uint8_t)((uint8_t)(byte >> which) & 1u);
+}
+
+/* A look takes as long at a high pin as at a low one, or the share would be wrong. */
+static void count_highs(rig_loopback_view *view)
+{
+    uint16_t wire_a = 0;
+    uint16_t wire_b = 0;
+    uint16_t output_a = 0;
+    uint16_t output_b = 0;
+    PCICR = BIT(PCIE2); /* else each edge would hide what follows it */
+    for (uint16_t i = 0; i < LOOKS; i++) {
+        const uint8_t ends = PINC;    /* PC3 and PC4 */
+        const uint8_t outputs = PINB; /* PB1 and the other */
+        wire_a += bit_of(ends, 3u);
+        wire_b += bit_of(ends, 4u);
+        output_a += bit_of(outputs, 1u);
+        output_b += bit_of(outputs, OTHER);
+    }
+    PCICR = (uint8_t)(BIT(PCIE2) | BIT(PCIE1));
+    view->wire[0].wire_highs = wire_a;
+    view->wire[1].wire_highs = wire_b;
+    view->wire[0].pin_highs = output_a;
+    view->wire[1].pin_highs = output_b;
+    view->looks = LOOKS;
+}
+
+static void look(rig_loopback_view *view, bool share)
+{
+    if (share) {
+        count_highs(view);
+    }
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        const uint8_t ends = PINC;
+        view->high = (uint8_t)(((ends & PIN_WIRE_A) != 0u ? 1u : 0u) | ((ends & PIN_WIRE_B) != 0u ? 2u : 0u));
+        view->estop_us = estop_us;
+        for (uint8_t i = 0; i < 2u; i++) {
+            view->wire[i].rises = rises[i];
+            view->wire[i].last_us = last_us[i];
+        }
+    }
+}
+
+static void hang_up(void)
+{
+    for (;;) {
+    }
+}
+
+const rig_loopback_board LOOPBACK = {
+    .begin = connect, .end = disconnect, .open_estop = open_estop, .look = look, .hang_up = hang_up
+};
