@@ -190,6 +190,7 @@ static void tick(void)
         wdt_reset();
     }
     rig_tick(&core);
+    loopback_tick();
     show();
 }
 

@@ -12,6 +12,7 @@
 //   - WFI with interrupts masked enters the handler, and one that came before is slept through: it only ends the sleep;
 //   - entering an interrupt and leaving it take no time: 15 and 13 cycles here (ARM DDI 0484C, and 2.4);
 //   - CHIP_RESET cannot be read, and all peripherals are out of reset from the start;
+//   - its timer counts on through a reset: what the program reads and sets of it is from the reset on;
 //   - its watchdog calls back, for ever, and its reset() erases the flash: a reset is a new chip on the same clock;
 //   - its peripherals take no note of what the data sheet forbids: the first rule that the program breaks is kept.
 // Flash takes it no time: the program runs from memory, which takes the chip none, either. There is one core.
@@ -30,6 +31,8 @@ const [IO_BANK0, PADS_BANK0, RESETS] = [0x40014, 0x4001c, 0x4000c];
 const IN_RESET = { [IO_BANK0]: 5, [PADS_BANK0]: 8, [PWM]: 14, 0x40054: 21, [UART0]: 22, [ADC]: 0 }; // bits of RESETS
 const [RESET, RESET_DONE, ALL_RESETS] = [0x0, 0x8, 0x1ffffff];
 const [TIMER_IRQ, UART_IRQ] = [0, 20];
+const TIMER = 0x40054;
+const IS_TIME = new Set([0x10, 0x28]); // registers: ALARM0, TIMERAWL
 const [NULL, FUNCTION_PWM, FUNCTION_SIO] = [0x1f, 4, 5];
 const [PIN_A, PIN_B, PIN_LED] = [16, 17, 25]; // boards/pico/wiring.h
 const CONTACTS = { e_stop: [14, 1], end_low: [12, 2], end_high: [13, 4] }; // pins, and bits of the bench's contacts
@@ -195,9 +198,19 @@ class Chip {
       [PWM]: this.pwm,
       [CHIP_RESET]: new ChipReset(this.chipReset),
     });
+    this.#connectTimer();
     this.#connectResets();
     this.#connectPins();
     this.#connectCore();
+  }
+
+  // A reset sets the timer to 0; that of rp2040js is the clock that outlives it.
+  #connectTimer() {
+    const timer = this.mcu.peripherals[TIMER];
+    const before_us = Math.floor(this.clock.nanos / 1000);
+    const [read, write] = [timer.readUint32.bind(timer), timer.writeUint32.bind(timer)];
+    timer.readUint32 = (offset) => (IS_TIME.has(offset) ? (read(offset) - before_us) >>> 0 : read(offset));
+    timer.writeUint32 = (offset, value) => write(offset, IS_TIME.has(offset) ? (value + before_us) >>> 0 : value);
   }
 
   #connectResets() {
