@@ -120,7 +120,7 @@ def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, 
         else:
             click.echo(f"found: {found}")
             port = found.device
-    file = hex_file or _shipped(f"{options.name}.hex") or build_uno(options)
+    file = hex_file or _shipped("uno", f"{options.name}.hex") or build_uno(options)
     command = uno.avrdude_command(avrdude or "avrdude", port, file)
     if dry_run:
         click.echo(f"would run: {shlex.join(command)}")
@@ -143,7 +143,7 @@ def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: 
     from rig.backends.serial.emulated.firmware_build import build_pico
     from rig.backends.serial.flash import FlashError, check_build, in_words, meet
 
-    program = uf2 or _shipped(f"{options.name_for('pico')}.uf2") or build_pico(options)
+    program = uf2 or _shipped("pico", f"{options.name_for('pico')}.uf2") or build_pico(options)
     try:
         folder = pico.find_drive(drive)
     except FlashError as none:
@@ -170,15 +170,15 @@ def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: 
         click.echo(f"before you switch on the motor's supply: {pico.AT_REST[_bridge(options)]}")
 
 
-def _shipped(file: str) -> Path | None:
+def _shipped(board: str, file: str) -> Path | None:
     """The file that came with rig, which is said; None where there is none."""
-    from rig.backends.serial.flash import NEVER_RUN, REAL_CHIP_REPORT, prebuilt
+    from rig.backends.serial.flash import NEVER_RUN, REAL_CHIP_REPORTS, prebuilt
 
     found = prebuilt(file)
     if found is None:
         return None
     click.echo(str(found))
-    if REAL_CHIP_REPORT is None:
+    if board not in REAL_CHIP_REPORTS:
         click.echo(NEVER_RUN)
     return found.path
 

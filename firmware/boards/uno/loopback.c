@@ -2,12 +2,14 @@
 
 #include <avr/interrupt.h>
 #include <util/atomic.h>
+#include <util/delay_basic.h>
 
 #include "clock.h"
 #include "wiring.h"
 
 #define PATIENCE 200u /* looks at the e-stop's input, some 60 us: its pull-up has to lift a wire */
-#define LOOKS 256u    /* for a share: eight periods, less than half a tick */
+#define STRETCHES 8u  /* of looks at a share, each of about a period; all take less than half a tick */
+#define LOOKS 32u     /* in a stretch */
 
 static volatile uint8_t ends_before; /* at the last edge */
 static volatile uint16_t rises[2];
@@ -20,26 +22,21 @@ static uint32_t estop_us;
 /* As short as it can be: it comes 40,000 times a second. */
 ISR(PCINT1_vect)
 {
+    const uint8_t count = TCNT2;
+    const uint8_t tick = clock_tick();
     const uint8_t now = PINC;
     const uint8_t differ = (uint8_t)(now ^ ends_before);
     ends_before = now;
+    changed |= differ;
     if ((differ & PIN_WIRE_A) != 0u) {
-        const clock_stamp at = clock_now();
-        last_tick[0] = at.tick;
-        last_count[0] = at.count;
-        changed |= PIN_WIRE_A;
-        if ((now & PIN_WIRE_A) != 0u) {
-            rises[0]++;
-        }
+        last_tick[0] = tick;
+        last_count[0] = count;
+        rises[0] += (uint8_t)((now & PIN_WIRE_A) != 0u);
     }
     if ((differ & PIN_WIRE_B) != 0u) {
-        const clock_stamp at = clock_now();
-        last_tick[1] = at.tick;
-        last_count[1] = at.count;
-        changed |= PIN_WIRE_B;
-        if ((now & PIN_WIRE_B) != 0u) {
-            rises[1]++;
-        }
+        last_tick[1] = tick;
+        last_count[1] = count;
+        rises[1] += (uint8_t)((now & PIN_WIRE_B) != 0u);
     }
 }
 
@@ -130,20 +127,23 @@ static void count_highs(rig_loopback_view *view)
     uint16_t output_a = 0;
     uint16_t output_b = 0;
     PCICR = BIT(PCIE2); /* else each edge would hide what follows it */
-    for (uint16_t i = 0; i < LOOKS; i++) {
-        const uint8_t ends = PINC;    /* PC3 and PC4 */
-        const uint8_t outputs = PINB; /* PB1 and the other */
-        wire_a += bit_of(ends, 3u);
-        wire_b += bit_of(ends, 4u);
-        output_a += bit_of(outputs, 1u);
-        output_b += bit_of(outputs, OTHER);
+    for (uint8_t stretch = 1; stretch <= STRETCHES; stretch++) {
+        _delay_loop_1(stretch); /* else each period is looked at in the same places */
+        for (uint8_t i = 0; i < LOOKS; i++) {
+            const uint8_t ends = PINC;    /* PC3 and PC4 */
+            const uint8_t outputs = PINB; /* PB1 and the other */
+            wire_a += bit_of(ends, 3u);
+            wire_b += bit_of(ends, 4u);
+            output_a += bit_of(outputs, 1u);
+            output_b += bit_of(outputs, OTHER);
+        }
     }
     PCICR = (uint8_t)(BIT(PCIE2) | BIT(PCIE1));
     view->wire[0].wire_highs = wire_a;
     view->wire[1].wire_highs = wire_b;
     view->wire[0].pin_highs = output_a;
     view->wire[1].pin_highs = output_b;
-    view->looks = LOOKS;
+    view->looks = STRETCHES * LOOKS;
 }
 
 static void look(rig_loopback_view *view, bool share)

@@ -107,7 +107,7 @@ class Code(IntEnum):
 
 
 class LoopbackAct(IntEnum):
-    """What a LOOPBACK asks for: end, begin, counts alone, counts and shares, e-stop open or closed, a hung main loop."""
+    """What a LOOPBACK asks for. LOOK: edges; SHARE: those, and shares; OPEN, CLOSE: the e-stop; HANG: the main loop."""
 
     END = 0
     BEGIN = 1
@@ -142,8 +142,8 @@ class Hello(NamedTuple):
     board        key of BOARDS
     reset_cause  bits of RESET_CAUSES
     bridge       key of BRIDGES; 0: none
-    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, can look at its own
-                 outputs, runs strokes
+    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, can look at
+                 its own outputs, runs strokes
     counts_max   largest reading of the position sensor, counts; 0: an encoder, which has none
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32

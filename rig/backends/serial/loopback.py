@@ -14,7 +14,7 @@ from typing import NamedTuple
 from rig.backends.driver import Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import TimedExchange, fit_device_clock
-from rig.backends.serial.exchange import Exchange
+from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Loopback, LoopbackAct, Setup
 from rig.backends.serial.introduction import await_introduction
 from rig.faults import Fault
@@ -23,12 +23,13 @@ PART = 2  # of full duty, that a board gives at most in loop-back
 WATCHDOG_MS = 100
 REPEATS = 5
 _SHARES = (0.25, -0.25, 0.5, -0.5)  # of full duty
-_LOOKS = 8  # at each share
+_LOOKS = 25  # at each share
 _CLOCK_EXCHANGES = 120
 _COUNT_S = 0.2  # over which edges and ticks are counted
 _AFTER_S = 0.1  # beyond the watchdog time, until the wires are looked at
 _RESTART_S = 8.0  # with a boot loader
 _PAUSE_S = 0.02
+_TIMEOUT_S, _OPEN_S = 0.1, 5.0
 _HALF = 1 << 31
 _RESET_BEFORE_S = 0.25
 
@@ -59,7 +60,6 @@ class Trip(NamedTuple):
 class Restart(NamedTuple):
     """What the board's main loop hanging up led to.
 
-    drive_off_s  until the last edge before the reset, from the request on, as far as the host has seen it: not measured
     after_s      from the request to the restart; None: the board never answered again
     causes       of the reset, in words
     forgot       neither armed nor driving, and the session is gone
@@ -104,21 +104,22 @@ class Measured:
     restart: Restart | None = None
 
 
-def measure(transport: Transport, timeout_s: float = 0.1, open_s: float = 5.0) -> Measured:
+def measure(transport: Transport, repeats: int = REPEATS) -> Measured:
     """Ask a board who it is, and let it look at its own outputs. The transport is left open, the board disarmed.
 
+    repeats  of each silence and each opening of the e-stop, at least 1
     Raises Fault LINK_HELLO, LINK_LOST, LINK_TIMEOUT or LINK_VERSION; LINK_REJECTED where its firmware has no loop-back.
     """
-    return _Board(transport, timeout_s, open_s).measure()
+    return _Board(transport, repeats).measure()
 
 
 class _Board:
     """A board, and the exchanges with it."""
 
-    def __init__(self, transport: Transport, timeout_s: float, open_s: float) -> None:
+    def __init__(self, transport: Transport, repeats: int) -> None:
         self._transport = transport
-        self._exchange = Exchange(transport, timeout_s)
-        self._open_s = open_s
+        self._exchange = Exchange(transport, _TIMEOUT_S)
+        self._repeats = repeats
         self._session = 1 + int(1e3 * time.time()) % 0x7FFFFFFE
         self._opened_s = transport.now_s()
         self._full = 0
@@ -143,7 +144,7 @@ class _Board:
             moving = _moving(found.shares)
             if moving is not None:
                 sign, end = moving
-                found.watchdog = [self._fall_silent(sign, end) for _ in range(REPEATS)]
+                found.watchdog = [self._fall_silent(sign, end) for _ in range(self._repeats)]
                 self._stop(found, sign, end)
                 if all(trip.after_s is not None for trip in (*found.watchdog, *found.estop)):
                     found.restart = self._hang(sign)
@@ -155,7 +156,7 @@ class _Board:
     # ------------------------------------------------------------------ who it is, and how fast
 
     def _meet(self) -> Hello:
-        introduction = await_introduction(self._transport, self._exchange.reader, self._open_s)
+        introduction = await_introduction(self._transport, self._exchange.reader, _OPEN_S)
         self._exchange.seq = introduction.requests
         return introduction.hello
 
@@ -179,7 +180,12 @@ class _Board:
 
     def _loopback(self, act: LoopbackAct) -> Loopback | None:
         """What the board sees; None where it refuses for want of wires."""
-        packet = self._exchange.answer(self._exchange.send(Kind.LOOPBACK, bytes((act,))), Kind.LOOPBACK_REPLY)
+        only_looks = act in (LoopbackAct.LOOK, LoopbackAct.SHARE)
+        packet = None
+        for _ in range(ATTEMPTS if only_looks else 1):  # a second opening would tell another time
+            packet = self._exchange.answer(self._exchange.send(Kind.LOOPBACK, bytes((act,))), Kind.LOOPBACK_REPLY)
+            if packet is not None:
+                break
         if packet is None:
             raise self._exchange.silence(Kind.LOOPBACK)
         if packet.kind == Kind.NACK:
@@ -254,13 +260,14 @@ class _Board:
         found.shares.append(_share(0.0, [self._look(LoopbackAct.SHARE)]))
         for drive in _SHARES:
             self._start(drive)
-            found.shares.append(_share(drive, [self._driven_look(drive) for _ in range(_LOOKS)]))
+            found.shares.append(_share(drive, [self._driven_look(drive, number) for number in range(_LOOKS)]))
             if drive == max(_SHARES) or drive == min(_SHARES):
                 self._count(found, drive)
             self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY)
 
-    def _driven_look(self, drive: float) -> Loopback:
+    def _driven_look(self, drive: float, number: int) -> Loopback:
         self._drive(drive)
+        self._wait(1e-5 * (number % 7))  # at all phases of a pulse
         return self._look(LoopbackAct.SHARE)
 
     def _count(self, found: Measured, drive: float) -> None:
@@ -296,7 +303,7 @@ class _Board:
         return Trip(after_s, state.fault if state.status & frames.STATUS_FAULT else 0)
 
     def _stop(self, found: Measured, sign: int, end: int) -> None:
-        for _ in range(REPEATS):
+        for _ in range(self._repeats):
             self._start(sign * 0.5)
             opened = self._look(LoopbackAct.OPEN)
             trip = self._tell(self._after(opened.estop_us, end))
