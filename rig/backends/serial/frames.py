@@ -380,8 +380,8 @@ class Loopback(NamedTuple):
     @classmethod
     def unpack(cls, body: bytes) -> Self:
         """From a body of the right length (struct.error otherwise)."""
-        fields = _LOOPBACK.unpack(body)
-        return cls(*fields[:5], (LoopbackEnd(*fields[5:9]), LoopbackEnd(*fields[9:])))
+        now_us, ticks, estop_us, looks, high, *ends = _LOOPBACK.unpack(body)
+        return cls(now_us, ticks, estop_us, looks, high, (LoopbackEnd(*ends[:4]), LoopbackEnd(*ends[4:])))
 
 
 class Nack(NamedTuple):
