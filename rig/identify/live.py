@@ -194,7 +194,7 @@ class LiveFit:
         return estimate
 
     def _looks_late(self, fit: Fit, moving_s: float) -> bool:
-        """Whether a delay that no row tells is looked for: the residual is strange, and was not while less was driven."""
+        """Whether to look for a delay that no row tells: the residual is strange, and the record has doubled since."""
         free = self._late or DELAY in fit.problem.free
         return not free and math.sqrt(unit(fit)) > STRANGE and moving_s > 2.0 * self._late_at
 
