@@ -12,7 +12,7 @@ import click
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.serial.emulated.firmware_build import UnoOptions
+    from rig.backends.serial.emulated.firmware_build import Variant
 
 
 @click.command()
@@ -72,13 +72,13 @@ def flash(
 
     Switch off the motor's supply first: while a board is written, its pins float.
     """
-    from rig.backends.serial.emulated.firmware_build import UnoOptions
+    from rig.backends.serial.emulated.firmware_build import Variant
     from rig.backends.serial.flash import FlashError
 
-    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
+    options = Variant(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
     given, name = (hex_file, "--hex") if board == "uno" else (uf2, "--uf2")
     _refuse_the_other_boards(board, hex_file, uf2, drive)
-    if given is not None and options != UnoOptions(baud=int(baud)):
+    if given is not None and options != Variant(baud=int(baud)):
         fail(
             EXIT_BAD_INPUT,
             f"with {name} only --baud has an effect: the file is built already",
@@ -102,7 +102,7 @@ def _refuse_the_other_boards(board: str, hex_file: Path | None, uf2: Path | None
         fail(EXIT_BAD_INPUT, f"--{'drive' if uf2 is None else 'uf2'} is for the Pico", "say so: --board pico")
 
 
-def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, dry_run: bool) -> None:
+def _flash_uno(options: Variant, port: str | None, hex_file: Path | None, *, dry_run: bool) -> None:
     from rig.backends.serial import flash as uno
     from rig.backends.serial.emulated.firmware_build import build_uno
 
@@ -138,7 +138,7 @@ def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, 
         click.echo(f"before you switch on the motor's supply: {uno.AT_REST[_bridge(options)]}")
 
 
-def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
+def _flash_pico(options: Variant, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
     from rig.backends.serial import flash_pico as pico
     from rig.backends.serial.emulated.firmware_build import build_pico
     from rig.backends.serial.flash import FlashError, check_build, in_words, meet
@@ -183,5 +183,5 @@ def _shipped(board: str, file: str) -> Path | None:
     return found.path
 
 
-def _bridge(options: UnoOptions) -> str:
+def _bridge(options: Variant) -> str:
     return options.bridge.lower().replace("_", "-")

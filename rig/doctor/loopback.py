@@ -21,7 +21,7 @@ from rig.doctor.finding import Finding
 from rig.package import VERSION
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.serial.emulated.firmware_build import UnoOptions
+    from rig.backends.serial.emulated.firmware_build import Variant
 
 EMULATED_PORTS = ("emulated-chip", "emulated-pico")
 DRAWING = """loop-back: a bare board on its USB cable and three wires. No bridge, no motor, nothing else.
@@ -289,9 +289,9 @@ def bare_board(port: str, baud: int) -> Iterator[Transport]:
     Raises Fault LINK_OPEN; EmulationError where it cannot be built.
     """
     if port in EMULATED_PORTS:
-        from rig.backends.serial.emulated.firmware_build import UnoOptions
+        from rig.backends.serial.emulated.firmware_build import Variant
 
-        board = emulated_board(port, UnoOptions(baud=baud))
+        board = emulated_board(port, Variant(baud=baud))
     else:
         from rig.backends.links.serial_port import SerialPort
 
@@ -302,7 +302,7 @@ def bare_board(port: str, baud: int) -> Iterator[Transport]:
         board.close()
 
 
-def emulated_board(port: str, options: UnoOptions, wires: int = 7) -> Transport:
+def emulated_board(port: str, options: Variant, wires: int = 7) -> Transport:
     """A bare emulated board: ``wires`` as of ``VirtualChip``."""
     from rig.backends.serial.emulated.pico_parameters import pico_parameters
     from rig.backends.serial.emulated.virtual_chip import VirtualChip

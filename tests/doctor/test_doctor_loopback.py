@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.cli import main
 from rig.doctor.loopback import Visit, emulated_board, visit_board
 
@@ -31,7 +31,7 @@ INVERTED = {
 }
 
 
-def visited(board: str, wires: int = 7, options: UnoOptions = firmware_build.PLAIN_UNO) -> Visit:
+def visited(board: str, wires: int = 7, options: Variant = firmware_build.PLAIN_VARIANT) -> Visit:
     transport = emulated_board(BOARDS[board], options, wires)
     try:
         return visit_board(transport, repeats=1)
@@ -95,7 +95,7 @@ def test_a_bare_board_is_measured_and_a_report_written(tmp_path: Path) -> None:
     ],
 )
 def test_a_missing_wire_is_told_from_a_wrong_output(wires: int, topic: str, words: str) -> None:
-    options = UnoOptions("IN1_IN2", 1_000_000, end_switches=True, encoder=True)
+    options = Variant("IN1_IN2", 1_000_000, end_switches=True, encoder=True)
     found = bad(visited("uno", wires, options))
     assert set(found) == {topic}  # all else that can be measured is, and is right
     assert words in found[topic]

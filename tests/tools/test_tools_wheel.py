@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 
 ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
@@ -54,7 +54,7 @@ def test_the_wheel_holds_every_variant_of_the_firmware_the_same_from_another_fol
         }
     assert held == {path.name: path.read_bytes() for path in (tmp_path / "out/prebuilt").iterdir()}
     wired = list(itertools.product((False, True), repeat=4))
-    every = [UnoOptions(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
+    every = [Variant(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
     files = {f"{one.name}.hex" for one in every} | {f"{one.name_for('pico')}.uf2" for one in every}
     assert held.keys() == files | {"SHA256SUMS"}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
 
 _BITS_PER_BYTE = 10
@@ -18,7 +18,7 @@ def pico_parameters(
     seed: int = 1,
     *,
     clock_error_ppm: float = 0.0,
-    options: UnoOptions = PLAIN_UNO,
+    options: Variant = PLAIN_VARIANT,
     dead_time_s: float = 0.0,
     wires: int | None = None,
     build_folder: Path | None = None,
