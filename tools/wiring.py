@@ -167,6 +167,7 @@ def draw(pin: dict[str, str]) -> str:
     _bridge(d, pin)
     _motor_supply(d)
     _other_bridge(d, pin)
+    _encoder(d, pin)
     _legend(d)
     return d.svg()
 
@@ -310,6 +311,26 @@ def _motor_supply(d: Drawing) -> None:
     d.line((940, 360), (940, 372))
     d.joint(940, 360)
     d.text(962, 386, "here all grounds meet", kind="dim")
+
+
+def _encoder(d: Drawing, pin: dict[str, str]) -> None:
+    """Instead of the potentiometer; the pull-ups are in the chip."""
+    d.text(20, 736, "An encoder instead of the potentiometer: --encoder", kind="name")
+    d.rectangle(20, 750, 130, 160)
+    d.text(85, 846, "quadrature", "middle", "name")
+    d.text(85, 864, "encoder", "middle", "name")
+    d.rectangle(300, 750, 130, 160)
+    d.text(365, 862, "Arduino Uno", "middle", "name")
+    for y, there, here in (
+        (770, "5V", "5V"),
+        (805, "A", pin["PIN_ENCODER_A"]),
+        (840, "B", pin["PIN_ENCODER_B"]),
+        (895, "GND", "GND"),
+    ):
+        d.line((150, y), (300, y))
+        d.pin(150, y, there, "right")
+        d.pin(300, y, here, "left")
+    d.text(225, 864, "twisted with\nGND if long", "middle", "dim")
 
 
 def _other_bridge(d: Drawing, pin: dict[str, str]) -> None:

@@ -227,9 +227,10 @@ def text(answers: Answers, file: str) -> str:
 
 def _with_encoder(config: str, answers: Answers) -> str:
     """With an encoder in place of the potentiometer, in the section and among the wiring of the first comment."""
-    start, end = config.index("  counts_max:"), config.index("\ndrive:")
+    start, end = config.index("sensor:"), config.index("\ndrive:")
     zero = "" if answers.limits != "stops" else "; zero is what `rig home` sets, once after each reset"
     section = f"""\
+sensor:
   encoder:                  # at {BOARDS[answers.board].channels}: docs/encoder.md{zero}
     # Of the encoder's own shaft, all four edges of a period counted: four times the lines (PPR) of its data sheet. Turn
     # the shaft once by hand: the column y_counts in the samples.csv of `rig jog {_file_of(answers)} --u-V 0` shows it.
