@@ -159,7 +159,7 @@ class Drawing:
 
 def draw(pin: dict[str, str]) -> str:
     """The picture, as SVG. ``pin``: as ``pins`` gives it."""
-    d = Drawing(1240, 930)
+    d = Drawing(1240, 1130)
     _potentiometer(d, pin)
     _tachometer(d, pin)
     _supply_divider(d, pin)
@@ -315,22 +315,27 @@ def _motor_supply(d: Drawing) -> None:
 
 def _encoder(d: Drawing, pin: dict[str, str]) -> None:
     """Instead of the potentiometer; the pull-ups are in the chip."""
-    d.text(20, 736, "An encoder instead of the potentiometer: --encoder", kind="name")
-    d.rectangle(20, 750, 130, 160)
-    d.text(85, 846, "quadrature", "middle", "name")
-    d.text(85, 864, "encoder", "middle", "name")
-    d.rectangle(300, 750, 130, 160)
-    d.text(365, 862, "Arduino Uno", "middle", "name")
+    d.text(470, 946, "An encoder instead of the potentiometer: --encoder", kind="name")
+    d.rectangle(470, 960, 180, 150)
+    d.text(560, 1032, "Arduino Uno", "middle", "name")
+    d.rectangle(840, 960, 130, 150)
+    d.text(961, 1032, "quadrature", "end", "name")
+    d.text(961, 1050, "encoder", "end", "name")
     for y, there, here in (
-        (770, "5V", "5V"),
-        (805, "A", pin["PIN_ENCODER_A"]),
-        (840, "B", pin["PIN_ENCODER_B"]),
-        (895, "GND", "GND"),
+        (980, "5V", "5V"),
+        (1012, "A", pin["PIN_ENCODER_A"]),
+        (1044, "B", pin["PIN_ENCODER_B"]),
+        (1092, "GND", "GND"),
     ):
-        d.line((150, y), (300, y))
-        d.pin(150, y, there, "right")
-        d.pin(300, y, here, "left")
-    d.text(225, 864, "twisted with\nGND if long", "middle", "dim")
+        d.line((650, y), (840, y))
+        d.pin(650, y, here, "right")
+        d.pin(840, y, there, "left")
+    d.text(
+        990,
+        1006,
+        "On the motor, or behind its gear.\nThe pull-ups are in the chip.\n"
+        "Long wires: away from the motor's.\nA0 stays free.",
+    )
 
 
 def _other_bridge(d: Drawing, pin: dict[str, str]) -> None:
