@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
@@ -101,8 +102,8 @@ class Loop:
         """
         self.pause_watch.end()
         self.check_stop()
-        # collect garbage now: in the middle of a tick it would delay the drive
-        gc.collect()
+        if isinstance(self._clock, MonotonicClock):  # in the middle of a tick it would delay the drive
+            gc.collect()
         gc.disable()
         try:
             self.guard.rearm()
