@@ -46,21 +46,12 @@ def test_the_relay_in_the_pico_finds_the_truth(tmp_path: Path) -> None:
 def test_the_whole_experiment_with_an_encoder_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: Path) -> None:
     """The shortest one: quicker strokes, given gains, few cycles, one check of two seconds."""
     config = yaml.safe_load((CONFIG / "encoder.yaml").read_text(encoding="utf-8"))
-    config["daq"]["port"] = "emulated-pico"
     config["breakaway"]["ramp_V_s"] = 1.0
     config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.84}, {"h1_V": 0.3, "h2_V": 0.76}], "cycles": 4}
     config["tracking"] |= {"methods": ["sampled-data"], "duration_s": 2.0, "with_law": False}
-    path = tmp_path / "pico.yaml"
-    path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path / "runs"), "--json"])
-    assert result.exit_code == 0, result.output
-    outcome = json.loads(result.stdout)
-    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
-    assert estimate["verdict"] == "ok", estimate["reasons"]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert estimate[name] == pytest.approx(truth[name], rel=0.002)
+    outcome = run_on("emulated-pico", tmp_path, config)
+    finds_it_undisturbed(outcome, 0.002)
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.005
-    assert outcome["link"]["bad_frames"] == 0 and outcome["loop"]["skipped"] == 0 and not outcome["faults"]
 
 
 def test_the_demo_on_the_pico_is_the_demo_with_twelve_bits() -> None:

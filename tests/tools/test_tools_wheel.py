@@ -42,7 +42,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # between them they have each side of every switch, so that a path in any line of any source would show
-EXTREMES = (UnoOptions(), UnoOptions("IN1_IN2", 1000000, True, True, True, True))
+EXTREMES = (Variant(), Variant("IN1_IN2", 1000000, True, True, True, True))
 
 
 def test_the_wheel_holds_every_variant_of_the_firmware_and_the_same_from_another_folder(

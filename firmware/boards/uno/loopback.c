@@ -31,12 +31,16 @@ ISR(PCINT1_vect)
     if ((differ & PIN_WIRE_A) != 0u) {
         last_tick[0] = tick;
         last_count[0] = count;
-        rises[0] += (uint8_t)((now & PIN_WIRE_A) != 0u);
+        if ((now & PIN_WIRE_A) != 0u) {
+            rises[0]++;
+        }
     }
     if ((differ & PIN_WIRE_B) != 0u) {
         last_tick[1] = tick;
         last_count[1] = count;
-        rises[1] += (uint8_t)((now & PIN_WIRE_B) != 0u);
+        if ((now & PIN_WIRE_B) != 0u) {
+            rises[1]++;
+        }
     }
 }
 
@@ -114,7 +118,7 @@ static bool connect(void)
     return follows;
 }
 
-static inline uint8_t bit_of(uint8_t byte, uint8_t which)
+static inline uint8_t level_of(uint8_t byte, uint8_t which)
 {
     return (uint8_t)((uint8_t)(byte >> which) & 1u);
 }
@@ -132,10 +136,10 @@ static void count_highs(rig_loopback_view *view)
         for (uint8_t i = 0; i < LOOKS; i++) {
             const uint8_t ends = PINC;    /* PC3 and PC4 */
             const uint8_t outputs = PINB; /* PB1 and the other */
-            wire_a += bit_of(ends, 3u);
-            wire_b += bit_of(ends, 4u);
-            output_a += bit_of(outputs, 1u);
-            output_b += bit_of(outputs, OTHER);
+            wire_a += level_of(ends, 3u);
+            wire_b += level_of(ends, 4u);
+            output_a += level_of(outputs, 1u);
+            output_b += level_of(outputs, OTHER);
         }
     }
     PCICR = (uint8_t)(BIT(PCIE2) | BIT(PCIE1));
