@@ -493,8 +493,11 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     wanted.watchdog_ms = get_u16(&body[26]);
     wanted.polarity = get_sign(body[28]);
     wanted.homing = body[29];
-    const uint16_t most = core->loopback ? core->board->drive_full / RIG_LOOPBACK_PART : core->board->drive_full; /* P15 */
-    if (core->armed || !is_valid(&wanted, core->board) || wanted.max_drive > most) {
+    if (core->loopback && wanted.max_drive > core->board->drive_full / RIG_LOOPBACK_PART) {
+        refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* P15 */
+        return;
+    }
+    if (core->armed || !is_valid(&wanted, core->board)) {
         refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
         return;
     }

@@ -18,7 +18,16 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.frames import FEATURE_STROKES, STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
+from rig.backends.serial.frames import (
+    FEATURE_LOOPBACK,
+    FEATURE_STROKES,
+    STATUS_ARMED,
+    Code,
+    FrameReader,
+    Kind,
+    Nack,
+    encode,
+)
 from rig.calibration import DriveMap, Scaling, TachometerScale
 from rig.faults import Fault
 
@@ -39,7 +48,7 @@ def test_it_introduces_itself(options: Variant, bridge: int) -> None:
     hello = ChipHost(VirtualChip(BENCH, options=options)).hello()
     assert hello.bridge == bridge
     assert (hello.board, hello.reset_words, hello.counts_max, hello.drive_full) == (2, "power-on", 1023, FULL)
-    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_STROKES
+    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_LOOPBACK | FEATURE_STROKES
 
 
 @pytest.mark.parametrize("ppm", [-5000, 0, 4000])

@@ -21,6 +21,7 @@ from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import (
+    FEATURE_LOOPBACK,
     FEATURE_STROKES,
     STATUS_ARMED,
     STATUS_LAW,
@@ -59,7 +60,9 @@ def test_it_introduces_itself(options: Variant, bridge: int) -> None:
         assert hello.bridge == bridge
         assert (hello.board, hello.reset_words, hello.counts_max) == (3, "power-on", 4095)
         assert (
-            hello.drive_full == PICO_FULL and hello.build_text.startswith("pico ") and hello.features == FEATURE_STROKES
+            hello.drive_full == PICO_FULL
+            and hello.build_text.startswith("pico ")
+            and hello.features == FEATURE_LOOPBACK | FEATURE_STROKES
         )
 
 
