@@ -37,10 +37,13 @@ need /usr/include/modbus/modbus.h libmodbus-dev
 # peer of the wake-up benchmark
 need cyclictest rt-tests
 install_missing
-# the Pico's firmware and the emulators that run on node; of what Debian recommends with them nothing is needed
+# of what Debian recommends with these nothing is needed
+# the Pico's firmware and the emulators that run on node
 need arm-none-eabi-gcc gcc-arm-none-eabi
 need node nodejs
 need npm npm
+# loads what is exported for MATLAB
+need octave-cli octave
 install_missing --no-install-recommends
 if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
