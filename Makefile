@@ -113,8 +113,8 @@ lock: .venv/.ready  ## lock the packages anew
 clean:  ## remove what was built; run folders stay
 	$(MAKE) --no-print-directory -C firmware clean
 	rm -rf build dist .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules
+	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules tools/uplot/node_modules rig/panel/static/vendor
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/setup.sh
+.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/uplot/package-lock.json tools/setup.sh
 	./tools/setup.sh

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from rig.cli import (
+    calibrate,
     campaign,
     check,
     config,
@@ -26,6 +27,7 @@ from rig.cli import (
     identify,
     init,
     jog,
+    panel,
     predict,
     relay,
     replay,
@@ -57,6 +59,7 @@ def main() -> None:
 
 
 for _command in (
+    calibrate.calibrate,
     campaign.campaign,
     check.check,
     config.ready_configs,
@@ -69,6 +72,7 @@ for _command in (
     identify.identify,
     init.init,
     jog.jog,
+    panel.panel,
     predict.predict,
     relay.relay,
     replay.replay,
