@@ -159,7 +159,7 @@ class Drawing:
 
 def draw(pin: dict[str, str]) -> str:
     """The picture, as SVG. ``pin``: as ``pins`` gives it."""
-    d = Drawing(1240, 930)
+    d = Drawing(1240, 1130)
     _potentiometer(d, pin)
     _tachometer(d, pin)
     _supply_divider(d, pin)
@@ -167,6 +167,7 @@ def draw(pin: dict[str, str]) -> str:
     _bridge(d, pin)
     _motor_supply(d)
     _other_bridge(d, pin)
+    _encoder(d, pin)
     _legend(d)
     return d.svg()
 
@@ -310,6 +311,31 @@ def _motor_supply(d: Drawing) -> None:
     d.line((940, 360), (940, 372))
     d.joint(940, 360)
     d.text(962, 386, "here all grounds meet", kind="dim")
+
+
+def _encoder(d: Drawing, pin: dict[str, str]) -> None:
+    """Instead of the potentiometer; the pull-ups are in the chip."""
+    d.text(470, 946, "An encoder instead of the potentiometer: --encoder", kind="name")
+    d.rectangle(470, 960, 180, 150)
+    d.text(560, 1032, "Arduino Uno", "middle", "name")
+    d.rectangle(840, 960, 130, 150)
+    d.text(961, 1032, "quadrature", "end", "name")
+    d.text(961, 1050, "encoder", "end", "name")
+    for y, there, here in (
+        (980, "5V", "5V"),
+        (1012, "A", pin["PIN_ENCODER_A"]),
+        (1044, "B", pin["PIN_ENCODER_B"]),
+        (1092, "GND", "GND"),
+    ):
+        d.line((650, y), (840, y))
+        d.pin(650, y, here, "right")
+        d.pin(840, y, there, "left")
+    d.text(
+        990,
+        1006,
+        "On the motor, or behind its gear.\nThe pull-ups are in the chip.\n"
+        "Long wires: away from the motor's.\nA0 stays free.",
+    )
 
 
 def _other_bridge(d: Drawing, pin: dict[str, str]) -> None:

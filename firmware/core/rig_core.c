@@ -10,6 +10,7 @@
 #define RELAY_LENGTH 18u
 #define STROKES_LENGTH 56u /* room for STROKES_MAX strokes */
 #define ZERO_LENGTH 4u
+#define LOOPBACK_LENGTH 1u
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
@@ -121,7 +122,8 @@ static void put_hello(packet *out, const rig_core *core)
     put_u8(out, board->board_id);
     put_u8(out, core->reset_cause);
     put_u8(out, board->bridge);
-    put_u8(out, (uint8_t)(board->features | (unsigned)RIG_FEATURE_STROKES));
+    put_u8(out, (uint8_t)(board->features | (unsigned)RIG_FEATURE_STROKES |
+                          (board->loopback != NULL ? (unsigned)RIG_FEATURE_LOOPBACK : 0u)));
     put_u32(out, (uint32_t)board->counts_max);
     put_u16(out, board->drive_full);
     put_u32(out, board->micros(board->context));
@@ -156,7 +158,8 @@ static uint8_t status_of(const rig_core *core)
                      (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
                      (core->running ? (unsigned)RIG_STATUS_LAW : 0u) |
                      (core->has_zero ? (unsigned)RIG_STATUS_ZERO : 0u) |
-                     (core->estop_tried ? (unsigned)RIG_STATUS_ESTOP_TRIED : 0u));
+                     (core->estop_tried ? (unsigned)RIG_STATUS_ESTOP_TRIED : 0u) |
+                     (core->loopback ? (unsigned)RIG_STATUS_LOOPBACK : 0u));
 }
 
 static void put_state(packet *out, const rig_core *core)
@@ -237,6 +240,10 @@ static void read_sensors(rig_core *core)
     core->counts = board->position(board->context, &core->t_sample_us);
     core->tach = board->tach_counts(board->context);
     core->inputs = board->inputs != NULL ? board->inputs(board->context) : 0u;
+    if (core->loopback) { /* there is no sensor, and no end switch */
+        core->counts = core->setup.centre;
+        core->inputs = (uint8_t)(core->inputs & (unsigned)RIG_INPUT_ESTOP);
+    }
 }
 
 static bool has_encoder(const rig_board *board)
@@ -486,6 +493,10 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     wanted.watchdog_ms = get_u16(&body[26]);
     wanted.polarity = get_sign(body[28]);
     wanted.homing = body[29];
+    if (core->loopback && wanted.max_drive > core->board->drive_full / RIG_LOOPBACK_PART) {
+        refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* P15 */
+        return;
+    }
     if (core->armed || !is_valid(&wanted, core->board)) {
         refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
         return;
@@ -530,7 +541,7 @@ static enum rig_code may_start(const rig_core *core, uint8_t rows)
     if (core->recovering != 0) {
         return RIG_E_TRAVEL; /* P6: its drive would go either way */
     }
-    if (core->running || rows < 1u || rows > BLOCK_ROWS_MAX || core->setup.homing != 0u) {
+    if (core->running || rows < 1u || rows > BLOCK_ROWS_MAX || core->setup.homing != 0u || core->loopback) {
         return RIG_E_SETUP; /* what runs does not change: DRIVE ends it first */
     }
     return RIG_OK;
@@ -752,6 +763,90 @@ static void on_ack(rig_core *core, uint16_t seq, uint8_t named, packet *out)
     put_state(out, core);
 }
 
+/* ---- loop-back: a bare board looks at its own outputs ---- */
+
+/* Nothing of what was said in it, or before, holds any longer. */
+static void forget_bench(rig_core *core, bool loopback)
+{
+    disarm(core);
+    core->loopback = loopback;
+    core->has_setup = false;
+    core->setup.session = 0;
+    core->has_zero = false;
+    core->estop_tried = false; /* P14: it was the board's own pin */
+}
+
+static enum rig_code begin_loopback(rig_core *core)
+{
+    if (core->armed) {
+        return RIG_E_SETUP;
+    }
+    if (!core->board->loopback->begin()) {
+        core->board->loopback->end();
+        return RIG_E_LOOPBACK; /* P15 */
+    }
+    forget_bench(core, true);
+    return RIG_OK;
+}
+
+static void end_loopback(rig_core *core)
+{
+    if (core->loopback) {
+        forget_bench(core, false);
+        core->board->loopback->end();
+    }
+}
+
+static enum rig_code act_in_loopback(rig_core *core, uint8_t wanted)
+{
+    const rig_loopback_board *board = core->board->loopback;
+    if (board == NULL || wanted > (uint8_t)RIG_LOOPBACK_HANG) {
+        return RIG_E_TYPE;
+    }
+    if (wanted == (uint8_t)RIG_LOOPBACK_BEGIN) {
+        return begin_loopback(core);
+    }
+    if (!core->loopback) {
+        return RIG_E_LOOPBACK;
+    }
+    if (wanted == (uint8_t)RIG_LOOPBACK_OPEN || wanted == (uint8_t)RIG_LOOPBACK_CLOSE) {
+        board->open_estop(wanted == (uint8_t)RIG_LOOPBACK_OPEN);
+    }
+    core->hangs = wanted == (uint8_t)RIG_LOOPBACK_HANG;
+    return RIG_OK;
+}
+
+static void put_loopback(packet *out, const rig_core *core, bool share)
+{
+    rig_loopback_view view = {0, 0, 0, {{0, 0, 0, 0}, {0, 0, 0, 0}}};
+    core->board->loopback->look(&view, share);
+    put_u32(out, core->board->micros(core->board->context));
+    put_u32(out, core->ticks);
+    put_u32(out, view.estop_us);
+    put_u16(out, view.looks);
+    put_u8(out, view.high);
+    for (uint8_t i = 0; i < 2u; i++) {
+        put_u16(out, view.wire[i].wire_highs);
+        put_u16(out, view.wire[i].pin_highs);
+        put_u16(out, view.wire[i].rises);
+        put_u32(out, view.wire[i].last_us);
+    }
+}
+
+static void on_loopback(rig_core *core, uint16_t seq, uint8_t wanted, packet *out)
+{
+    const enum rig_code code = act_in_loopback(core, wanted);
+    if (code != RIG_OK) {
+        refuse(out, RIG_LOOPBACK, seq, code);
+        return;
+    }
+    head(out, RIG_LOOPBACK | RIG_REPLY, seq);
+    put_loopback(out, core, wanted == (uint8_t)RIG_LOOPBACK_SHARE);
+    if (wanted == (uint8_t)RIG_LOOPBACK_END) {
+        end_loopback(core);
+    }
+}
+
 /* Length of the body of a request, or -1 for an unknown type. */
 static int8_t body_length(uint8_t type)
 {
@@ -775,6 +870,8 @@ static int8_t body_length(uint8_t type)
         return (int8_t)ZERO_LENGTH;
     case RIG_DRIVE:
         return (int8_t)DRIVE_LENGTH;
+    case RIG_LOOPBACK:
+        return (int8_t)LOOPBACK_LENGTH;
     default:
         return -1;
     }
@@ -822,6 +919,9 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
     case RIG_ZERO:
         on_zero(core, seq, get_i32(body), out);
         break;
+    case RIG_LOOPBACK:
+        on_loopback(core, seq, body[0], out);
+        break;
     default: /* RIG_STOP: body_length knows no other but HELLO */
         on_stop(core, seq, out);
         break;
@@ -846,6 +946,9 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
     } else if (n != FRAME_HEADER + (uint8_t)expected) {
         refuse(&out, type, seq, RIG_E_LENGTH);
     } else if (type == (uint8_t)RIG_HELLO) {
+        hold(core);
+        end_loopback(core); /* whoever asks who this is may have a motor */
+        release(core);
         head(&out, RIG_HELLO | RIG_REPLY, seq);
         put_hello(&out, core);
     } else {
@@ -856,6 +959,9 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
     }
     if (out.n != 0u) {
         send(core, &out);
+    }
+    if (core->hangs) {
+        core->board->loopback->hang_up();
     }
 }
 
@@ -873,6 +979,9 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->farthest = 0;
     core->has_zero = false; /* P13 */
     core->estop_tried = false; /* P14 */
+    core->loopback = false;
+    core->hangs = false;
+    core->ticks = 0;
     core->running = false;
     core->law_acted = false;
     core->stroking = false;
@@ -895,6 +1004,7 @@ void rig_byte(rig_core *core, uint8_t byte)
 
 void rig_tick(rig_core *core)
 {
+    core->ticks++;
     sample(core); /* P4, P5 */
     if (core->armed) {
         const uint32_t silent_us = core->board->micros(core->board->context) - core->t_heard_us;

@@ -31,6 +31,8 @@
  *    P13 an encoder counts from anywhere: nothing but a homing arms before ZERO has said where it stands; a reset ends
  *        that, and so does a fault of the encoder, which latches whether armed or not (a still channel only while armed)
  *    P14 without travel limits nothing arms until the e-stop has been open since the reset
+ *    P15 loop-back begins only disarmed, and only where the e-stop's input follows a pin of the board's own: no bench is
+ *        wired so. In it at most half of full duty reaches the pin, and no law runs. HELLO ends it, and so does a reset
  *
  * Two laws can run in the device, one at a time: the relay (relay.h), started by RELAY, and the stroke test (strokes.h),
  * started by STROKES. The law drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever disarms ends it;
@@ -53,6 +55,7 @@
 #define RIG_TACH_NONE 0xFFFFu
 #define RIG_BUILD_LENGTH 16u
 #define RIG_WATCHDOG_MAX_MS 1000u
+#define RIG_LOOPBACK_PART 2u /* of full duty, the most in loop-back: P15 */
 
 enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2, RIG_BOARD_PICO = 3 };
 
@@ -62,7 +65,8 @@ enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
 /* A board's count from the first bit, the core's from the last. */
-enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_ENCODER = 4, RIG_FEATURE_STROKES = 128 };
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_ENCODER = 4,
+                   RIG_FEATURE_LOOPBACK = 64, RIG_FEATURE_STROKES = 128 };
 
 enum rig_status {
     RIG_STATUS_ARMED = 1,
@@ -70,7 +74,8 @@ enum rig_status {
     RIG_STATUS_RECOVERING = 4,
     RIG_STATUS_LAW = 8,
     RIG_STATUS_ZERO = 16,       /* ZERO has said where the encoder stands */
-    RIG_STATUS_ESTOP_TRIED = 32 /* it has been open since the reset */
+    RIG_STATUS_ESTOP_TRIED = 32, /* it has been open since the reset */
+    RIG_STATUS_LOOPBACK = 64
 };
 
 enum rig_type {
@@ -86,6 +91,7 @@ enum rig_type {
     RIG_ACK = 0x0A,
     RIG_STROKES = 0x0B,
     RIG_ZERO = 0x0C,
+    RIG_LOOPBACK = 0x0D,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -111,7 +117,8 @@ enum rig_code {
     RIG_E_ENCODER_RATE = 17,  /* edges come faster than they can be counted */
     RIG_E_ENCODER_STILL = 18, /* one channel changes, the other does not */
     RIG_E_ZERO = 19,          /* nobody has said where the encoder stands: does not latch */
-    RIG_E_ESTOP_UNTRIED = 20  /* does not latch; a bit of rig_core.latched has room for codes up to 31 */
+    RIG_E_ESTOP_UNTRIED = 20, /* does not latch; a bit of rig_core.latched has room for codes up to 31 */
+    RIG_E_LOOPBACK = 21       /* its wires are not there, or it has not begun: does not latch */
 };
 
 /* What a board finds wrong with its encoder. */
@@ -119,6 +126,41 @@ enum rig_encoder_trouble { RIG_ENCODER_LOST = 1, RIG_ENCODER_RATE = 2, RIG_ENCOD
 
 /* Contacts that a board may have; a set bit is a contact that asks for a stop. */
 enum rig_input { RIG_INPUT_ESTOP = 1, RIG_INPUT_END_LOW = 2, RIG_INPUT_END_HIGH = 4 }; /* low, high: of the counts */
+
+/* Of a LOOPBACK. */
+enum rig_loopback_act {
+    RIG_LOOPBACK_END = 0,
+    RIG_LOOPBACK_BEGIN = 1,
+    RIG_LOOPBACK_LOOK = 2,  /* what the edges' interrupt has seen */
+    RIG_LOOPBACK_SHARE = 3, /* the same, and for what share of some periods each pin is high */
+    RIG_LOOPBACK_OPEN = 4,  /* the e-stop, by the board's own pin */
+    RIG_LOOPBACK_CLOSE = 5,
+    RIG_LOOPBACK_HANG = 6   /* the main loop, so that the hardware watchdog resets the chip */
+};
+
+/* One output of the bridge, and the input that a wire leads it to. */
+typedef struct {
+    uint16_t wire_highs; /* of the looks, at the wire's end */
+    uint16_t pin_highs;  /* of the looks, at the output itself */
+    uint16_t rises;      /* at the wire's end since the loop-back began, modulo 2^16 */
+    uint32_t last_us;    /* device time of the last edge there */
+} rig_loopback_wire;
+
+typedef struct {
+    uint32_t estop_us; /* device time at which the e-stop was last opened */
+    uint16_t looks;    /* of a SHARE, else 0 */
+    uint8_t high;      /* bits: the wires' ends now, in their order */
+    rig_loopback_wire wire[2]; /* PWM or IN1; direction or IN2 */
+} rig_loopback_view;
+
+/* Wires from the bridge's outputs, and from the e-stop's input, to pins that are free on a bench. */
+typedef struct {
+    bool (*begin)(void); /* whether the e-stop's input follows the pin that opens and closes it */
+    void (*end)(void);
+    void (*open_estop)(bool open);
+    void (*look)(rig_loopback_view *view, bool share);
+    void (*hang_up)(void); /* the main loop: does not return */
+} rig_loopback_board;
 
 /* What the core needs of a board. */
 typedef struct {
@@ -140,6 +182,7 @@ typedef struct {
     /* Of an encoder; both NULL: the position is absolute. */
     void (*set_position)(void *context, int32_t counts); /* from now on the present position reads so */
     uint8_t (*encoder_troubles)(void *context);          /* RIG_ENCODER_* since the last call */
+    const rig_loopback_board *loopback; /* NULL: it has no pins for it */
     /* Where the tick is an interrupt: no tick until release, and memory as it was before. NULL: all is one context. */
     void (*hold_tick)(void *context);
     void (*release_tick)(void *context); /* what came due meanwhile runs now */
@@ -179,6 +222,9 @@ typedef struct {
     uint8_t inputs;
     bool has_zero;       /* ZERO has said where the encoder stands */
     bool estop_tried;    /* it has been open since the reset */
+    bool loopback;       /* P15 */
+    bool hangs;          /* once the reply is sent */
+    uint32_t ticks;      /* since the reset */
     bool running;        /* a law of the device drives */
     bool law_acted;      /* since it was started */
     uint16_t delay_us;   /* from the sample to the drive, at its last switching */

@@ -9,6 +9,7 @@
  *   - an interrupt that came while it was held back is lost to it: the tick's is raised again when it is let in;
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
  *   - its sleep waits for real time: not here;
+ *   - PINB has the port's bits where the pins show a timer: it is read anew from the pins;
  *   - it lets a program write registers as the data sheet forbids: Timer1, on which the drive hangs, is in timer1.c, and
  *     some rules for the others are below; the first one that the program breaks is kept.
  */
@@ -52,9 +53,11 @@
 
 /* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
 enum {
-    PIND = 0x29, DDRB = 0x24, PORTB = 0x25, PORTD = 0x2B, TIFR2 = 0x37, SMCR = 0x53, MCUSR = 0x54, WDTCSR = 0x60, TIMSK2 = 0x70,
+    PINB = 0x23, PIND = 0x29, DDRB = 0x24, PORTB = 0x25, PINC = 0x26, DDRC = 0x27, PORTC = 0x28, PORTD = 0x2B, TIFR2 = 0x37, SMCR = 0x53, MCUSR = 0x54, WDTCSR = 0x60, TIMSK2 = 0x70,
     ADCSRA = 0x7A, ADMUX = 0x7C, UCSR0A = 0xC0, UCSR0B = 0xC1, UCSR0C = 0xC2, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
 };
+enum { PC_WIRE_A = 3, PC_WIRE_B = 4, PC_ESTOP = 5 }; /* of a loop-back: firmware/boards/uno/wiring.h */
+enum { WIRE_A = 1, WIRE_B = 2, WIRE_ESTOP = 4 };
 enum { PB_DIRECTION = 0, PB_OC1A = 1, PB_OC1B = 2, PB_LED = 5 };
 enum { TIMER2_COMPB = 8, USART_RX = 18, USART_UDRE = 19 }; /* numbers of interrupts */
 enum { U2X0 = 1, TXEN0 = 3, RXEN0 = 4, OCIE2A = 1, OCIE2B = 2, OCF2B = 2, ADIE = 3, ADSC = 6, WDE = 3, WDCE = 4, WDRF = 3, SE = 0 };
@@ -62,7 +65,7 @@ enum { UPE0_TO_FE0 = 0x1C };
 
 /* Whose writes are looked at besides those that libsimavr itself tells of. */
 static const avr_io_addr_t WATCHED[] = {
-    DDRB, PORTB, PORTD, TCCR1A, TCCR1B, TCNT1L, TCNT1H, ICR1L, ICR1H, OCR1AL, OCR1AH, OCR1BL, OCR1BH,
+    DDRB, PORTB, DDRC, PORTC, PORTD, TCCR1A, TCCR1B, TCNT1L, TCNT1H, ICR1L, ICR1H, OCR1AL, OCR1AH, OCR1BL, OCR1BH,
     ADMUX, UCSR0A, UCSR0C, UBRR0L, UBRR0H, WDTCSR
 };
 #define WATCHED_COUNT (sizeof WATCHED / sizeof WATCHED[0])
@@ -86,7 +89,7 @@ struct virtual_board {
     avr_timer_t *timer2;
     timer1 timer1;
     watched watched[WATCHED_COUNT];
-    avr_irq_t *uart_in, *adc_in, *port_d;
+    avr_irq_t *uart_in, *adc_in, *port_c, *port_d;
     void (*chip_reset)(avr_t *);
     wire to_device, to_host;
     uint8_t waiting[RECEIVER]; /* bytes in the chip's receiver that libsimavr has not got yet */
@@ -96,6 +99,10 @@ struct virtual_board {
     avr_cycle_count_t stop;
     uint32_t sampled_channel;
     uint8_t open_pins;       /* of port D */
+    bool is_bare;            /* no bench: nothing but the wires of a loop-back */
+    uint8_t wires;           /* that are there */
+    avr_io_read_t read_port_b; /* libsimavr's own */
+    void *port_b;
     int64_t shown_steps;     /* of the encoder, at its pins */
     uint8_t shown_open;      /* contacts, at theirs */
     bool looks;              /* at the shaft, again and again */
@@ -334,6 +341,61 @@ static void levels_may_have_changed(virtual_board *b, avr_cycle_count_t at)
     }
 }
 
+/* ---- the wires of a loop-back ---- */
+
+/* Of PINB: what is at the pins, as a program sees it. */
+static uint8_t read_port_b(avr_t *avr, avr_io_addr_t address, void *context)
+{
+    virtual_board *b = context;
+    const uint8_t outputs = (1u << PB_OC1A) | (1u << PB_OC1B);
+    const uint8_t value = b->read_port_b(avr, address, b->port_b);
+    timer1_advance(&b->timer1, avr->cycle);
+    const unsigned levels = ((unsigned)pin_level(b, PB_OC1A) << PB_OC1A) | ((unsigned)pin_level(b, PB_OC1B) << PB_OC1B);
+    const uint8_t driven = outputs & avr->data[DDRB];
+    avr->data[address] = (uint8_t)((value & ~driven) | (levels & driven));
+    return avr->data[address];
+}
+
+/* At the end of a wire, or of none: pulled up, or low. */
+static bool end_level(const virtual_board *b, unsigned joins, unsigned output, unsigned end)
+{
+    return (b->wires & joins) != 0u ? pin_level(b, output) != 0 : has(b->avr->data[PORTC], end);
+}
+
+static void show_end(virtual_board *b, unsigned end, bool level)
+{
+    const uint32_t is = level ? 1u : 0u;
+    if (b->port_c[end].value != is || has(b->avr->data[PINC], end) != level) {
+        b->port_c[end].value = 1u - is; /* as in tell_contacts */
+        avr_raise_irq(b->port_c + end, is);
+    }
+}
+
+/* The edges of the bridge's outputs go through the wires as they come. */
+static avr_cycle_count_t show_ends(avr_t *avr, avr_cycle_count_t when, void *context)
+{
+    virtual_board *b = context;
+    (void)when;
+    timer1_advance(&b->timer1, avr->cycle);
+    const bool a = end_level(b, WIRE_A, PB_OC1A, PC_WIRE_A);
+    const bool other = end_level(b, WIRE_B, b->style == PWM_DIR ? PB_DIRECTION : PB_OC1B, PC_WIRE_B);
+    const uint8_t high = (uint8_t)((a ? 1u << PC_WIRE_A : 0u) | (other ? 1u << PC_WIRE_B : 0u));
+    avr_ioport_external_t pulls = {.name = 'C', .mask = (1u << PC_WIRE_A) | (1u << PC_WIRE_B), .value = high};
+    avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('C'), &pulls);
+    show_end(b, PC_WIRE_A, a);
+    show_end(b, PC_WIRE_B, other);
+    const uint64_t next = timer1_next(&b->timer1);
+    return next == UINT64_MAX ? 0u : next;
+}
+
+static void look_at_ends(virtual_board *b)
+{
+    if (b->is_bare && b->wires != 0u) {
+        avr_cycle_timer_cancel(b->avr, show_ends, b);
+        avr_cycle_timer_register(b->avr, 1u, show_ends, b);
+    }
+}
+
 static void timer1_changed(void *context)
 {
     virtual_board *b = context;
@@ -425,6 +487,11 @@ static void watchdog_written(virtual_board *b, uint8_t value)
 
 static uint8_t open_contacts(const virtual_board *b)
 {
+    if (b->is_bare) {
+        const uint8_t *data = b->avr->data;
+        const bool is_low = (b->wires & WIRE_ESTOP) != 0u && has(data[DDRC], PC_ESTOP) && !has(data[PORTC], PC_ESTOP);
+        return is_low ? CONTACTS & ~0x10u : CONTACTS;
+    }
     const unsigned estop = bench_estop_is_open(&b->bench) ? 0x10u : 0u;
     const unsigned ends = (bench_end_is_open(&b->bench, false) ? 0x20u : 0u) | (bench_end_is_open(&b->bench, true) ? 0x40u : 0u);
     return (uint8_t)(b->open_pins | estop | ends);
@@ -529,9 +596,10 @@ static void register_written(avr_irq_t *irq, uint32_t value, void *context)
     } else {
         timer1_advance(&b->timer1, b->avr->cycle);
     }
-    if (w->address == PORTD) {
+    if (w->address == PORTD || w->address == DDRC || w->address == PORTC) {
         tell_contacts(b);
     }
+    look_at_ends(b);
     levels_may_have_changed(b, b->avr->cycle);
     pins_may_have_changed(b);
 }
@@ -640,7 +708,12 @@ static void connect(virtual_board *b)
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUT_XON), uart_byte_was_read, b);
     b->adc_in = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER), adc_starts, b);
+    b->port_c = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('C'), IOPORT_IRQ_PIN0);
     b->port_d = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), IOPORT_IRQ_PIN0);
+    b->read_port_b = avr->io[AVR_DATA_TO_IO(PINB)].r.c;
+    b->port_b = avr->io[AVR_DATA_TO_IO(PINB)].r.param;
+    avr->io[AVR_DATA_TO_IO(PINB)].r.c = read_port_b;
+    avr->io[AVR_DATA_TO_IO(PINB)].r.param = b;
 }
 
 virtual_board *virtual_new(void)
@@ -677,6 +750,11 @@ const char *virtual_option(virtual_board *b, const char *name, const char *value
         char *end;
         b->dead_time_s = strtod(value, &end);
         return end != value && *end == '\0' && b->dead_time_s >= 0.0 && b->dead_time_s < 1e-3 ? NULL : "0 to 1e-3";
+    }
+    if (strcmp(name, "bare") == 0) { /* its wires */
+        b->is_bare = true;
+        b->wires = (uint8_t)strtoul(value, NULL, 10);
+        return b->wires <= (WIRE_A | WIRE_B | WIRE_ESTOP) ? NULL : "bits: 1 of PWM or IN1, 2 of direction or IN2, 4 of the e-stop";
     }
     if (strcmp(name, "measure") == 0) {
         b->measures = strcmp(value, "1") == 0;
@@ -723,6 +801,7 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
     double to_next;
     b->shown_steps = bench_encoder_steps(&b->bench, &to_next);
     tell_contacts(b);
+    look_at_ends(b);
     memset(b->avr->data + RAM, PAINT, b->avr->ramend + 1u - RAM);
     b->avr->custom.data = b;
     b->chip_reset = b->avr->reset;

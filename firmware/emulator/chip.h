@@ -28,7 +28,8 @@ enum virtual_stall { STALL_NONE, STALL_MAIN, STALL_TICK };
 virtual_board *virtual_new(void);
 void virtual_free(virtual_board *b);
 
-/* As of the bench, and: hex (path), bridge (pwm_dir, in1_in2), dead-time-s, measure (0, 1). NULL, or what is wrong. */
+/* As of the bench, and: hex (path), bridge (pwm_dir, in1_in2), dead-time-s, measure (0, 1), bare (no bench, but
+ * the wires of a loop-back: 1 of PWM or IN1, 2 of direction or IN2, 4 of the e-stop). NULL, or what is wrong. */
 const char *virtual_option(virtual_board *b, const char *name, const char *value);
 
 /* Powers the chip on at time 0; a byte takes the host `byte_ns`. NULL, or what is wrong. */

@@ -55,6 +55,16 @@ static uint16_t next_count(const timer1 *t)
     return next;
 }
 
+uint64_t timer1_next(const timer1 *t)
+{
+    if (!runs(t)) {
+        return UINT64_MAX;
+    }
+    const uint16_t next = next_count(t);
+    const uint64_t far = t->down ? (uint64_t)(t->count - next) : (uint64_t)(next - t->count);
+    return t->at + (far > 0u ? far : 1u);
+}
+
 static void reach(timer1 *t, uint16_t count)
 {
     t->count = count;

@@ -39,6 +39,9 @@ void timer1_reset(timer1 *t, uint64_t cycle);
 /* Everything that happens before `cycle`. */
 void timer1_advance(timer1 *t, uint64_t cycle);
 
+/* The next cycle at which an output may change; UINT64_MAX: none, while it stands still. */
+uint64_t timer1_next(const timer1 *t);
+
 /* A byte written at `cycle`. NULL, or the rule that it breaks. */
 const char *timer1_write(timer1 *t, uint64_t cycle, uint16_t address, uint8_t value);
 

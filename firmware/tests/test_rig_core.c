@@ -18,6 +18,9 @@ static struct {
     uint8_t got[FRAME_CONTENT_MAX];
     uint8_t got_length;
     unsigned replies;
+    bool wired; /* for a loop-back */
+    bool in_loopback;
+    unsigned hung;
 } board;
 
 static rig_core core;
@@ -68,6 +71,36 @@ static uint8_t fake_inputs(void *context)
     return board.inputs;
 }
 
+static bool fake_begin(void)
+{
+    board.in_loopback = true;
+    return board.wired;
+}
+
+static void fake_end(void)
+{
+    board.in_loopback = false;
+}
+
+static void fake_open(bool open)
+{
+    board.inputs = open ? RIG_INPUT_ESTOP : 0u;
+}
+
+static void fake_look(rig_loopback_view *view, bool share)
+{
+    view->looks = share ? 7u : 0u;
+    view->high = 2;
+    view->wire[1].last_us = 0x12345678u;
+}
+
+static void fake_hang(void)
+{
+    board.hung++;
+}
+
+static const rig_loopback_board LOOPBACK = {fake_begin, fake_end, fake_open, fake_look, fake_hang};
+
 static const rig_board BOARD = {.micros = fake_micros,
                                 .position = fake_position,
                                 .tach_counts = fake_tach,
@@ -79,7 +112,8 @@ static const rig_board BOARD = {.micros = fake_micros,
                                 .drive_full = FULL,
                                 .board_id = RIG_BOARD_HOST,
                                 .bridge = RIG_BRIDGE_IN1_IN2,
-                                .features = RIG_FEATURE_TACHOMETER};
+                                .features = RIG_FEATURE_TACHOMETER,
+                                .loopback = &LOOPBACK};
 
 static void power_on(void)
 {
@@ -250,6 +284,13 @@ static void check_latched(uint8_t code)
     CHECK(state_status() == RIG_STATUS_FAULT && state_fault() == code);
 }
 
+static void check_latched_in_loopback(uint8_t code)
+{
+    CHECK(board.pin == 0 && send_arm() == code && !core.armed);
+    send_drive(50);
+    CHECK(board.pin == 0);
+}
+
 static void test_after_reset(void)
 {
     power_on();
@@ -286,7 +327,7 @@ static void test_hello(void)
     send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0);
     CHECK(replied(RIG_HELLO | RIG_REPLY, 31));
     CHECK(board.got[4] == RIG_BOARD_HOST && board.got[5] == RIG_RESET_BROWN_OUT);
-    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == (RIG_FEATURE_TACHOMETER | RIG_FEATURE_STROKES));
+    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == (RIG_FEATURE_TACHOMETER | RIG_FEATURE_LOOPBACK | RIG_FEATURE_STROKES));
     CHECK(got_u32(4) == 1023 && got_u16(8) == FULL && got_u32(10) == 0xFEDCBA98u && board.got[18] == 0);
     CHECK(memcmp(board.got + 19, "build 1234567890", 16) == 0);
 }
@@ -908,8 +949,101 @@ static void test_damaged_drive(void)
     CHECK(core.rx.dropped >= 255u * (n - 1u));
 }
 
+/* RIG_OK, or why it is refused. */
+static uint8_t send_loopback(uint8_t act)
+{
+    send_raw(RIG_PROTOCOL, RIG_LOOPBACK, &act, 1);
+    if (replied(RIG_NACK, 2)) {
+        return board.got[4];
+    }
+    CHECK(replied(RIG_LOOPBACK | RIG_REPLY, 35));
+    return RIG_OK;
+}
+
+static void in_loopback(void)
+{
+    armed();
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    board.wired = true;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_OK);
+}
+
+/* P15: when it begins, what of the bench it forgets, and how it ends. */
+static void test_loopback_begins_and_ends(void)
+{
+    armed();
+    board.wired = true;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_E_SETUP && core.armed && !board.in_loopback); /* not under drive */
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    CHECK(send_loopback(RIG_LOOPBACK_LOOK) == RIG_E_LOOPBACK && send_loopback(RIG_LOOPBACK_END) == RIG_E_LOOPBACK);
+    CHECK(send_loopback(RIG_LOOPBACK_HANG) == RIG_E_LOOPBACK && send_loopback(RIG_LOOPBACK_HANG + 1) == RIG_E_TYPE);
+    CHECK(board.hung == 0);
+    board.wired = false;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_E_LOOPBACK && !board.in_loopback);
+    CHECK(send_arm() == RIG_OK); /* nothing has changed */
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    board.wired = true;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_OK && board.in_loopback);
+    CHECK(send_arm() == RIG_E_NO_SETUP); /* its set-up was of a bench */
+    send_setup(MAX_DRIVE, FULL / 2);
+    CHECK(send_arm() == RIG_OK);
+    send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0); /* somebody else, who may have a motor */
+    CHECK(!core.loopback && !core.armed && !board.in_loopback && board.pin == 0);
+    CHECK(send_arm() == RIG_E_NO_SETUP);
+    in_loopback();
+    CHECK(send_loopback(RIG_LOOPBACK_END) == RIG_OK && !core.loopback && !board.in_loopback);
+    in_loopback();
+    rig_init(&core, &BOARD, RIG_RESET_WATCHDOG);
+    CHECK(!core.loopback);
+}
+
+/* P15: at most half of full duty, and no law. */
+static void test_what_drives_in_loopback(void)
+{
+    uint8_t relay_body[18] = {0};
+    in_loopback();
+    board.counts = 0; /* a sensor that is not there, at its rail */
+    send_setup(MAX_DRIVE, FULL / 2 + 1);
+    CHECK(refused(RIG_SETUP, RIG_E_SETUP));
+    send_setup(MAX_DRIVE, FULL / 2);
+    CHECK(send_arm() == RIG_OK);
+    tick();
+    send_drive(FULL / 2);
+    tick();
+    CHECK(board.pin == FULL / 2 && core.armed);
+    send_raw(RIG_PROTOCOL, RIG_RELAY, relay_body, 18);
+    CHECK(refused(RIG_RELAY, RIG_E_SETUP));
+    send_drive(FULL / 2 + 1);
+    check_latched_in_loopback(RIG_E_DRIVE_RANGE);
+    CHECK(send_ack_and_arm(RIG_E_DRIVE_RANGE) == RIG_OK);
+    send_drive(100);
+    CHECK(send_loopback(RIG_LOOPBACK_OPEN) == RIG_OK);
+    tick();
+    check_latched_in_loopback(RIG_E_ESTOP);
+    CHECK(send_loopback(RIG_LOOPBACK_CLOSE) == RIG_OK && send_ack_and_arm(RIG_E_ESTOP) == RIG_OK);
+    send_drive(100);
+    board.now_us += 101000;
+    tick();
+    check_latched_in_loopback(RIG_E_WATCHDOG); /* P3, as ever */
+}
+
+static void test_what_a_loopback_tells(void)
+{
+    in_loopback();
+    tick();
+    tick();
+    CHECK(send_loopback(RIG_LOOPBACK_SHARE) == RIG_OK);
+    CHECK(got_u32(0) == board.now_us && got_u32(4) == 2 && got_u16(12) == 7 && board.got[4 + 14] == 2);
+    CHECK(got_u32(31) == 0x12345678u);
+    CHECK(send_loopback(RIG_LOOPBACK_LOOK) == RIG_OK && got_u16(12) == 0 && board.hung == 0);
+    CHECK(send_loopback(RIG_LOOPBACK_HANG) == RIG_OK && board.hung == 1); /* once it has answered */
+}
+
 int main(void)
 {
+    test_loopback_begins_and_ends();
+    test_what_drives_in_loopback();
+    test_what_a_loopback_tells();
     test_after_reset();
     test_hello();
     test_setup();

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked
-from rig.cli.failure import EXIT_FAILED, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, faults
 from rig.cli.options import JSON, OUT
 from rig.terminal import show_finding
 
@@ -23,15 +23,33 @@ from rig.terminal import show_finding
     show_default=True,
     help="How long to measure ticks, s.",
 )
+@click.option(
+    "--loopback", metavar="PORT", default=None,
+    help="A bare Uno or Pico at this port, with three wires between its pins and no motor: does the real chip keep "
+    "what the firmware promises? Or emulated-chip, emulated-pico.",
+)  # fmt: skip
+@click.option(
+    "--baud", type=click.Choice(["115200", "1000000"]), default="115200", show_default=True,
+    help="With --loopback: that the board was flashed for.",
+)  # fmt: skip
 @OUT
 @JSON
-def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -> None:
-    """Measure whether this machine and the link hold the period.
+def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud: str, out: Path, as_json: bool) -> None:
+    """Measure whether this machine and the link hold the period; or, with --loopback, what a bare board does.
 
     Without CONFIG: this machine. With CONFIG: also the link to its device. Says what is in the way, and what to type.
     It opens and reads the device, but never arms it: nothing moves. Exit status 1 if the period will not hold.
+
+    With --loopback: PWM, watchdog, e-stop, reset, session and timing, measured on the board itself through three wires,
+    and a report to send in (docs/loopback.md). Exit status 1 if anything is bad.
     """
     from rig.doctor.visit import with_config, without_config
+
+    if loopback is not None:
+        if config_path is not None:
+            fail(EXIT_BAD_INPUT, "--loopback is for a bare board, which no config describes", "leave CONFIG out")
+        _loop_back(loopback, int(baud), out, as_json=as_json)
+        return
 
     findings = []
     with faults():
@@ -47,3 +65,24 @@ def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -
     if as_json:
         click.echo(json.dumps({"ok": ok, "findings": [finding.as_dict() for finding in findings]}))
     sys.exit(0 if ok else EXIT_FAILED)
+
+
+def _loop_back(port: str, baud: int, out: Path, *, as_json: bool) -> None:
+    from datetime import datetime
+
+    from rig.doctor import loopback
+
+    if not as_json:
+        click.echo(loopback.DRAWING + "\n")
+    with faults():
+        with loopback.bare_board(port, baud) as board:
+            visit = loopback.visit_board(board)
+        now = datetime.now()
+        report = loopback.write_report(visit, port, out, now)
+    if as_json:
+        click.echo(json.dumps(loopback.as_dict(visit, port, now)))
+    else:
+        for finding in visit.findings:
+            show_finding(finding)
+        click.echo(f"report: {report}/report.json and report.txt; to send it in: docs/loopback.md")
+    sys.exit(0 if visit.ok else EXIT_FAILED)

@@ -12,7 +12,7 @@ import click
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.serial.emulated.firmware_build import UnoOptions
+    from rig.backends.serial.emulated.firmware_build import Variant
 
 
 @click.command()
@@ -72,13 +72,13 @@ def flash(
 
     Switch off the motor's supply first: while a board is written, its pins float.
     """
-    from rig.backends.serial.emulated.firmware_build import UnoOptions
+    from rig.backends.serial.emulated.firmware_build import Variant
     from rig.backends.serial.flash import FlashError
 
-    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
+    options = Variant(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
     given, name = (hex_file, "--hex") if board == "uno" else (uf2, "--uf2")
     _refuse_the_other_boards(board, hex_file, uf2, drive)
-    if given is not None and options != UnoOptions(baud=int(baud)):
+    if given is not None and options != Variant(baud=int(baud)):
         fail(
             EXIT_BAD_INPUT,
             f"with {name} only --baud has an effect: the file is built already",
@@ -102,7 +102,7 @@ def _refuse_the_other_boards(board: str, hex_file: Path | None, uf2: Path | None
         fail(EXIT_BAD_INPUT, f"--{'drive' if uf2 is None else 'uf2'} is for the Pico", "say so: --board pico")
 
 
-def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, dry_run: bool) -> None:
+def _flash_uno(options: Variant, port: str | None, hex_file: Path | None, *, dry_run: bool) -> None:
     from rig.backends.serial import flash as uno
     from rig.backends.serial.emulated.firmware_build import build_uno
 
@@ -120,7 +120,7 @@ def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, 
         else:
             click.echo(f"found: {found}")
             port = found.device
-    file = hex_file or _shipped(f"{options.name}.hex") or build_uno(options)
+    file = hex_file or _shipped("uno", f"{options.name}.hex") or build_uno(options)
     command = uno.avrdude_command(avrdude or "avrdude", port, file)
     if dry_run:
         click.echo(f"would run: {shlex.join(command)}")
@@ -138,12 +138,12 @@ def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, 
         click.echo(f"before you switch on the motor's supply: {uno.AT_REST[_bridge(options)]}")
 
 
-def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
+def _flash_pico(options: Variant, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
     from rig.backends.serial import flash_pico as pico
     from rig.backends.serial.emulated.firmware_build import build_pico
     from rig.backends.serial.flash import FlashError, check_build, in_words, meet
 
-    program = uf2 or _shipped(f"{options.name_for('pico')}.uf2") or build_pico(options)
+    program = uf2 or _shipped("pico", f"{options.name_for('pico')}.uf2") or build_pico(options)
     try:
         folder = pico.find_drive(drive)
     except FlashError as none:
@@ -170,18 +170,18 @@ def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: 
         click.echo(f"before you switch on the motor's supply: {pico.AT_REST[_bridge(options)]}")
 
 
-def _shipped(file: str) -> Path | None:
+def _shipped(board: str, file: str) -> Path | None:
     """The file that came with rig, which is said; None where there is none."""
-    from rig.backends.serial.flash import NEVER_RUN, REAL_CHIP_REPORT, prebuilt
+    from rig.backends.serial.flash import NEVER_RUN, REAL_CHIP_REPORTS, prebuilt
 
     found = prebuilt(file)
     if found is None:
         return None
     click.echo(str(found))
-    if REAL_CHIP_REPORT is None:
+    if board not in REAL_CHIP_REPORTS:
         click.echo(NEVER_RUN)
     return found.path
 
 
-def _bridge(options: UnoOptions) -> str:
+def _bridge(options: Variant) -> str:
     return options.bridge.lower().replace("_", "-")

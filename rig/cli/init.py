@@ -19,6 +19,9 @@ from rig.config import ConfigError, new_bench
 @click.option(
     "--bridge", type=click.Choice(list(new_bench.BRIDGES)), help="The bridge, as it is sold, or by its inputs."
 )
+@click.option(
+    "--limits", type=click.Choice(list(new_bench.LIMITS)), help="What bounds the shaft's travel. Default: stops."
+)
 @click.option("--port", help="The board's serial port. Default: the board that is plugged in, or /dev/ttyACM0.")
 @click.option("--supply-V", "supply_V", type=float, help="The motor supply, V. Default: 12.")
 @click.option(
@@ -30,16 +33,25 @@ from rig.config import ConfigError, new_bench
     help="Speed of the measured shaft without load at that supply, revolutions a minute: motor speed over gear ratio, "
     "rather too high than too low.",
 )  # fmt: skip
+@click.option(
+    "--counts-per-turn", type=int, help="Of an encoder's own shaft, all four edges counted: four times its PPR."
+)
+@click.option("--gear", type=float, help="Turns of the encoder for one of the measured shaft. Default: 1.")
+@click.option("--turns", type=float, help="With --limits turns: so many either way. Default: 10.")
 @click.option("--yes", is_flag=True, help="Ask nothing: take the default of what is not given.")
 def init(
     file: Path,
     board: str | None,
     sensor: str | None,
     bridge: str | None,
+    limits: str | None,
     port: str | None,
     supply_V: float | None,
     travel_deg: float | None,
     no_load_rpm: float | None,
+    counts_per_turn: int | None,
+    gear: float | None,
+    turns: float | None,
     yes: bool,
 ) -> None:
     """Write a commented config for your bench to FILE, bench.yaml by default.
@@ -55,20 +67,41 @@ def init(
         fail(EXIT_BAD_INPUT, "there is nobody to ask", "give --yes, and what has no default: --bridge, --no-load-rpm")
     if file.exists():
         fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
-    for option, value in (("--bridge", bridge), ("--no-load-rpm", no_load_rpm)):
-        if value is None and not asks:
-            fail(EXIT_BAD_INPUT, f"{option} has no default: a wrong one is dangerous", "give it; `rig init --help`")
+    if not asks:
+        board, sensor, limits = board or "uno", sensor or "potentiometer", limits or "stops"
+        needed = {"--bridge": bridge, "--no-load-rpm": no_load_rpm}
+        if sensor == "encoder":
+            needed["--counts-per-turn"] = counts_per_turn
+        for option, value in needed.items():
+            if value is None:
+                fail(EXIT_BAD_INPUT, f"{option} has no default: a wrong one is dangerous", "give it; `rig init --help`")
     try:
+        board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
+        sensor = _chosen("sensor", sensor, new_bench.SENSORS)
+        bridge = _chosen("bridge", bridge, {name: one.words for name, one in new_bench.BRIDGES.items()})
+        is_encoder = sensor == "encoder"
+        limits = _chosen("limits", limits, new_bench.LIMITS) if is_encoder else limits or "stops"
+        port = port or _asked("port of the board", _port(board), asks)
         answers = new_bench.Answers(
-            board=_chosen("board", board, new_bench.BOARDS, asks),
-            sensor=_chosen("sensor", sensor, new_bench.SENSORS, asks),
-            bridge=_chosen("bridge", bridge, {name: one.words for name, one in new_bench.BRIDGES.items()}, asks),
-            port=port or _asked("port of the board", _port(), asks),
-            supply_V=supply_V or _number("motor supply, V", 12.0, asks),
-            travel_deg=travel_deg
-            or _number("free travel from the centre to a stop, on each side, degrees", 103.0, asks),
+            board=board,
+            sensor=sensor,
+            bridge=bridge,
+            port=port,
+            limits=limits,
+            supply_V=_number("motor supply, V", supply_V, 12.0, asks),
+            counts_per_turn=counts_per_turn
+            or (click.prompt("counts for a turn of the encoder's own shaft (4 x PPR)", type=int) if is_encoder else 64),
+            gear=_number("turns of the encoder for one of the measured shaft", gear, 1.0, asks and is_encoder),
+            travel_deg=_number(
+                "free travel from the centre to a stop, on each side, degrees",
+                travel_deg,
+                103.0,
+                asks and limits == "stops",
+            ),
+            turns=_number("turns either way, at most", turns, 10.0, asks and limits == "turns"),
             no_load_rpm=no_load_rpm
-            or click.prompt("speed of the measured shaft without load, at that supply, rpm", type=float),
+            if no_load_rpm is not None
+            else click.prompt("speed of the measured shaft without load, at that supply, rpm", type=float),
         )
         text = new_bench.text(answers, str(file))
     except new_bench.AnswerError as error:
@@ -82,35 +115,38 @@ def init(
     except ConfigError as error:
         fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
-    click.echo(flash_line(experiment))
+    click.echo(flash_line(experiment, board))
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
 
 
-def _chosen(what: str, given: str | None, words: dict[str, str], asks: bool) -> str:
-    """A key of ``words``: as given; the only one; or as answered."""
-    if given is not None or len(words) == 1:
-        return given or next(iter(words))
-    assert asks
+def _chosen(what: str, given: str | None, words: dict[str, str]) -> str:
+    """A key of ``words``: as given, or as answered."""
+    if given is not None:
+        return given
     width = max(map(len, words))
     click.echo(f"{what}:")
     for name, meaning in words.items():
         click.echo(f"  {name:{width}}  {meaning}")
-    return str(click.prompt(f"{what}", type=click.Choice(list(words)), show_choices=False))
+    return str(click.prompt(what, type=click.Choice(list(words)), show_choices=False))
 
 
 def _asked(what: str, default: str, asks: bool) -> str:
     return str(click.prompt(what, default=default)) if asks else default
 
 
-def _number(what: str, default: float, asks: bool) -> float:
+def _number(what: str, given: float | None, default: float, asks: bool) -> float:
+    if given is not None:
+        return given
     return float(click.prompt(what, default=default, type=float)) if asks else default
 
 
-def _port() -> str:
-    """The board that is plugged in, or the name that an Uno usually gets."""
+def _port(board: str) -> str:
+    """The board that is plugged in, or the name that it usually gets."""
     from rig.backends.serial.flash import FlashError, only_candidate, serial_ports
 
+    if board == "pico":
+        return "/dev/ttyUSB0"  # of its adapter
     try:
         return only_candidate(serial_ports()).device
     except FlashError:

@@ -1,4 +1,4 @@
-"""The first config of a bench, from a few answers: config/uno.yaml with its comments, and the answers put in.
+"""The first config of a bench, from a few answers: the board's ready config with its comments, and the answers put in.
 
 What can be answered stands in tables: a board, a sensor or a bridge more is one line more.
 """
@@ -13,12 +13,17 @@ from typing import Final
 from rig.config import ready
 from rig.errors import RigError
 
-_EXAMPLE: Final = "uno"
-_EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the example: its limits, speed and amplitudes go with it
+_EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the examples: their limits, speed and amplitudes go with it
 _MARGIN_RAD: Final = 0.2  # from the hard limits to the mechanical stops
 _POTENTIOMETER_RAD: Final = math.radians(270.0)  # electrical travel of a usual one
 _LARGEST_TRAVEL_DEG: Final = 125.0  # to each side: what that potentiometer shows without its ends
 _LEAST_TRAVEL_DEG: Final = 40.0  # less is too small for the steps of 10 bits
+_LARGEST_ENCODER_DEG: Final = 3600.0
+_LARGEST_SIZE: Final = 1.25  # of the example's swings, however wide the travel
+_LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
+_MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
+_MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
+_LEAST_TURNS: Final = 2.0
 
 
 class AnswerError(RigError):
@@ -46,8 +51,39 @@ class BridgeModule:
     largest_V: float
 
 
-BOARDS: Final = {"uno": "Arduino Uno"}
-SENSORS: Final = {"potentiometer": "potentiometer on the shaft, 10 bits"}
+@dataclass(frozen=True)
+class Board:
+    """A board that rig has firmware for.
+
+    words       what it is, for people
+    example     the ready config that the new one is made of
+    counts_max  largest reading of its converter
+    edges_s     edges of an encoder that it counts, at most, a second
+    channels    pins of an encoder, for people
+    flash       option of `rig flash` that names it, with a space before it; "": none is needed
+    """
+
+    words: str
+    example: str
+    counts_max: int
+    edges_s: float
+    channels: str
+    flash: str = ""
+
+
+BOARDS: Final = {
+    "uno": Board("Arduino Uno or Nano", "uno", 1023, 39_000.0, "D2 and D3"),
+    "pico": Board("Raspberry Pi Pico", "pico", 4095, 240_000.0, "GP2 and GP3, at most 3.3 V", flash=" --board pico"),
+}
+SENSORS: Final = {
+    "potentiometer": "potentiometer on the shaft",
+    "encoder": "quadrature encoder, counts in the board",
+}
+LIMITS: Final = {
+    "stops": "the shaft meets a stop on each side, or must not turn farther",
+    "turns": "it turns without end, but no farther than some turns either way",
+    "none": "it turns without end: a person must be able to reach the e-stop",
+}
 BRIDGES: Final = {
     "l298n": BridgeModule("L298N, with its jumper on ENA", "in1-in2", 2.0, 35.0),
     "tb6612": BridgeModule("TB6612FNG, PWMA and STBY tied high", "in1-in2", 0.5, 13.5),
@@ -64,11 +100,13 @@ BRIDGES: Final = {
 class Answers:
     """What somebody says of a bench.
 
-    board, sensor, bridge  keys of ``BOARDS``, ``SENSORS`` and ``BRIDGES``
+    board, sensor, bridge, limits  keys of ``BOARDS``, ``SENSORS``, ``BRIDGES`` and ``LIMITS``
     port                   of the board
     supply_V               motor supply, V
-    travel_deg             from the centre of travel to the mechanical stop on each side, degrees
+    travel_deg             from the centre of travel to the mechanical stop on each side, degrees; for limits "stops"
     no_load_rpm            speed of the measured shaft without load at that supply, revolutions a minute
+    counts_per_turn, gear  of an encoder: counts for a turn of its shaft, and its turns for one of the measured shaft
+    turns                  either way, for limits "turns"
     Raises AnswerError.
     """
 
@@ -79,11 +117,25 @@ class Answers:
     supply_V: float
     travel_deg: float
     no_load_rpm: float
+    limits: str = "stops"
+    counts_per_turn: int = 64
+    gear: float = 1.0
+    turns: float = 10.0
 
     def __post_init__(self) -> None:
-        for answer, table in ((self.board, BOARDS), (self.sensor, SENSORS), (self.bridge, BRIDGES)):
+        for answer, table in (
+            (self.board, BOARDS),
+            (self.sensor, SENSORS),
+            (self.bridge, BRIDGES),
+            (self.limits, LIMITS),
+        ):
             if answer not in table:
                 raise AnswerError(f"{answer!r} is not among {', '.join(table)}", "give one of these")
+        if not (math.isfinite(self.no_load_rpm) and self.no_load_rpm > 0.0):
+            raise AnswerError(
+                f"a speed of {self.no_load_rpm:g} revolutions a minute is none",
+                "see the motor's data sheet, behind the gear",
+            )
         module = BRIDGES[self.bridge]
         if not 2.0 * module.drop_V < self.supply_V <= module.largest_V:
             raise AnswerError(
@@ -91,32 +143,69 @@ class Answers:
                 f"{module.largest_V:g} V",
                 "another supply or another bridge",
             )
-        if not _LEAST_TRAVEL_DEG <= self.travel_deg <= _LARGEST_TRAVEL_DEG:
+        if self.limits == "stops":
+            self._check_travel()
+        if self.sensor == "encoder":
+            self._check_encoder()
+        elif self.limits != "stops":
             raise AnswerError(
-                f"{self.travel_deg:g} degrees to each side are not {_LEAST_TRAVEL_DEG:g} to {_LARGEST_TRAVEL_DEG:g}",
-                "less is too little to stop and to measure in; a potentiometer of 270 degrees shows no more",
+                "a potentiometer has ends: its shaft does not turn without end", "--limits stops, or --sensor encoder"
             )
-        if not (math.isfinite(self.no_load_rpm) and self.no_load_rpm > 0.0):
+        if self.limits == "turns" and not _LEAST_TURNS <= self.turns <= 100_000.0:
+            raise AnswerError(f"{self.turns:g} turns either way are not {_LEAST_TURNS:g} to 100000", "give more turns")
+
+    @property
+    def counts(self) -> float:
+        """Of the encoder, for a turn of the measured shaft."""
+        return self.counts_per_turn * self.gear
+
+    def _check_travel(self) -> None:
+        is_encoder = self.sensor == "encoder"
+        largest_deg = _LARGEST_ENCODER_DEG if is_encoder else _LARGEST_TRAVEL_DEG
+        if not _LEAST_TRAVEL_DEG <= self.travel_deg <= largest_deg:
+            why = "farther: --limits turns" if is_encoder else "a potentiometer of 270 degrees shows no more"
             raise AnswerError(
-                f"a speed of {self.no_load_rpm:g} revolutions a minute is none",
-                "see the motor's data sheet, behind the gear",
+                f"{self.travel_deg:g} degrees to each side are not {_LEAST_TRAVEL_DEG:g} to {largest_deg:g}",
+                f"less is too little to stop and to measure in; {why}",
+            )
+
+    def _check_encoder(self) -> None:
+        if not (4 <= self.counts_per_turn <= 10_000_000 and math.isfinite(self.gear) and self.gear > 0.0):
+            raise AnswerError(
+                f"{self.counts_per_turn} counts a turn behind a gear of {self.gear:g} are no encoder",
+                "four times the lines (PPR) of its data sheet, 4 or more; a gear above 0",
+            )
+        if self.counts < _LEAST_COUNTS:
+            raise AnswerError(
+                f"{self.counts:g} counts for a turn of the measured shaft are too few: {_LEAST_COUNTS:g} at least",
+                "an encoder with more lines, or one on the motor's side of the gear (--gear)",
+            )
+        board = BOARDS[self.board]
+        edges_s = self.counts * self.no_load_rpm / 60.0
+        if edges_s > board.edges_s:
+            raise AnswerError(
+                f"at {self.no_load_rpm:g} rpm the encoder makes {edges_s:.0f} edges a second: the {board.words} counts "
+                f"{board.edges_s:.0f}",
+                "an encoder with fewer lines, a slower motor, or --board pico",
             )
 
 
 def text(answers: Answers, file: str) -> str:
-    """The config for this ``file``: the commented example with these answers in it."""
-    module = BRIDGES[answers.bridge]
-    hard_rad = round(math.radians(answers.travel_deg) - _MARGIN_RAD, 2)
-    size = hard_rad / _EXAMPLE_HARD_RAD
+    """The config for this ``file``: the board's commented example with these answers in it."""
+    module, board = BRIDGES[answers.bridge], BOARDS[answers.board]
+    has_stops = answers.limits == "stops"
+    hard_rad = round(math.radians(answers.travel_deg) - _MARGIN_RAD, 2) if has_stops else _EXAMPLE_HARD_RAD
+    size = min(hard_rad / _EXAMPLE_HARD_RAD, _LARGEST_SIZE)
     soft_rad = round(0.56 * hard_rad, 2)
     calibrated_rad = round(hard_rad + 0.5 * _MARGIN_RAD, 2)
-    counts = round(calibrated_rad * 1023 / _POTENTIOMETER_RAD)
+    middle = (board.counts_max + 1) // 2
+    counts = round(min(calibrated_rad / _POTENTIOMETER_RAD * board.counts_max, 0.48 * board.counts_max))
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
-    new = ready.text(_EXAMPLE)
+    new = ready.text(board.example)
     for key, value in (
         ("name", "bench"),
         ("port", answers.port),
-        ("calibration", _rows((512 - counts, -calibrated_rad), (512 + counts, calibrated_rad))),
+        ("calibration", _rows((middle - counts, -calibrated_rad), (middle + counts, calibrated_rad))),
         ("bridge", module.inputs),
         ("supply_V", f"{answers.supply_V:g}"),
         ("bridge_drop_V", f"{module.drop_V:g}"),
@@ -129,7 +218,46 @@ def text(answers: Answers, file: str) -> str:
         ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
     ):
         new = _with(new, key, value)
-    return _with_introduction(new, answers, module).replace(f"config/{_EXAMPLE}.yaml", file)
+    if answers.sensor == "encoder":
+        new = _with_encoder(new, answers)
+    if not has_stops:
+        new = _without_stops(new, answers)
+    return _with_introduction(new, answers, module).replace(f"config/{board.example}.yaml", file)
+
+
+def _with_encoder(config: str, answers: Answers) -> str:
+    """With an encoder in place of the potentiometer, in the section and among the wiring of the first comment."""
+    start, end = config.index("sensor:"), config.index("\ndrive:")
+    zero = "" if answers.limits != "stops" else "; zero is what `rig home` sets, once after each reset"
+    section = f"""\
+sensor:
+  encoder:                  # at {BOARDS[answers.board].channels}: docs/encoder.md{zero}
+    # Of the encoder's own shaft, all four edges of a period counted: four times the lines (PPR) of its data sheet. Turn
+    # the shaft once by hand: the column y_counts in the samples.csv of `rig jog {_file_of(answers)} --u-V 0` shows it.
+    counts_per_turn: {answers.counts_per_turn}
+    gear: {answers.gear:<8g}          # turns of the encoder for one turn of the measured shaft
+    sign: 1                 # -1 if the counts fall where the position should rise
+"""
+    motion_rad = max(_MOTION_RAD, _MOTION_COUNTS * 2.0 * math.pi / answers.counts)
+    new = _with(config[:start] + section + config[end:], "motion_rad", f"{motion_rad:.3f}")
+    new = re.sub(r"(?m)^#   \* (?:pull-down on the wiper|the potentiometer's dead zone).*\n(?:#     .*\n)*", "", new)
+    return re.sub(r"(?m); potentiometer between .*$", "; the encoder's ground, too.", new)
+
+
+def _file_of(answers: Answers) -> str:
+    """As the example names itself, which ``text`` replaces."""
+    return f"config/{BOARDS[answers.board].example}.yaml"
+
+
+def _without_stops(config: str, answers: Answers) -> str:
+    """With `travel: none`, and a bound in turns if there is one, in place of soft and hard limits."""
+    start, end = config.index("  # Hard limits at least"), config.index("  # Generous guesses")
+    lines = ["  travel: none              # zero is where each command finds the shaft"]
+    if answers.limits == "turns":
+        lines.append(f"  turns: {answers.turns:<8g}           # either way from there: beyond, 0 V and a latched fault")
+    else:
+        lines[0] += "; the firmware arms once the e-stop was pressed and released"
+    return config[:start] + "\n".join(lines) + "\n" + config[end:]
 
 
 def _rows(*points: tuple[int, float]) -> str:
@@ -165,12 +293,13 @@ def _with(config: str, key: str, value: str) -> str:
 def _with_introduction(config: str, answers: Answers, module: BridgeModule) -> str:
     """With the first comment, which speaks of the example, in words of this bench."""
     start, end = config.index("# A real bench"), config.index("#\n# Wiring that no software")
+    encoder = " --encoder" if answers.sensor == "encoder" else ""
     introduction = f"""\
-# A real bench: {BOARDS[answers.board]}, {module.words}, DC gear motor,
+# A real bench: {BOARDS[answers.board].words}, {module.words}, DC gear motor,
 # {SENSORS[answers.sensor]}. Written by `rig init`; what it asked is put in.
 # Every other number is an example of a plausible bench: measure yours, as the comments say, then run `rig check` on
-# this file. docs/real-bench.md has the wiring diagram, the firmware (for this bridge `rig flash --bridge
-# {module.inputs} --baud 1000000`) and the first steps, one by one.
+# this file. docs/real-bench.md has the wiring diagram and the first steps, one by one. The firmware for this bench:
+# `rig flash{BOARDS[answers.board].flash} --bridge {module.inputs} --baud 1000000{encoder}`.
 """
     head = config[:start]
     without_schema = "\n".join(line for line in head.splitlines() if "yaml-language-server" not in line)

@@ -298,6 +298,9 @@ class Tachometer(_Section):
         return TachometerScale(self.rad_s_per_count, self.zero_counts, self.gear_ratio)
 
 
+_BEFORE_THE_BOUND_RAD = math.pi  # half a turn
+
+
 class TravelLimits(_Section):
     """Where the shaft may be, and how fast."""
 
@@ -306,6 +309,11 @@ class TravelLimits(_Section):
         description="none: the shaft turns without end, and has an encoder; then no soft_rad and no hard_rad, and the "
         "device arms only after its e-stop has been tried",
     )
+    turns: Annotated[float, Field(ge=2.0, le=100_000.0)] | None = Field(
+        None,
+        description="with `travel: none`: no farther than so many turns either way from where a command finds the "
+        "shaft, for a cable that twists; beyond, 0 V and a latched fault, in the guard and in the device",
+    )
     soft_rad: Interval = Field(NO_TRAVEL_LIMITS, description="[low, high]: beyond, only inward drive passes")
     hard_rad: Interval = Field(NO_TRAVEL_LIMITS, description="[low, high]: beyond, 0 V and a latched fault")
     max_speed_rad_s: Positive = Field(description="largest speed of the shaft to expect")
@@ -313,7 +321,7 @@ class TravelLimits(_Section):
 
     @property
     def is_endless(self) -> bool:
-        """Whether there are no travel limits."""
+        """Whether there is no mechanical stop, and zero is where a command finds the shaft."""
         return self.travel == "none"
 
     @model_validator(mode="after")
@@ -324,6 +332,20 @@ class TravelLimits(_Section):
         if not self.is_endless and len(given) < 2:
             missing = [name for name in ("soft_rad", "hard_rad") if name not in given]
             raise ValueError(f"{' and '.join(missing)} missing; a shaft that turns without end has `travel: none`")
+        return self
+
+    @model_validator(mode="after")
+    def _bound_in_turns(self) -> Self:
+        """After ``_limits_or_none``, which looks at what is given: the bound becomes limits."""
+        if self.turns is not None:
+            if not self.is_endless:
+                raise ValueError("`turns` bounds a shaft that turns without end: add `travel: none`")
+            hard_rad = 2.0 * math.pi * self.turns
+            soft_rad = hard_rad - _BEFORE_THE_BOUND_RAD
+            object.__setattr__(
+                self, "hard_rad", (-hard_rad, hard_rad)
+            )  # frozen: this is the one place that completes it
+            object.__setattr__(self, "soft_rad", (-soft_rad, soft_rad))
         return self
 
     @model_serializer(mode="wrap")

@@ -53,7 +53,9 @@ def plan(e: Experiment) -> Iterator[str]:
 
 def _travel_words(e: Experiment) -> str:
     if e.limits.is_endless:
-        return "no travel limits; zero is where a command finds the shaft"
+        turns = e.limits.turns
+        bound = "no travel limits" if turns is None else f"{turns:g} turns either way, no travel limits"
+        return f"{bound}; zero is where a command finds the shaft"
     soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
     if e.sensor.encoder is not None:
         return f"soft {soft} rad, hard {hard} rad, from the zero that `rig home` sets"
@@ -66,7 +68,8 @@ def notes(e: Experiment) -> Iterator[str]:
     yield from differences(e)
     yield from backend.notes(e)
     low, high = e.limits.soft_rad
-    if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
+    counts_from_start = e.limits.is_endless  # zero is where the command finds the shaft
+    if e.emulated is not None and not counts_from_start and not low <= e.emulated.motor.start_rad <= high:
         yield "the emulated shaft starts outside the soft limits: bring it inside with `rig jog`, else a run refuses"
     if e.emulated is not None and not backend.is_emulated(e):
         yield backend.not_emulated_words(e)

@@ -385,6 +385,14 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
             f"({reach_rad(e):g} rad from the centre of travel)",
             "lower the amplitudes",
         )
+    turned_rad = turn_rad_s * e.tracking.duration_s + peak_rad
+    if turn_rad_s and turned_rad > e.limits.soft_rad[1]:
+        yield wrong(
+            "tracking.turn_rad_s",
+            f"a check turns up to {turn_rad_s:g} rad/s x {e.tracking.duration_s:g} s + {peak_rad:.3g} rad = "
+            f"{turned_rad:.3g} rad: limits.turns {e.limits.turns:g} leaves {e.limits.soft_rad[1]:.3g} rad",
+            "turn more slowly, or allow more turns",
+        )
     if speed > e.limits.max_speed_rad_s:
         written = " + ".join([*(f"{a:g} x {w:g}" for a, w in terms), *([f"{turn_rad_s:g}"] if turn_rad_s else [])])
         yield wrong(
@@ -466,7 +474,10 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
             f"static friction is above moving friction by {above[0]:g} V one way and {above[1]:g} V the other",
             "a motor with parts needs the same both ways: change fs_plus_V or fs_minus_V",
         )
-    for name, (low, high) in (("mechanical stops", m.stop_rad), ("hard limits", e.limits.hard_rad)):
+    ends = {"mechanical stops": m.stop_rad}
+    if not e.limits.is_endless:  # else they count from where the command finds the shaft
+        ends["hard limits"] = e.limits.hard_rad
+    for name, (low, high) in ends.items():
         if not low <= m.start_rad <= high:
             yield wrong(
                 "emulated.motor.start_rad",

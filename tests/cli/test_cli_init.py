@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -47,10 +48,55 @@ def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: flo
 def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
-    told = CliRunner().invoke(main, ["init"], input="drv8871\n/dev/ttyACM3\n9\n60\n350\n")
+    told = CliRunner().invoke(main, ["init"], input="uno\npotentiometer\ndrv8871\n/dev/ttyACM3\n9\n60\n350\n")
     assert told.exit_code == 0, told.output
     assert "DRV8871" in told.output
     assert load(tmp_path / "bench.yaml").daq.port == "/dev/ttyACM3"
+    told = CliRunner().invoke(
+        main, ["init", "pico.yaml"], input="pico\nencoder\ntb6612\nturns\n/dev/ttyUSB3\n9\n64\n50\n20\n200\n"
+    )
+    assert told.exit_code == 0, told.output
+    assert "rig flash --board pico --port /dev/ttyUSB3 --bridge in1-in2 --baud 1000000 --encoder" in told.output
+    e = load(tmp_path / "pico.yaml")
+    assert e.sensor.encoder is not None and e.sensor.encoder.gear == 50.0 and e.limits.turns == 20.0
+
+
+COUNTED = ("--sensor", "encoder", "--counts-per-turn", 64, "--gear", 50)
+MOTOR = """
+emulated:
+  motor: {tau_s: 0.17, K_rad_s_V: 6.5, fc_plus_V: 0.5, fc_minus_V: 0.46}
+"""
+
+
+@pytest.mark.parametrize(
+    ("board", "sensor", "limits", "moves"),
+    [
+        ("uno", (), "stops", False),
+        ("uno", COUNTED, "stops", False),
+        ("uno", COUNTED, "turns", False),
+        ("uno", COUNTED, "none", True),
+        ("pico", (), "stops", False),
+        ("pico", COUNTED, "stops", False),
+        ("pico", COUNTED, "turns", True),
+        ("pico", COUNTED, "none", False),
+    ],
+)
+def test_every_board_sensor_and_limits_run_on_their_emulated_chip(
+    tmp_path: Path, board: str, sensor: tuple[object, ...], limits: str, moves: bool
+) -> None:
+    """Written and checked, all of them; some of them armed, and driven for a moment."""
+    file = tmp_path / "bench.yaml"
+    made = rig(
+        "init", file, "--yes", "--board", board, "--bridge", "tb6612", "--no-load-rpm", 300, "--limits", limits, *sensor
+    )
+    assert made.exit_code == 0, made.output
+    port = {"uno": "emulated-chip", "pico": "emulated-pico"}[board]
+    file.write_text(re.sub(r"port: /dev/\S+", f"port: {port}", file.read_text()) + MOTOR)
+    if moves:
+        jogged = rig("jog", file, "--u-V", 0.8, "--seconds", 0.2, "--out", tmp_path)
+        assert jogged.exit_code == 0, jogged.output
+    else:
+        preflight.check(file)
 
 
 @pytest.mark.parametrize(
@@ -62,6 +108,17 @@ def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch:
         ((*ANSWERED, "--supply-V", 1), "a motor supply of 1 V is nothing for L298N"),
         ((*ANSWERED, "--travel-deg", 200), "200 degrees to each side are not 40 to 125"),
         ((*ANSWERED, "--no-load-rpm", -3), "a speed of -3"),
+        ((*ANSWERED, "--limits", "none"), "a potentiometer has ends"),
+        ((*ANSWERED, "--sensor", "encoder"), "--counts-per-turn has no default"),
+        (
+            (*ANSWERED, "--sensor", "encoder", "--counts-per-turn", 12),
+            "12 counts for a turn of the measured shaft are too",
+        ),
+        ((*ANSWERED, "--sensor", "encoder", "--counts-per-turn", 8000), "the Arduino Uno or Nano counts 39000"),
+        (
+            (*ANSWERED, "--sensor", "encoder", "--counts-per-turn", 800, "--limits", "turns", "--turns", 1),
+            "1 turns either way",
+        ),
     ],
 )
 def test_what_cannot_be_is_said_and_nothing_is_written(tmp_path: Path, words: tuple[object, ...], said: str) -> None:

@@ -7,7 +7,7 @@ from typing import TypedDict, TypeVar, Unpack
 
 from virtual_host import BENCH, HELD, SETUP, Host, Wired
 
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
 from rig.backends.serial.frames import Code, Kind, Setup, pack_drive
 from rig.model.bench import BenchParameters
@@ -56,7 +56,7 @@ class ChipOptions(TypedDict, total=False):
 
 
 def armed_chip(
-    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO, **board: Unpack[ChipOptions]
+    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: Variant = PLAIN_VARIANT, **board: Unpack[ChipOptions]
 ) -> ChipHost:
     host = ChipHost(VirtualChip(bench, options=options, **board), options.baud)
     host.acknowledge(Code.RESET)

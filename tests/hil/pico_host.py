@@ -10,7 +10,7 @@ import chip_host
 import virtual_host
 from chip_host import SETTLE_S, START_S, UnoHost
 
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.serial.frames import Code, Setup
@@ -47,7 +47,7 @@ class PicoHost(UnoHost[VirtualPico]):
 
 @contextmanager
 def pico(
-    bench: BenchParameters = BENCH, options: UnoOptions = PLAIN_UNO, *, clock_error_ppm: float = 0.0
+    bench: BenchParameters = BENCH, options: Variant = PLAIN_VARIANT, *, clock_error_ppm: float = 0.0
 ) -> Iterator[PicoHost]:
     """A chip that has just been powered on."""
     board = VirtualPico(pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options))
@@ -59,7 +59,7 @@ def pico(
 
 @contextmanager
 def armed_pico(
-    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO
+    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: Variant = PLAIN_VARIANT
 ) -> Iterator[PicoHost]:
     with pico(bench, options) as host:
         host.acknowledge(Code.RESET)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 from chip_host import UnoHost
 
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
 
 _FOLDER = Path(__file__).parent / "avr8js"
@@ -41,7 +41,7 @@ class SecondChip:
 
     absolute = True  # of the clock
 
-    def __init__(self, bench: BenchParameters, options: UnoOptions = PLAIN_UNO) -> None:
+    def __init__(self, bench: BenchParameters, options: Variant = PLAIN_VARIANT) -> None:
         node = shutil.which("node")
         if node is None or not (_FOLDER / "node_modules" / "avr8js").is_dir():
             missing = "node" if node is None else "avr8js"

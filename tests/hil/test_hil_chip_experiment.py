@@ -15,7 +15,7 @@ from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink,
 from wanted_cycle import wanted_cycle
 
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.control.excitation import RelayTest
@@ -89,7 +89,7 @@ def test_the_chips_limit_cycle_is_the_host_boards() -> None:
     period_s = 0.002
     bench = replace(DEMO, drive_counts=UNO_FULL, noise_rad=0.0)
     host_period_s, host_rad = cycle(VirtualBoard(bench, 1, baud=430_000, bits_per_byte=10), period_s)
-    chip_period_s, chip_rad = cycle(VirtualChip(bench, 1, options=UnoOptions(baud=1_000_000)), period_s)
+    chip_period_s, chip_rad = cycle(VirtualChip(bench, 1, options=Variant(baud=1_000_000)), period_s)
     assert chip_period_s == pytest.approx(host_period_s, rel=0.005)
     assert chip_rad == pytest.approx(host_rad, rel=0.02)
 

@@ -16,17 +16,26 @@ from virtual_host import LSB_RAD
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.frames import FEATURE_STROKES, STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
+from rig.backends.serial.frames import (
+    FEATURE_LOOPBACK,
+    FEATURE_STROKES,
+    STATUS_ARMED,
+    Code,
+    FrameReader,
+    Kind,
+    Nack,
+    encode,
+)
 from rig.calibration import DriveMap, Scaling, TachometerScale
 from rig.faults import Fault
 
 FULL = 400
 SUPPLY_V = 12.0
-BRIDGES = [UnoOptions(), UnoOptions(bridge="IN1_IN2")]
-FAST = UnoOptions(baud=1_000_000)
-WIRED = UnoOptions(tachometer=True, supply=True, end_switches=True)
+BRIDGES = [Variant(), Variant(bridge="IN1_IN2")]
+FAST = Variant(baud=1_000_000)
+WIRED = Variant(tachometer=True, supply=True, end_switches=True)
 
 
 def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> SerialDriver:
@@ -35,11 +44,11 @@ def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> Se
 
 
 @pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
-def test_it_introduces_itself(options: UnoOptions, bridge: int) -> None:
+def test_it_introduces_itself(options: Variant, bridge: int) -> None:
     hello = ChipHost(VirtualChip(BENCH, options=options)).hello()
     assert hello.bridge == bridge
     assert (hello.board, hello.reset_words, hello.counts_max, hello.drive_full) == (2, "power-on", 1023, FULL)
-    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_STROKES
+    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_LOOPBACK | FEATURE_STROKES
 
 
 @pytest.mark.parametrize("ppm", [-5000, 0, 4000])
@@ -90,7 +99,7 @@ def test_what_the_state_says_is_what_is_at_the_pins() -> None:
 
 
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
-def test_the_bridge_gives_what_was_asked_for_both_ways(options: UnoOptions) -> None:
+def test_the_bridge_gives_what_was_asked_for_both_ways(options: Variant) -> None:
     host = armed_chip(HELD, SETUP._replace(max_drive=FULL), options)
     for units in (1, -1, 200, -200, 0, FULL, -FULL, 399, 0, -3, 5, 0):
         host.drive(units)
@@ -109,8 +118,8 @@ def test_dead_time_takes_its_share_of_what_is_switched() -> None:
     assert host.pin_V() == 0.0
 
 
-@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
-def test_no_byte_is_lost_however_dense_the_requests(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+def test_no_byte_is_lost_however_dense_the_requests(options: Variant) -> None:
     """The chip holds two bytes; a longest frame at full speed and answers at the same time."""
     host = ChipHost(VirtualChip(BENCH, options=options, measure=True), options.baud)
     for _ in range(30):
@@ -147,8 +156,8 @@ def test_bytes_that_find_no_room_are_lost_and_not_those_before_them() -> None:
     assert seqs[:12] == list(range(1, 13)) and len(seqs) < 120
 
 
-@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
-def test_a_reply_takes_the_time_of_its_bits(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+def test_a_reply_takes_the_time_of_its_bits(options: Variant) -> None:
     host = ChipHost(VirtualChip(BENCH, options=options), options.baud)
     host.send(Kind.HELLO)
     data, times_s = b"", []
@@ -329,7 +338,7 @@ def test_what_is_wrong_is_said() -> None:
     with pytest.raises(EmulationError, match="dead-time-s"):
         VirtualChip(BENCH, dead_time_s=0.1)
     with pytest.raises(EmulationError, match="baud rate"):
-        VirtualChip(BENCH, options=UnoOptions(baud=3_000_000))
+        VirtualChip(BENCH, options=Variant(baud=3_000_000))
     host = ChipHost(VirtualChip(BENCH))
     packet = host.ask(Kind.SETUP, SETUP._replace(max_drive=FULL + 1).pack())
     assert packet.kind == Kind.NACK and Nack.unpack(packet.body).code == Code.SETUP_INVALID

@@ -10,7 +10,7 @@ from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from virtual_host import LSB_RAD, TICK_S
 
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_chip import Contact, Hang, VirtualChip
 from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
 from rig.faults import Fault
@@ -18,8 +18,8 @@ from rig.model.bench import SensorWiring
 
 PHASES = 20
 HANG_S = 0.150
-ENDS = UnoOptions(end_switches=True)
-IN1_IN2 = UnoOptions(bridge="IN1_IN2")
+ENDS = Variant(end_switches=True)
+IN1_IN2 = Variant(bridge="IN1_IN2")
 
 
 def latched_at_zero(host: ChipHost, code: Code) -> None:
@@ -47,8 +47,8 @@ def off_after_s(host: ChipHost, event_s: float, longest_s: float) -> float:
 
 
 @pytest.mark.parametrize("watchdog_ms", [20, 100])
-@pytest.mark.parametrize("options", [UnoOptions(), IN1_IN2], ids=lambda o: o.bridge)
-def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms: int, options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), IN1_IN2], ids=lambda o: o.bridge)
+def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms: int, options: Variant) -> None:
     rng = random.Random(watchdog_ms)
     for _ in range(PHASES):
         host = armed_chip(HELD, SETUP._replace(watchdog_ms=watchdog_ms), options)
@@ -226,8 +226,8 @@ def test_the_driver_says_which_contact_it_was(contact: Contact, code: str) -> No
     assert caught.value.code == code
 
 
-@pytest.mark.parametrize("options", [UnoOptions(), UnoOptions(baud=1_000_000)], ids=lambda o: str(o.baud))
-def test_garbage_never_moves_the_drive(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), Variant(baud=1_000_000)], ids=lambda o: str(o.baud))
+def test_garbage_never_moves_the_drive(options: Variant) -> None:
     """Random bytes, damaged frames and halves of frames, while armed: the pins stay at 0, or go to 0 and stay there."""
     rng = random.Random(options.baud)
     good = encode(Kind.DRIVE, 7, pack_drive(150))
@@ -251,7 +251,7 @@ def test_garbage_never_moves_the_drive(options: UnoOptions) -> None:
 
 def test_a_flood_of_garbage_neither_feeds_the_watchdog_nor_hangs_the_program() -> None:
     rng = random.Random(2)
-    host = armed_chip(HELD, options=UnoOptions(baud=1_000_000))
+    host = armed_chip(HELD, options=Variant(baud=1_000_000))
     host.drive(60)
     heard_s = host.heard_s
     while host.board.now_s() < heard_s + 0.3:
@@ -272,7 +272,7 @@ def test_a_drive_that_waits_behind_garbage_is_of_the_tick_in_which_it_arrived() 
     """
     rng = random.Random(5)
     for _ in range(PHASES):
-        host = armed_chip(HELD, SETUP._replace(watchdog_ms=20), UnoOptions(baud=1_000_000))
+        host = armed_chip(HELD, SETUP._replace(watchdog_ms=20), Variant(baud=1_000_000))
         host.wait(rng.uniform(0.0, TICK_S))
         host.send_raw(bytes(5) * 50)
         host.drive(60)

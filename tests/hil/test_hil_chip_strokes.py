@@ -9,13 +9,13 @@ import pytest
 from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from device_strokes import DeviceStrokes
 
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Block, FrameReader, Kind, StrokesSetup
 from rig.model.bench import BenchParameters, SensorWiring
 
 STROKES = StrokesSetup(((40, 560), (-45, 460), (32, 540), (-35, 480)), 2000, 2000, 5, 10)
 BRIEF = STROKES._replace(stroke_ticks=250, still_ticks=120)
-FAST = UnoOptions(baud=1_000_000)
+FAST = Variant(baud=1_000_000)
 CLOCK_US = 8  # two steps of the chip's clock
 LOOK_S = 0.5e-3
 
@@ -24,7 +24,7 @@ class Running:
     """A chip whose strokes drive, all that it says of them, and what is at its pins meanwhile."""
 
     def __init__(
-        self, strokes: StrokesSetup = STROKES, options: UnoOptions = PLAIN_UNO, bench: BenchParameters = QUIET
+        self, strokes: StrokesSetup = STROKES, options: Variant = PLAIN_VARIANT, bench: BenchParameters = QUIET
     ) -> None:
         self.strokes = strokes
         self.host: ChipHost = armed_chip(bench, SETUP, options)
@@ -59,8 +59,8 @@ class Running:
         ]
 
 
-@pytest.mark.parametrize("options", [PLAIN_UNO, FAST], ids=["115200", "1000000"])
-def test_every_tick_is_decided_by_the_law_also_while_the_main_loop_is_busy(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [PLAIN_VARIANT, FAST], ids=["115200", "1000000"])
+def test_every_tick_is_decided_by_the_law_also_while_the_main_loop_is_busy(options: Variant) -> None:
     running = Running(options=options)
     for _ in range(4):
         running.run(0.3)

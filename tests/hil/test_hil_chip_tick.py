@@ -10,12 +10,12 @@ from chip_host import HELD, QUIET, ChipHost, armed_chip
 from device_relay import DeviceRelay
 from virtual_host import SETUP, TICK_S
 
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Block, Code, FrameReader, Kind, RelaySetup, encode
 
 RELAY = RelaySetup((-50, 16, -16, 50), 512 * 16, 3_000_000, 1, 10)
 BITE = RelaySetup((-50, 16, -16, 50), 512 * 16, 200, 1, 10)  # the integral follows the position at once
-FAST = UnoOptions(baud=1_000_000)
+FAST = Variant(baud=1_000_000)
 FULL = 400
 CLOCK_US = 8  # two steps of the chip's clock
 BLOCKS_MS = 20  # for so long rows wait for the main loop
@@ -24,7 +24,7 @@ BLOCKS_MS = 20  # for so long rows wait for the main loop
 class Running:
     """A chip whose relay drives, and all that it says of it."""
 
-    def __init__(self, relay: RelaySetup = RELAY, options: UnoOptions = PLAIN_UNO) -> None:
+    def __init__(self, relay: RelaySetup = RELAY, options: Variant = PLAIN_VARIANT) -> None:
         self.relay = relay
         self.host: ChipHost = armed_chip(QUIET, SETUP._replace(max_drive=200), options)
         self.host.drive(1)
@@ -150,8 +150,8 @@ def test_a_tick_that_takes_too_long_is_never_entered_again(stall_ms: float, left
     assert truth.stack_bytes <= stack_bytes + 40 and truth.overruns == 0 and truth.resets == 0
 
 
-@pytest.mark.parametrize(("options", "within_us"), [(PLAIN_UNO, 16.0), (FAST, 32.0)], ids=["115200", "1000000"])
-def test_a_blocks_one_delay_is_true_of_all_its_rows(options: UnoOptions, within_us: float) -> None:
+@pytest.mark.parametrize(("options", "within_us"), [(PLAIN_VARIANT, 16.0), (FAST, 32.0)], ids=["115200", "1000000"])
+def test_a_blocks_one_delay_is_true_of_all_its_rows(options: Variant, within_us: float) -> None:
     """From the sample to the pin, at every switching, against the truth at the pins."""
     running = Running(BITE, options)
     running.run(1.5)

@@ -9,7 +9,7 @@ import pytest
 from chip_host import SETTLE_S, ChipHost
 from virtual_host import SESSION, TICK_S, VirtualHost
 
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import (
@@ -29,7 +29,7 @@ from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 
-UNO = UnoOptions(baud=1_000_000, encoder=True)
+UNO = Variant(baud=1_000_000, encoder=True)
 PHASES = 10
 COUNTS_PER_RAD = 500.0
 MOTOR = BenchParameters(

@@ -86,6 +86,23 @@ def test_a_shaft_without_limits_is_identified_and_turned_on_and_on(tmp_path: Pat
     assert last_rad > 2.0 * 2.0 * math.pi  # from where the command found the shaft
 
 
+def test_a_bound_in_turns_holds_in_the_device_from_where_the_command_finds_the_shaft(tmp_path: Path) -> None:
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": 700.0}
+    experiment = load(changed(tmp_path, limits=ENDLESS | {"turns": 3}, emulated={"motor": motor}))
+    with connect(experiment) as bench:
+        chip = bench.clock
+        assert isinstance(chip, VirtualChip)
+        chip.place(700.0 + 3 * math.tau - 0.1)
+        chip.sleep_until(chip.now_s() + 1.0)  # the edges come one by one
+        bench.driver.arm(experiment.device_limits)
+        bench.driver.read()
+        chip.place(700.0 + 3 * math.tau + 0.1)
+        chip.sleep_until(chip.now_s() + 0.05)
+        with pytest.raises(Fault) as ended:
+            bench.driver.read()
+    assert ended.value.code == "DEVICE_TRAVEL"
+
+
 @pytest.mark.parametrize("limits", [{}, ENDLESS], ids=["limits", "endless"])
 def test_tests_until_the_motor_is_known_run_in_the_device_on_counts(tmp_path: Path, limits: dict[str, Any]) -> None:
     relay = {"target": None, "cycles": None, "until": {"interval_percent": 0.1}, "where": "device"}
@@ -156,6 +173,9 @@ def test_by_hand_the_shaft_stands_where_the_hand_says() -> None:
         ({"sensor": {"encoder": None}}, "needs `calibration`, of a potentiometer, or `encoder`"),
         ({"limits": {"travel": "none"}}, "`travel: none` leaves no soft_rad"),
         ({"limits": {"soft_rad": None}}, "soft_rad missing"),
+        ({"limits": {"turns": 3}}, "`turns` bounds a shaft that turns without end"),
+        ({"limits": ENDLESS | {"turns": 1}}, "limits.turns"),
+        ({"limits": ENDLESS | {"turns": 2}, "tracking": {"turn_rad_s": 2.0}}, "limits.turns 2 leaves 9.42 rad"),
         ({"limits": ENDLESS | {"max_speed_rad_s": None}}, "limits.max_speed_rad_s"),
         ({"tracking": {"turn_rad_s": 1.0}}, "a shaft that turns on needs limits.travel: none"),
         ({"emulated": {"wiring": {"sensor": "noisy"}}}, "this sensor has no fault `noisy`"),

@@ -13,7 +13,7 @@ from pico_host import PICO_FULL, PicoHost, pico
 from test_hil_encoder import COUNTS_PER_RAD, ENDLESS, LIMITED, MOTOR, STILL_EDGES
 from virtual_host import TICK_S
 
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.frames import (
     STATUS_LAW,
     STATUS_ZERO,
@@ -30,7 +30,7 @@ from rig.model.bench import BenchParameters
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 
-OPTIONS = UnoOptions(baud=1_000_000, encoder=True)
+OPTIONS = Variant(baud=1_000_000, encoder=True)
 LARGEST_RATE = 250_000  # edges a second: firmware/boards/pico/encoder.h
 FAR = LIMITED._replace(hard_lo=-(10**9), hard_hi=10**9, max_drive=PICO_FULL // 2)
 DRIVE = 600  # units, 1.15 V

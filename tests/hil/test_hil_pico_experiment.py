@@ -43,6 +43,17 @@ def test_the_relay_in_the_pico_finds_the_truth(tmp_path: Path) -> None:
     assert outcome["loop"]["device"]["missed"] == 0
 
 
+def test_the_whole_experiment_with_an_encoder_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: Path) -> None:
+    """The shortest one: quicker strokes, given gains, few cycles, one check of two seconds."""
+    config = yaml.safe_load((CONFIG / "encoder.yaml").read_text(encoding="utf-8"))
+    config["breakaway"]["ramp_V_s"] = 1.0
+    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.84}, {"h1_V": 0.3, "h2_V": 0.76}], "cycles": 4}
+    config["tracking"] |= {"methods": ["sampled-data"], "duration_s": 2.0, "with_law": False}
+    outcome = run_on("emulated-pico", tmp_path, config)
+    finds_it_undisturbed(outcome, 0.002)
+    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.005
+
+
 def test_the_demo_on_the_pico_is_the_demo_with_twelve_bits() -> None:
     demo, pico = (yaml.safe_load((CONFIG / f"{name}.yaml").read_text("utf-8")) for name in ("demo", "demo-pico"))
     assert pico["daq"].pop("port") == "emulated-pico-realtime" and demo["daq"].pop("port") == "emulated"

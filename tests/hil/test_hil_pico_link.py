@@ -17,10 +17,11 @@ from virtual_host import TICK_S
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import (
+    FEATURE_LOOPBACK,
     FEATURE_STROKES,
     STATUS_ARMED,
     STATUS_LAW,
@@ -37,9 +38,9 @@ from rig.faults import Fault
 from rig.model.bench import BenchParameters
 
 SUPPLY_V = 12.0
-BRIDGES = [UnoOptions(), UnoOptions(bridge="IN1_IN2")]
-FAST = UnoOptions(baud=1_000_000)
-WIRED = UnoOptions(tachometer=True, supply=True, end_switches=True)
+BRIDGES = [Variant(), Variant(bridge="IN1_IN2")]
+FAST = Variant(baud=1_000_000)
+WIRED = Variant(tachometer=True, supply=True, end_switches=True)
 RELAY = RelaySetup((-780, 250, -250, 780), 2048 * 16, 12_000_000, 1, 10)
 STROKES = StrokesSetup(((625, 2240), (-700, 1840), (500, 2160), (-550, 1920)), 2000, 2000, 20, 10)
 CALIBRATION = Calibration([(0, -2048 * LSB_RAD), (4095, 2047 * LSB_RAD)])
@@ -53,13 +54,15 @@ def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> Se
 
 
 @pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
-def test_it_introduces_itself(options: UnoOptions, bridge: int) -> None:
+def test_it_introduces_itself(options: Variant, bridge: int) -> None:
     with pico(BENCH, options) as host:
         hello = host.hello()
         assert hello.bridge == bridge
         assert (hello.board, hello.reset_words, hello.counts_max) == (3, "power-on", 4095)
         assert (
-            hello.drive_full == PICO_FULL and hello.build_text.startswith("pico ") and hello.features == FEATURE_STROKES
+            hello.drive_full == PICO_FULL
+            and hello.build_text.startswith("pico ")
+            and hello.features == FEATURE_LOOPBACK | FEATURE_STROKES
         )
 
 
@@ -109,7 +112,7 @@ def test_what_the_state_says_is_what_is_at_the_pins() -> None:
 
 
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
-def test_no_pulse_is_longer_than_its_share(options: UnoOptions) -> None:
+def test_no_pulse_is_longer_than_its_share(options: Variant) -> None:
     """The first one after a reset, and any after a zero, a turn or a change, at any phase of the counter."""
     rng = random.Random(3)
     last = 0
@@ -156,8 +159,8 @@ def test_dead_time_takes_its_share_of_what_is_switched() -> None:
         host.truth()
 
 
-@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
-def test_no_byte_is_lost_however_dense_the_requests(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+def test_no_byte_is_lost_however_dense_the_requests(options: Variant) -> None:
     """The port holds one byte; a longest frame at full speed and answers at the same time."""
     with pico(BENCH, options) as host:
         for _ in range(15):
@@ -199,8 +202,8 @@ def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: floa
     assert len({drive for *_, drive in rows}) == 4 and max(b.delay_us for b in blocks) < 12
 
 
-@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
-def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) -> None:
     """Each row's drive is the law's, on the grid of the ticks, also while the main loop is busy; the pins follow it."""
     reader, blocks, numbers, pins = FrameReader(), [], [], set()
     with armed_pico(QUIET, options=options) as host:
@@ -301,6 +304,6 @@ def test_what_is_not_possible_is_said() -> None:
     with pytest.raises(EmulationError, match="0 to 4095"):
         VirtualPico(pico_parameters(replace(BENCH, counts_max=1023)))
     with pytest.raises(EmulationError, match="baud rate"):
-        pico_parameters(BENCH, options=UnoOptions(baud=9_000_000))
+        pico_parameters(BENCH, options=Variant(baud=9_000_000))
     with pico() as host, pytest.raises(EmulationError, match="no such wiring"):
         host.board.rewire(sensor="gone")  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from pico_host import HELD, SETUP, PicoHost, pico
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.firmware_build import PicoFirmware, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PicoFirmware, Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetup
@@ -26,8 +26,8 @@ from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetu
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "pico.md"
 BOARD = firmware_build.source_folder() / "boards" / "pico"
-PLAIN, IN1_IN2 = UnoOptions(), UnoOptions(bridge="IN1_IN2")
-EVERYTHING = UnoOptions("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)
+PLAIN, IN1_IN2 = Variant(), Variant(bridge="IN1_IN2")
+EVERYTHING = Variant("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)
 
 
 class Defect(NamedTuple):
@@ -36,7 +36,7 @@ class Defect(NamedTuple):
     where: str
     right: str
     wrong: str
-    options: UnoOptions = PLAIN
+    options: Variant = PLAIN
 
 
 DEFECTS = {
@@ -68,16 +68,16 @@ DEFECTS = {
         "        status = REG(ADC_CS);\n    }\n"
         "    if ((status & ADC_READY) == 0u || ",
         "    if (",
-        UnoOptions(tachometer=True),
+        Variant(tachometer=True),
     ),
 }
 
 
 @pytest.fixture
-def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], UnoOptions]]:
+def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Variant]]:
     """Builds the firmware with a defect, by name, and gives its options; from then on every chip runs it."""
 
-    def build(name: str) -> UnoOptions:
+    def build(name: str) -> Variant:
         defect = DEFECTS[name]
         real = firmware_build.build_pico_chip(defect.options)
         sources = tmp_path / "firmware"
@@ -111,7 +111,7 @@ def visit(host: PicoHost) -> str:
 
 
 @pytest.mark.parametrize("options", [PLAIN, EVERYTHING], ids=lambda o: o.name_for("pico"))
-def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: UnoOptions) -> None:
+def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: Variant) -> None:
     with pico(HELD, options) as host:
         assert visit(host) == ""
 
@@ -125,13 +125,13 @@ def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: UnoOptio
         ("a conversion on top of another", "while a conversion runs, section 4.9"),
     ],
 )
-def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str], UnoOptions]) -> None:
+def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with(name)) as host:
         host.wait(0.01)
         assert rule in host.board.broken_rule()
 
 
-def test_a_byte_written_where_there_is_no_room_is_named(build_with: Callable[[str], UnoOptions]) -> None:
+def test_a_byte_written_where_there_is_no_room_is_named(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("a byte on top of another")) as host:
         for _ in range(20):
             host.send(0x01)
@@ -139,12 +139,12 @@ def test_a_byte_written_where_there_is_no_room_is_named(build_with: Callable[[st
         assert "TXFF" in host.board.broken_rule()
 
 
-def test_without_a_first_byte_the_port_never_asks_for_one(build_with: Callable[[str], UnoOptions]) -> None:
+def test_without_a_first_byte_the_port_never_asks_for_one(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("no first byte")) as host, pytest.raises(AssertionError, match="no reply"):
         host.hello()
 
 
-def test_a_tick_that_goes_before_the_others_keeps_the_e_stop_waiting(build_with: Callable[[str], UnoOptions]) -> None:
+def test_a_tick_that_goes_before_the_others_keeps_the_e_stop_waiting(build_with: Callable[[str], Variant]) -> None:
     """Off in 3 us at any phase as it is."""
     with pico(HELD, build_with("the tick before the others")) as host:
         host.acknowledge(Code.RESET)
@@ -171,7 +171,7 @@ def test_a_tick_that_goes_before_the_others_keeps_the_e_stop_waiting(build_with:
 
 @pytest.mark.parametrize("name", ["an alarm in the past", "the alarm's flag left"])
 def test_a_clock_that_stops_or_runs_wild_is_reset_by_the_watchdog(
-    name: str, build_with: Callable[[str], UnoOptions]
+    name: str, build_with: Callable[[str], Variant]
 ) -> None:
     with pico(HELD, build_with(name)) as host:
         host.board.stall("tick", 2.5e-3)
@@ -179,14 +179,14 @@ def test_a_clock_that_stops_or_runs_wild_is_reset_by_the_watchdog(
         assert host.truth().resets > 0
 
 
-def test_a_reset_by_the_watchdog_that_is_not_marked_is_not_told(build_with: Callable[[str], UnoOptions]) -> None:
+def test_a_reset_by_the_watchdog_that_is_not_marked_is_not_told(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("a mark that is not there")) as host:
         host.board.hang()
         host.wait(0.2)
         assert host.truth().resets == 1 and host.hello().reset_words == "power-on"
 
 
-def test_inputs_that_become_high_one_after_the_other_are_a_pulse(build_with: Callable[[str], UnoOptions]) -> None:
+def test_inputs_that_become_high_one_after_the_other_are_a_pulse(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("one input after the other")) as host:
         assert 0.0 < host.board.longest_pulse_s() < 1e-6
 
@@ -238,7 +238,8 @@ def kept_by(cell: str) -> list[tuple[str, str]]:
 
 
 def test_each_row_of_the_table_is_in_the_source_and_has_its_test() -> None:
-    tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_hil_pico*.py"))
+    paths = [*Path(__file__).parent.glob("test_hil_pico*.py"), ROOT / "tests" / "doctor" / "test_doctor_loopback.py"]
+    tests = "".join(path.read_text(encoding="utf-8") for path in paths)
     named: set[str] = set()
     for rule, section, kept, test in rules():
         assert re.match(r"[0-9.]+|ARM DDI|erratum RP2040-E", section), rule

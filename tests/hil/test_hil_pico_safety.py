@@ -9,7 +9,7 @@ import pytest
 from pico_host import BENCH, HELD, LSB_RAD, QUIET, SETTLE_S, SETUP, PicoHost, arm_anew, armed_pico, pico
 from virtual_host import TICK_S
 
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_pico import PicoContact, PicoHang
 from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
 from rig.model.bench import SensorWiring
@@ -17,9 +17,9 @@ from rig.model.bench import SensorWiring
 PHASES = 8
 HANG_S = 0.130  # the watchdog's 120 ms, and a tick
 DRIVE = 940  # units, 1.8 V
-ENDS = UnoOptions(end_switches=True)
-IN1_IN2 = UnoOptions(bridge="IN1_IN2")
-FAST = UnoOptions(baud=1_000_000)
+ENDS = Variant(end_switches=True)
+IN1_IN2 = Variant(bridge="IN1_IN2")
+FAST = Variant(baud=1_000_000)
 
 
 def latched_at_zero(host: PicoHost, code: Code) -> None:
@@ -46,8 +46,8 @@ def off_after_s(host: PicoHost, event_s: float, longest_s: float) -> float:
     return off_s
 
 
-@pytest.mark.parametrize(("watchdog_ms", "options"), [(20, UnoOptions()), (100, IN1_IN2)], ids=["20", "100-in1_in2"])
-def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms: int, options: UnoOptions) -> None:
+@pytest.mark.parametrize(("watchdog_ms", "options"), [(20, Variant()), (100, IN1_IN2)], ids=["20", "100-in1_in2"])
+def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms: int, options: Variant) -> None:
     rng = random.Random(watchdog_ms)
     setup = SETUP._replace(watchdog_ms=watchdog_ms)
     with armed_pico(HELD, setup, options) as host:
@@ -207,8 +207,8 @@ def test_an_end_switch_means_0_V_within_two_ticks_and_only_inward_from_there(
             arm_anew(host)
 
 
-@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
-def test_garbage_never_moves_the_drive(options: UnoOptions) -> None:
+@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+def test_garbage_never_moves_the_drive(options: Variant) -> None:
     """Random bytes, damaged frames and halves of frames, while armed: the pins stay at 0, or go to 0 and stay there."""
     rng = random.Random(options.baud)
     good = encode(Kind.DRIVE, 7, pack_drive(3000))

@@ -18,12 +18,12 @@ from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from second_chip import SecondChip, SecondHost
 
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.firmware_build import ChipFirmware, UnoOptions
+from rig.backends.serial.emulated.firmware_build import ChipFirmware, Variant
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import Code
 
-BRIDGES = [UnoOptions(), UnoOptions(bridge="IN1_IN2")]
-EVERYTHING = UnoOptions("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)
+BRIDGES = [Variant(), Variant(bridge="IN1_IN2")]
+EVERYTHING = Variant("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)
 UNIT_V = 12.0 / 400
 UNIT_S = 2 / 16e6  # of a pulse, for each unit of drive
 CYCLE_S = 1 / 16e6
@@ -86,11 +86,11 @@ DEFECTS: dict[str, tuple[str, str, str]] = {
 
 
 @pytest.fixture
-def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, UnoOptions], None]]:
+def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, Variant], None]]:
     """Builds the firmware with a defect, by name; from then on every chip runs it."""
     real = firmware_build.build_chip()
 
-    def build(name: str, options: UnoOptions) -> None:
+    def build(name: str, options: Variant) -> None:
         sources = tmp_path / "firmware"
         shutil.copytree(firmware_build.source_folder(), sources)
         where, right, wrong = DEFECTS[name]
@@ -109,7 +109,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
 # ---------------------------------------------------------------------- the bridge's timer
 
 
-def emulator(which: str, options: UnoOptions) -> ChipHost | SecondHost:
+def emulator(which: str, options: Variant) -> ChipHost | SecondHost:
     """An armed chip on that emulator, which has not driven yet."""
     if which == "simavr":
         return armed_chip(HELD, options=options)
@@ -130,7 +130,7 @@ def longest_pulse_s(host: ChipHost | SecondHost) -> float:
     return host.board.longest_pulse_s()
 
 
-def first_drive(which: str, options: UnoOptions, units: int) -> tuple[float, float]:
+def first_drive(which: str, options: Variant, units: int) -> tuple[float, float]:
     """Mean voltage and longest pulse of the first drive after a reset, V and s."""
     host = emulator(which, options)
     try:
@@ -146,7 +146,7 @@ def first_drive(which: str, options: UnoOptions, units: int) -> tuple[float, flo
 
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
 @pytest.mark.parametrize("which", ["simavr", "avr8js"])
-def test_no_pulse_is_longer_than_its_share(which: str, options: UnoOptions) -> None:
+def test_no_pulse_is_longer_than_its_share(which: str, options: Variant) -> None:
     """The first one after a reset, and any after a zero, a turn or a change, at any phase of the counter."""
     rng = random.Random(3)
     host = emulator(which, options)
@@ -169,7 +169,7 @@ def test_no_pulse_is_longer_than_its_share(which: str, options: UnoOptions) -> N
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
 @pytest.mark.parametrize("which", ["simavr", "avr8js"])
 def test_icr1_before_the_mode_is_no_drive_or_full_drive(
-    which: str, options: UnoOptions, build_with: Callable[[str, UnoOptions], None]
+    which: str, options: Variant, build_with: Callable[[str, Variant], None]
 ) -> None:
     build_with("as it was", options)
     mean_V, _ = first_drive(which, options, 20)
@@ -178,7 +178,7 @@ def test_icr1_before_the_mode_is_no_drive_or_full_drive(
 
 @pytest.mark.parametrize("which", ["simavr", "avr8js"])
 def test_the_first_pulse_of_in1_in2_was_full_supply_for_half_a_period(
-    which: str, build_with: Callable[[str, UnoOptions], None]
+    which: str, build_with: Callable[[str, Variant], None]
 ) -> None:
     options = BRIDGES[1]
     build_with("as it was, with the mode before ICR1", options)
@@ -187,7 +187,7 @@ def test_the_first_pulse_of_in1_in2_was_full_supply_for_half_a_period(
     assert pulse_s >= 25e-6
 
 
-def longest_after(units: int, before: int, options: UnoOptions) -> float:
+def longest_after(units: int, before: int, options: Variant) -> float:
     """Longest pulse of a drive, s, after one and a zero of many durations."""
     host = emulator("simavr", options)
     longest_s = 0.0
@@ -208,7 +208,7 @@ def longest_after(units: int, before: int, options: UnoOptions) -> float:
     + [("the clock before the pin", BRIDGES[1])],
 )
 def test_a_level_or_a_share_left_over_from_the_drive_before_is_a_long_pulse(
-    name: str, options: UnoOptions, build_with: Callable[[str, UnoOptions], None]
+    name: str, options: Variant, build_with: Callable[[str, Variant], None]
 ) -> None:
     assert longest_after(1, 200, options) == pytest.approx(UNIT_S, abs=4 * CYCLE_S)
     build_with(name, options)
@@ -217,7 +217,7 @@ def test_a_level_or_a_share_left_over_from_the_drive_before_is_a_long_pulse(
 
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
 def test_a_buffer_that_normal_mode_does_not_reach_is_written_too(
-    options: UnoOptions, build_with: Callable[[str, UnoOptions], None]
+    options: Variant, build_with: Callable[[str, Variant], None]
 ) -> None:
     """The data sheet leaves that open; the emulator takes it the worse way: no drive after the first period."""
     build_with("not the buffer", options)
@@ -239,7 +239,7 @@ def visit(host: ChipHost) -> str:
 
 
 @pytest.mark.parametrize("options", [*BRIDGES, EVERYTHING], ids=lambda o: o.name)
-def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: UnoOptions) -> None:
+def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: Variant) -> None:
     host = armed_chip(HELD, SETUP._replace(watchdog_ms=1000), options)
     assert visit(host) == ""
     assert host.truth().resets == 1
@@ -270,7 +270,7 @@ def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: UnoOptio
         ("watchdog's flag left", "WDRF"),
     ],
 )
-def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str, UnoOptions], None]) -> None:
+def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str, Variant], None]) -> None:
     build_with(name, BRIDGES[0])
     board = VirtualChip(HELD)
     host = ChipHost(board)
@@ -325,7 +325,8 @@ def kept_by(cell: str) -> list[tuple[str, str]]:
 
 
 def test_each_row_of_the_table_is_in_the_source_and_has_its_test() -> None:
-    tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_*.py"))
+    paths = [*Path(__file__).parent.glob("test_*.py"), ROOT / "tests" / "doctor" / "test_doctor_loopback.py"]
+    tests = "".join(path.read_text(encoding="utf-8") for path in paths)
     for rule, section, kept, test in rows():
         assert re.fullmatch(r"[0-9.]+((, | to )[0-9.]+)*", section), rule
         for where, line in kept_by(kept):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 
 ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
@@ -42,7 +42,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # between them they have each side of every switch, so that a path in any line of any source would show
-EXTREMES = (UnoOptions(), UnoOptions("IN1_IN2", 1000000, True, True, True, True))
+EXTREMES = (Variant(), Variant("IN1_IN2", 1000000, True, True, True, True))
 
 
 def test_the_wheel_holds_every_variant_of_the_firmware_and_the_same_from_another_folder(
@@ -55,7 +55,7 @@ def test_the_wheel_holds_every_variant_of_the_firmware_and_the_same_from_another
             if name.startswith("rig/_firmware/prebuilt/")
         }
     wired = list(itertools.product((False, True), repeat=4))
-    every = [UnoOptions(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
+    every = [Variant(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
     files = {f"{one.name}.hex" for one in every} | {f"{one.name_for('pico')}.uf2" for one in every}
     assert held.keys() == files | {"SHA256SUMS"}
 

@@ -23,7 +23,7 @@ from rig.backends.modbus.opening import emulated_io_block
 from rig.backends.modbus.section import is_tcp
 from rig.backends.registry import backend_of
 from rig.backends.serial import frames
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.backends.serial.frames import BLOCK_ROWS, Kind
@@ -230,7 +230,7 @@ def _unmoved_s(experiment: Experiment) -> float:
 
 
 def _chip(experiment: Experiment) -> VirtualChip:
-    options = UnoOptions(baud=experiment.daq.baud, end_switches=True)
+    options = Variant(baud=experiment.daq.baud, end_switches=True)
     return VirtualChip(
         _bench(experiment), experiment.seed, clock_error_ppm=_clock_error_ppm(experiment), options=options
     )

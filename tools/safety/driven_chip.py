@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 from rig.backends.backend import truth_of
 from rig.backends.serial.driver import setup_for
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
 from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
@@ -148,7 +148,7 @@ class DrivenChip:
 
     def __init__(self, way: Way, rng: random.Random) -> None:
         self.way = way
-        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches, encoder=way.encoder)
+        options = Variant(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches, encoder=way.encoder)
         self.stand = way.stand
         bench = self.stand.bench if way.noisy else replace(self.stand.bench, noise_rad=0.0)
         seed = rng.randrange(2**32)

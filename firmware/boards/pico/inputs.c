@@ -3,6 +3,7 @@
 #include "bridge.h"
 #include "cpu.h"
 #include "encoder.h"
+#include "loopback.h"
 #include "rig_core.h"
 #include "wiring.h"
 
@@ -38,6 +39,9 @@ void io_bank0_interrupt(void)
     }
     if (RIG_ENCODER && (REG(IO_PROC0_INTS0) & EDGES_OF_ENCODER) != 0u) {
         encoder_take_edge();
+    }
+    if (REG(IO_PROC0_INTS2) != 0u) {
+        loopback_take_edge();
     }
 }
 

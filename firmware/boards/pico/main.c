@@ -13,6 +13,7 @@
 #include "cpu.h"
 #include "encoder.h"
 #include "inputs.h"
+#include "loopback.h"
 #include "rig_core.h"
 #include "system.h"
 #include "uart.h"
@@ -146,6 +147,7 @@ static const rig_board BOARD = {
     .set_position = set_position,
     .encoder_troubles = encoder_troubles,
 #endif
+    .loopback = &LOOPBACK,
     .hold_tick = hold_tick,
     .release_tick = release_tick,
 };

@@ -76,6 +76,9 @@
 #define IO_INTR1 0x400140F4u        /* pins 8 to 15, four bits each */
 #define IO_PROC0_INTE1 0x40014104u
 #define IO_PROC0_INTS1 0x40014124u
+#define IO_INTR2 0x400140F8u        /* pins 16 to 23 */
+#define IO_PROC0_INTE2 0x40014108u
+#define IO_PROC0_INTS2 0x40014128u
 #define EDGE_HIGH(pin) BIT(4u * ((pin) - 8u) + 3u)
 
 /* 2.19 pads */
@@ -92,6 +95,7 @@
 #define SIO_GPIO_OUT_SET 0xD0000014u
 #define SIO_GPIO_OUT_CLR 0xD0000018u
 #define SIO_GPIO_OE_SET 0xD0000024u
+#define SIO_GPIO_OE_CLR 0xD0000028u
 
 /* 2.4.8 interrupt controller, and the table of vectors; 2.3.2 numbers of interrupts */
 #define NVIC_ISER 0xE000E100u

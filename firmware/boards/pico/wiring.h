@@ -12,6 +12,8 @@
  *     GP16 (21)  PWM (slice 0, A)                GP16 (21)  IN1 (slice 0, A)
  *     GP17 (22)  direction                       GP17 (22)  IN2 (slice 0, B)
  *
+ * Loop-back, on a bare board alone: GP16 to GP18 (24), GP17 to GP19 (25), GP14 to GP15 (20).
+ *
  * In brackets the numbers on the board. No pin takes more than 3.3 V.
  */
 #ifndef RIG_PICO_WIRING_H
@@ -29,8 +31,11 @@
 #define PIN_END_LOW 12u
 #define PIN_END_HIGH 13u
 #define PIN_ESTOP 14u
+#define PIN_ESTOP_WIRE 15u
 #define PIN_PWM_A 16u
 #define PIN_PWM_B 17u
+#define PIN_WIRE_A 18u
+#define PIN_WIRE_B 19u
 #define PIN_QUIET_SUPPLY 23u /* high: the board's 3.3 V have less ripple, and the converter less noise */
 #define PIN_LED 25u
 #define PIN_POSITION 26u
@@ -42,11 +47,14 @@
 #define CHANNEL_SUPPLY 2u
 
 #define EDGES_OF_ENCODER (BOTH_EDGES(PIN_ENCODER_A) | BOTH_EDGES(PIN_ENCODER_B))
+#define EDGES_OF_WIRES (BOTH_EDGES(PIN_WIRE_A - 16u) | BOTH_EDGES(PIN_WIRE_B - 16u))
 #define CLOCK_HZ 125000000u
 
-/* A pad that pulls up, for a contact or a line that is high at rest; one that drives; one that only measures. */
+/* A pad that pulls up, for a contact or a line that is high at rest; one that drives; one that closes a contact; one that
+ * only measures. */
 #define PAD_CONTACT (PAD_INPUT | PAD_PULL_UP | PAD_SCHMITT)
 #define PAD_OUTPUT (PAD_INPUT | PAD_PULL_DOWN | PAD_SCHMITT | PAD_4_MA)
+#define PAD_WEAK (PAD_INPUT | PAD_SCHMITT | PAD_4_MA)
 #define PAD_ANALOGUE PAD_OUTPUT_DISABLED
 
 static inline void wire_pin(uint32_t pin, uint32_t pad, uint32_t control)

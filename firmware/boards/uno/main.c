@@ -16,6 +16,7 @@
 #include "clock.h"
 #include "encoder.h"
 #include "inputs.h"
+#include "loopback.h"
 #include "rig_core.h"
 #include "uart.h"
 #include "wiring.h"
@@ -163,6 +164,7 @@ static const rig_board BOARD = {
     .set_position = set_position,
     .encoder_troubles = encoder_troubles,
 #endif
+    .loopback = &LOOPBACK,
     .hold_tick = hold_tick,
     .release_tick = release_tick,
 };
@@ -188,6 +190,7 @@ static void tick(void)
         wdt_reset();
     }
     rig_tick(&core);
+    loopback_tick();
     show();
 }
 

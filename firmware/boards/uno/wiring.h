@@ -10,6 +10,8 @@
  *     BRIDGE=PWM_DIR                      BRIDGE=IN1_IN2
  *     D9  PB1  PWM (OC1A)                 D9  PB1  IN1 (OC1A)
  *     D8  PB0  direction                  D10 PB2  IN2 (OC1B)
+ *
+ * Loop-back, on a bare board alone: D9 to A3 (PC3), D8 or D10 to A4 (PC4), D4 to A5 (PC5).
  */
 #ifndef RIG_UNO_WIRING_H
 #define RIG_UNO_WIRING_H
@@ -26,6 +28,15 @@
 #define PIN_OC1A BIT(PB1)
 #define PIN_OC1B BIT(PB2)
 #define PIN_LED BIT(PB5)
+#if RIG_BRIDGE == BRIDGE_PWM_DIR
+#define OTHER 0u /* bit of port B */
+#else
+#define OTHER 2u
+#endif
+
+#define PIN_WIRE_A BIT(PC3)
+#define PIN_WIRE_B BIT(PC4)
+#define PIN_ESTOP_WIRE BIT(PC5)
 
 #define PIN_ENCODER_A BIT(PD2)
 #define PIN_ENCODER_B BIT(PD3)

@@ -12,6 +12,7 @@
 //   - WFI with interrupts masked enters the handler, and one that came before is slept through: it only ends the sleep;
 //   - entering an interrupt and leaving it take no time: 15 and 13 cycles here (ARM DDI 0484C, and 2.4);
 //   - CHIP_RESET cannot be read, and all peripherals are out of reset from the start;
+//   - its timer counts on through a reset: what the program reads and sets of it is from the reset on;
 //   - its watchdog calls back, for ever, and its reset() erases the flash: a reset is a new chip on the same clock;
 //   - its peripherals take no note of what the data sheet forbids: the first rule that the program breaks is kept.
 // Flash takes it no time: the program runs from memory, which takes the chip none, either. There is one core.
@@ -30,10 +31,14 @@ const [IO_BANK0, PADS_BANK0, RESETS] = [0x40014, 0x4001c, 0x4000c];
 const IN_RESET = { [IO_BANK0]: 5, [PADS_BANK0]: 8, [PWM]: 14, 0x40054: 21, [UART0]: 22, [ADC]: 0 }; // bits of RESETS
 const [RESET, RESET_DONE, ALL_RESETS] = [0x0, 0x8, 0x1ffffff];
 const [TIMER_IRQ, UART_IRQ] = [0, 20];
+const TIMER = 0x40054;
+const IS_TIME = new Set([0x10, 0x28]); // registers: ALARM0, TIMERAWL
 const [NULL, FUNCTION_PWM, FUNCTION_SIO] = [0x1f, 4, 5];
 const [PIN_A, PIN_B, PIN_LED] = [16, 17, 25]; // boards/pico/wiring.h
 const CONTACTS = { e_stop: [14, 1], end_low: [12, 2], end_high: [13, 4] }; // pins, and bits of the bench's contacts
 const CHANNELS = [2, 3]; // of an encoder
+const WIRES = [[PIN_A, 18, 1], [PIN_B, 19, 2]]; // of a loop-back: from, to, and bits of those that are there
+const [ESTOP_WIRE, ESTOP_WIRE_BIT] = [15, 4];
 const LOOK_NS = 100e3; // at the shaft, at least so often
 const HAND_NS = 50e3; // between two edges of a shaft that was put elsewhere
 const ENTRY_CYCLES = 15;
@@ -60,8 +65,9 @@ class ChipReset extends Peripheral {
 
 class Chip {
   // uf2: path; byte_ns: that a byte takes the host; addon: path of the bench (bench_for_node.c), and its options as
-  // [name, value]; bridge: PWM_DIR or IN1_IN2; dead_time_s of the bridge, once in a PWM period; clock_error_ppm of the chip's clock
-  constructor({ uf2, byte_ns, addon, options, bridge, dead_time_s, clock_error_ppm }) {
+  // [name, value]; bridge: PWM_DIR or IN1_IN2; dead_time_s of the bridge, once in a PWM period; clock_error_ppm of the chip's clock;
+  // wires: of a loop-back on a bare board, bits of WIRES; null: the board is on its bench
+  constructor({ uf2, byte_ns, addon, options, bridge, dead_time_s, clock_error_ppm, wires }) {
     const given = Object.fromEntries(options);
     this.encoder = given.encoder === "1";
     if (!this.encoder && given["counts-max"] !== String(ADC_MAX)) throw new Error(`the chip's converter reads 0 to ${ADC_MAX}`);
@@ -69,7 +75,7 @@ class Chip {
     this.flash = readUf2(uf2);
     this.bench = require(addon);
     this.motor = this.bench.make([...options, ["drive-counts", String(DRIVE_STEPS)]]);
-    Object.assign(this, { bridge, byte_ns, dead_time_s });
+    Object.assign(this, { bridge, byte_ns, dead_time_s, wires: wires ?? null });
     this.rate = 1 + 1e-6 * clock_error_ppm; // of the chip's clock, which counts `clock`'s nanoseconds
     this.clock = new SimulationClock();
     this.now_ns = 0;
@@ -124,6 +130,7 @@ class Chip {
     this.depth = []; // of interrupts: [number, cycles so far]
     this.debt = this.masked = 0; // cycles
     this.#connect(watchdogReason);
+    this.ends = this.clock.createAlarm(() => this.#showEnds());
     this.#boot();
     this.#pinsChanged();
     if (this.encoder) {
@@ -191,9 +198,19 @@ class Chip {
       [PWM]: this.pwm,
       [CHIP_RESET]: new ChipReset(this.chipReset),
     });
+    this.#connectTimer();
     this.#connectResets();
     this.#connectPins();
     this.#connectCore();
+  }
+
+  // A reset sets the timer to 0; that of rp2040js is the clock that outlives it.
+  #connectTimer() {
+    const timer = this.mcu.peripherals[TIMER];
+    const before_us = Math.floor(this.clock.nanos / 1000);
+    const [read, write] = [timer.readUint32.bind(timer), timer.writeUint32.bind(timer)];
+    timer.readUint32 = (offset) => (IS_TIME.has(offset) ? (read(offset) - before_us) >>> 0 : read(offset));
+    timer.writeUint32 = (offset, value) => write(offset, IS_TIME.has(offset) ? (value + before_us) >>> 0 : value);
   }
 
   #connectResets() {
@@ -363,15 +380,42 @@ class Chip {
       this.bench.arm(this.motor); // lit: armed
     }
     this.#tellContacts();
+    this.#showEnds();
+  }
+
+  // The edges of the bridge's outputs go through the wires of a loop-back as they come. An end without one is pulled up.
+  #showEnds() {
+    if (this.wires === null) return;
+    this.pwm.advance(this.#cycle);
+    for (const [from, to, bit] of WIRES) {
+      this.mcu.gpio[from].rawInputValue = this.#level(from) === 1; // a pin reads its own level
+      this.#setInput(to, this.wires & bit ? this.#level(from) === 1 : this.mcu.gpio[to].pullupEnabled);
+    }
+    this.ends.cancel();
+    const cycles = this.pwm.next - this.#cycle;
+    if (cycles < Infinity) this.ends.schedule((Math.max(cycles, 1) * 1e9) / this.mcu.clkSys);
   }
 
   // A contact is closed to ground; an open one is pulled up where the pad does.
   #tellContacts() {
+    if (this.wires !== null) {
+      const isLow = (this.wires & ESTOP_WIRE_BIT) !== 0 && this.#isLowOutput(ESTOP_WIRE);
+      for (const [name, [pin]] of Object.entries(CONTACTS)) {
+        this.#setInput(pin, !(name === "e_stop" && isLow) && this.mcu.gpio[pin].pullupEnabled);
+      }
+      return;
+    }
     const byBench = this.encoder ? this.bench.contacts(this.motor) : 0;
     for (const [name, [pin, bit]] of Object.entries(CONTACTS)) {
       const isOpen = this.open.has(name) || (byBench & bit) !== 0;
       this.#setInput(pin, isOpen && this.mcu.gpio[pin].pullupEnabled);
     }
+  }
+
+  #isLowOutput(pin) {
+    const { sio, gpio } = this.mcu;
+    const isOutput = gpio[pin].functionSelect === FUNCTION_SIO && ((sio.gpioOutputEnable >>> pin) & 1) !== 0;
+    return isOutput && ((sio.gpioValue >>> pin) & 1) === 0;
   }
 
   #setInput(pin, isHigh) {

@@ -117,6 +117,11 @@ class Pwm extends Peripheral {
     this.at = Math.max(this.at, cycle);
   }
 
+  // The next cycle at which an output may change; Infinity while it stands still.
+  get next() {
+    return this.runs ? this.at + this.#far()[0] : Infinity;
+  }
+
   // Share of the time for which an output is high, from the next period on.
   share(output) {
     if (!this.runs) return this.level[output] ? 1 : 0;

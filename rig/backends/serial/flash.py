@@ -82,7 +82,8 @@ _SIGNATURE = re.compile(r"device signature = (0x[0-9a-f]+)", re.IGNORECASE)
 
 
 PREBUILT = FOLDER / "_firmware" / "prebuilt"  # in an installed rig
-REAL_CHIP_REPORT: str | None = None  # page of the report that this firmware has run on a real chip; None: there is none
+# Boards whose real chip has kept the firmware's promises, and the report that says so (docs/loopback.md): none yet.
+REAL_CHIP_REPORTS: dict[str, str] = {}
 NEVER_RUN = "this firmware has never run on a real chip: take the first steps of docs/real-bench.md one by one"
 
 

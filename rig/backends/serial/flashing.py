@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import shlex
 
-from rig.backends.serial.ports import CHIP_BAUDS
+from rig.backends.serial.ports import CHIP_BAUDS, PICO_PORTS
 from rig.config.schema import BRIDGES, Experiment
 
 _PICO_COUNTS = 4095  # the Uno's converter has 10 bits
 WRONG_BRIDGE = "with the wrong one 0 V can be full drive"
 
 
-def flash_line(e: Experiment) -> str:
-    """The whole command, for people. If the config does not name the bridge: one command for each bridge."""
+def flash_line(e: Experiment, board: str | None = None) -> str:
+    """The whole command, for people. If the config does not name the bridge: one command for each bridge.
+
+    board  "uno" or "pico"; None: as far as the config tells, by its converter or its emulated port
+    """
     baud = e.daq.baud if e.daq.baud in CHIP_BAUDS else max(CHIP_BAUDS)
     parts = "" if e.tachometer is None else " --tachometer"
     home = None
@@ -20,11 +23,13 @@ def flash_line(e: Experiment) -> str:
         home = e.sensor.encoder.home
         parts += " --encoder" + ("" if home is None else " --end-switches")
 
-    board = " --board pico" if e.sensor.counts_max == _PICO_COUNTS else ""
+    if board is None and (e.sensor.counts_max == _PICO_COUNTS or e.daq.port in PICO_PORTS):
+        board = "pico"
+    named = " --board pico" if board == "pico" else ""
     port = shlex.quote(e.daq.port or "PORT")
 
     def line(bridge: str) -> str:
-        return f"rig flash{board} --port {port} --bridge {bridge} --baud {baud}{parts}"
+        return f"rig flash{named} --port {port} --bridge {bridge} --baud {baud}{parts}"
 
     if e.drive.bridge is not None:
         words = line(e.drive.bridge)

@@ -29,10 +29,12 @@ STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
 STATUS_LAW = 8  # a law in the device runs: the relay or the strokes
 STATUS_ZERO = 16  # ZERO has said where the encoder stands
 STATUS_ESTOP_TRIED = 32  # a device with an encoder: its e-stop has been open since the reset
+STATUS_LOOPBACK = 64
 
 FEATURE_TACHOMETER = 1
 FEATURE_SUPPLY = 2
 FEATURE_ENCODER = 4
+FEATURE_LOOPBACK = 64
 FEATURE_STROKES = 128
 SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
 SUPPLY_FULL = 255  # the largest reading: so much or more
@@ -62,6 +64,7 @@ class Kind(IntEnum):
     ACK = 0x0A
     STROKES = 0x0B
     ZERO = 0x0C
+    LOOPBACK = 0x0D
     HELLO_REPLY = 0x81
     SETUP_REPLY = 0x82
     ARM_REPLY = 0x83
@@ -72,6 +75,7 @@ class Kind(IntEnum):
     ACK_REPLY = 0x8A
     STROKES_REPLY = 0x8B
     ZERO_REPLY = 0x8C
+    LOOPBACK_REPLY = 0x8D
     NACK = 0xFF
 
 
@@ -99,6 +103,19 @@ class Code(IntEnum):
     ENCODER_STILL = 18
     NO_ZERO = 19
     E_STOP_UNTRIED = 20
+    LOOPBACK = 21
+
+
+class LoopbackAct(IntEnum):
+    """What a LOOPBACK asks for. LOOK: edges; SHARE: those, and shares; OPEN, CLOSE: the e-stop; HANG: the main loop."""
+
+    END = 0
+    BEGIN = 1
+    LOOK = 2
+    SHARE = 3
+    OPEN = 4
+    CLOSE = 5
+    HANG = 6
 
 
 def code_name(code: int) -> str:
@@ -125,7 +142,8 @@ class Hello(NamedTuple):
     board        key of BOARDS
     reset_cause  bits of RESET_CAUSES
     bridge       key of BRIDGES; 0: none
-    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, runs strokes
+    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, can look at
+                 its own outputs, runs strokes
     counts_max   largest reading of the position sensor, counts; 0: an encoder, which has none
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32
@@ -323,6 +341,49 @@ class Block(NamedTuple):
         return cls(t_first_us, period_us, delay_us, status, fault, session, rows)
 
 
+class LoopbackEnd(NamedTuple):
+    """One output of the bridge and the end of its wire, in LOOPBACK_REPLY.
+
+    wire_highs, pin_highs  of the looks: how often the wire's end, and the output itself, was high
+    rises                  at the wire's end since the loop-back began, modulo 2**16
+    last_us                device time of the last edge there, us
+    """
+
+    wire_highs: int
+    pin_highs: int
+    rises: int
+    last_us: int
+
+
+class Loopback(NamedTuple):
+    """Body of LOOPBACK_REPLY: what a bare board sees of its own outputs.
+
+    now_us    device clock, us, wraps at 2**32
+    ticks     control ticks since the reset
+    estop_us  device time at which the board last opened its e-stop, us
+    looks     of a SHARE, else 0
+    high      bits: the wires' ends now, in the order of ``ends``
+    ends      of PWM or IN1; of direction or IN2
+    """
+
+    now_us: int
+    ticks: int
+    estop_us: int
+    looks: int
+    high: int
+    ends: tuple[LoopbackEnd, LoopbackEnd]
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _LOOPBACK.pack(*self[:5], *self.ends[0], *self.ends[1])
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        now_us, ticks, estop_us, looks, high, *ends = _LOOPBACK.unpack(body)
+        return cls(now_us, ticks, estop_us, looks, high, (LoopbackEnd(*ends[:4]), LoopbackEnd(*ends[4:])))
+
+
 class Nack(NamedTuple):
     """Body of NACK: why, and the kind of the refused request."""
 
@@ -345,6 +406,7 @@ _STATE = struct.Struct("<IiHIhHBBI")
 _ARM = struct.Struct("<I")
 _ACK = struct.Struct("<B")
 _ZERO = struct.Struct("<i")
+_LOOPBACK = struct.Struct("<IIIHBHHHIHHHI")
 _NACK = struct.Struct("<BB")
 _DRIVE = struct.Struct("<h")
 _RELAY = struct.Struct("<hhhhiIbB")
@@ -369,6 +431,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.ACK: _ACK.size,
     Kind.STROKES: _STROKES_LENGTH,
     Kind.ZERO: _ZERO.size,
+    Kind.LOOPBACK: 1,
     Kind.HELLO_REPLY: _HELLO.size,
     Kind.SETUP_REPLY: _SETUP.size,
     Kind.ARM_REPLY: 1,
@@ -378,6 +441,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.ACK_REPLY: _STATE.size,
     Kind.STROKES_REPLY: _STROKES_LENGTH,
     Kind.ZERO_REPLY: _STATE.size,
+    Kind.LOOPBACK_REPLY: _LOOPBACK.size,
     Kind.NACK: _NACK.size,
 }
 

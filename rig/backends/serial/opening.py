@@ -24,7 +24,7 @@ from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.emulated.pico_board import PicoBoard
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.usb_board import UsbBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip, uno_options
+from rig.backends.serial.emulated.virtual_chip import VirtualChip, variant_of
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
@@ -107,7 +107,7 @@ def emulated_chip(e: Experiment) -> VirtualChip:
         bench,
         e.seed,
         clock_error_ppm=emulated.clock_error_ppm,
-        options=uno_options(bench, e.daq.baud, e.drive.bridge),
+        options=variant_of(bench, e.daq.baud, e.drive.bridge),
     )
 
 
@@ -119,7 +119,7 @@ def emulated_pico(e: Experiment) -> VirtualPico:
 def _pico_parameters(e: Experiment) -> dict[str, Any]:
     emulated = emulated_of(e)
     bench = bench_parameters(emulated, e.tachometer)
-    options = uno_options(bench, e.daq.baud, e.drive.bridge)
+    options = variant_of(bench, e.daq.baud, e.drive.bridge)
     return pico_parameters(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, options=options)
 
 

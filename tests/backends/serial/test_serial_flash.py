@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import pty
 import shutil
@@ -172,8 +173,15 @@ def test_what_came_with_rig_is_taken_if_its_hash_is_right(tmp_path: Path, monkey
 
 
 def test_it_says_that_no_real_chip_has_run_it_until_a_report_stands_in_the_docs() -> None:
-    docs = Path(__file__).resolve().parents[3]
-    assert flash.REAL_CHIP_REPORT is None or (docs / flash.REAL_CHIP_REPORT).is_file()
+    """Of each board: a report of a real chip that found nothing bad, and the page that says so."""
+    docs = Path(__file__).resolve().parents[3] / "docs"
+    reports = {path.name: json.loads(path.read_text()) for path in (docs / "loopback").glob("*.json")}
+    real = {report["board"]["name"]: name for name, report in reports.items() if not report["emulated"]}
+    assert real == flash.REAL_CHIP_REPORTS
+    assert all(reports[name]["ok"] for name in real.values())
+    page = (docs / "loopback.md").read_text()
+    for board in ("uno", "pico"):
+        assert (f"| {board} | none: it has never run on a real chip |" in page) == (board not in real)
 
 
 def test_the_reset_cause_is_told_where_the_boot_loader_leaves_it(avrdude: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from rig.backends.serial import flash_pico
-from rig.backends.serial.emulated.firmware_build import UnoOptions, build_pico
+from rig.backends.serial.emulated.firmware_build import Variant, build_pico
 from rig.backends.serial.flash import FlashError
 from rig.cli import main
 
@@ -66,7 +66,7 @@ def test_the_uf2_has_every_byte_of_the_program_and_the_boot_programs_checksum() 
 
 
 def test_a_variant_has_its_name() -> None:
-    options = UnoOptions("IN1_IN2", 1_000_000, supply=True)
+    options = Variant("IN1_IN2", 1_000_000, supply=True)
     assert build_pico(options).name == "rig_pico-in1_in2-1000000-supply.uf2"
 
 
@@ -75,7 +75,7 @@ def test_it_copies_the_firmware_and_waits_until_the_board_restarts(drive: Path) 
     result = run("--drive", str(drive), "--bridge", "in1-in2")
     board.join(5.0)
     assert result.exit_code == 0, result.output
-    assert (drive / "rig_pico-in1_in2.uf2").read_bytes() == build_pico(UnoOptions("IN1_IN2")).read_bytes()
+    assert (drive / "rig_pico-in1_in2.uf2").read_bytes() == build_pico(Variant("IN1_IN2")).read_bytes()
     assert "GP17) must be at 3.3 V" in result.stdout and "--port PORT" in result.stdout
 
 

@@ -15,7 +15,7 @@ from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_by_
 from rig.backends.registry import connect, emulated_board
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
-from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.usb_chip import UsbChip
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
@@ -207,7 +207,7 @@ def test_the_clock_is_not_biased_by_the_wait(adapter: Adapter, baud: int) -> Non
 
 
 def test_a_chip_behind_an_adapter_that_is_pulled_out_is_lost_while_time_goes_on() -> None:
-    chip = VirtualChip(DEMO, options=UnoOptions(baud=1_000_000))
+    chip = VirtualChip(DEMO, options=Variant(baud=1_000_000))
     link = BehindUsb(chip, "16u2")
     link.sleep_until(0.1)
     chip.unplug()

@@ -7,7 +7,7 @@ from pathlib import Path
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.virtual_chip import chip_options, uno_options
+from rig.backends.serial.emulated.virtual_chip import chip_options, variant_of
 from rig.config.schema import Emulated, Tachometer
 
 
@@ -35,7 +35,7 @@ class ChipBoard(BoardProcess):
         """
         self._must_not_run()
         bench = bench_parameters(emulated, tachometer)
-        options = uno_options(bench, baud, bridge)
+        options = variant_of(bench, baud, bridge)
         firmware = firmware_build.build_chip(options)
         wanted = chip_options(firmware, bench, seed, emulated.clock_error_ppm, options)
         return self._launch(firmware.program, {**wanted, "baud": str(baud)}, link, trace)

@@ -24,7 +24,7 @@ class HostFirmware(NamedTuple):
     library: Path
 
 
-class UnoOptions(NamedTuple):
+class Variant(NamedTuple):
     """What a board's firmware is built with (firmware/boards/variant.mk); the defaults are the plain ``rig_uno.hex``.
 
     bridge  "PWM_DIR" or "IN1_IN2"
@@ -66,7 +66,7 @@ class UnoOptions(NamedTuple):
         return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags, f"ENCODER={self.encoder:d}"]
 
 
-PLAIN_UNO = UnoOptions()
+PLAIN_VARIANT = Variant()
 
 
 class ChipFirmware(NamedTuple):
@@ -109,7 +109,7 @@ def build(build_folder: Path | None = None) -> HostFirmware:
     return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
 
 
-def build_uno(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
+def build_uno(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
     """Build the Uno's firmware, as ``build`` does; the .hex to flash.
 
     Raises EmulationError also where avr-gcc or its library is missing.
@@ -118,7 +118,7 @@ def build_uno(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None)
     return folder / "uno" / f"{options.name}.hex"
 
 
-def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> ChipFirmware:
+def build_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> ChipFirmware:
     """Build the Uno's firmware and its emulated chip, as ``build`` does.
 
     Raises EmulationError also where avr-gcc is missing, or the repository: what is installed has no emulated chip.
@@ -131,7 +131,7 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
     return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
 
 
-def build_pico(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
+def build_pico(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
     """Build the Pico's firmware, as ``build`` does; the .uf2 to copy.
 
     Raises EmulationError also where arm-none-eabi-gcc is missing.
@@ -140,7 +140,7 @@ def build_pico(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
     return folder / "pico" / f"{options.name_for('pico')}.uf2"
 
 
-def build_pico_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> PicoFirmware:
+def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> PicoFirmware:
     """Build the Pico's firmware and what its emulated chip needs, as ``build`` does.
 
     Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing, or the repository: what is

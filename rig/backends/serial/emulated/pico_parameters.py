@@ -7,7 +7,7 @@ from typing import Any
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
 
 _BITS_PER_BYTE = 10
@@ -18,8 +18,9 @@ def pico_parameters(
     seed: int = 1,
     *,
     clock_error_ppm: float = 0.0,
-    options: UnoOptions = PLAIN_UNO,
+    options: Variant = PLAIN_VARIANT,
     dead_time_s: float = 0.0,
+    wires: int | None = None,
     build_folder: Path | None = None,
 ) -> dict[str, Any]:
     """What a ``VirtualPico`` is made of; firmware and emulator are built.
@@ -29,6 +30,7 @@ def pico_parameters(
     clock_error_ppm  of the chip's clock against virtual time
     options          that the firmware is built with
     dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    wires            of a loop-back on a bare board, whose bench is not there: as of ``VirtualChip``
     build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator is missing or cannot be built.
     """
@@ -44,4 +46,5 @@ def pico_parameters(
         "bridge": options.bridge,
         "dead_time_s": dead_time_s,
         "clock_error_ppm": clock_error_ppm,
+        "wires": wires,
     }

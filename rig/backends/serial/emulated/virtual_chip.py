@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, ChipFirmware, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, ChipFirmware, Variant
 from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
@@ -24,10 +24,10 @@ Hang = Literal["main loop", "everything", "clock", "converter", "tick"]
 Stall = Literal["main loop", "tick"]
 
 
-def uno_options(bench: BenchParameters, baud: int, bridge: str | None) -> UnoOptions:
+def variant_of(bench: BenchParameters, baud: int, bridge: str | None) -> Variant:
     """What the firmware is built with for a bench; ``bridge`` as the config names it, None: the plain one."""
-    inputs = PLAIN_UNO.bridge if bridge is None else bridge.upper().replace("-", "_")
-    return UnoOptions(
+    inputs = PLAIN_VARIANT.bridge if bridge is None else bridge.upper().replace("-", "_")
+    return Variant(
         inputs,
         baud,
         tachometer=bench.tachometer_rad_s_per_count is not None,
@@ -37,7 +37,7 @@ def uno_options(bench: BenchParameters, baud: int, bridge: str | None) -> UnoOpt
 
 
 def chip_options(
-    firmware: ChipFirmware, bench: BenchParameters, seed: int, clock_error_ppm: float, options: UnoOptions
+    firmware: ChipFirmware, bench: BenchParameters, seed: int, clock_error_ppm: float, options: Variant
 ) -> dict[str, str]:
     """Names and values of the emulated chip's options: of the bench, and which program runs behind which bridge."""
     return {
@@ -102,6 +102,8 @@ class VirtualChip(VirtualDevice):
     clock_error_ppm  of the chip's clock against virtual time
     options          that the firmware is built with
     dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    wires            of a loop-back on a bare board, whose bench is not there (``rig doctor --loopback``): 1 of PWM or
+                     IN1, 2 of direction or IN2, 4 of the e-stop. None: no bare board
     measure          count masked interrupts and time spent in them: 3 to 10 times as slow
     build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
@@ -113,14 +115,17 @@ class VirtualChip(VirtualDevice):
         seed: int = 1,
         *,
         clock_error_ppm: float = 0.0,
-        options: UnoOptions = PLAIN_UNO,
+        options: Variant = PLAIN_VARIANT,
         dead_time_s: float = 0.0,
         measure: bool = False,
+        wires: int | None = None,
         build_folder: Path | None = None,
     ) -> None:
         firmware = firmware_build.build_chip(options, build_folder)
         wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
+        if wires is not None:
+            wanted["bare"] = str(wires)
         super().__init__(_load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
 
     def truth(self) -> ChipTruth:
