@@ -28,6 +28,7 @@ from rig.results import (
     known,
 )
 from rig.results.budget_lines import budget_lines, that_matter
+from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
 
 if TYPE_CHECKING:  # each loads slowly
@@ -38,6 +39,7 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.session import Outcome
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
+SHORT = ("tau", "K", "f_c")
 LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
@@ -221,6 +223,50 @@ def show_design(found: DesignResult) -> None:
 
 def _seconds(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"
+
+
+def show_comparison(found: ComparisonResult) -> None:
+    """Show a comparison: the runs, how far each is off the others, both answers, the trends."""
+    benches = len({run.bench for run in found.runs})
+    others = "the other" if len(found.runs) == 2 else "the others"
+    head = ("run", *(("bench",) if benches > 1 else ()), "tau, s", "K, (rad/s)/V", "f_c, V", "verdict")
+    rows = [[run.name, *([str(run.bench)] if benches > 1 else []), *_compared(run), run.verdict] for run in found.runs]
+    show_table(f"{len(found.runs)} runs, ±: noise alone (Type A, 95 %)", head, rows)
+    head = ("run", "tau, %", "K, %", "f_c, %", "chance")
+    rows = [
+        [
+            run.name,
+            *(_off_others(run.off_percent[key], run.off_ci95_percent[key]) for key in MAIN),
+            f"{100.0 * run.chance:.2g} %",
+        ]
+        for run in found.runs
+    ]
+    show_table(f"how far off {others}, ±: 95 %, with what the runs do not share", head, rows)
+    scatter = ", ".join(f"{name} {found.scatter.percent[key]:.2g} %" for key, name in zip(MAIN, SHORT, strict=True))
+    click.echo(f"differs measurably: {found.measurably.words}")
+    click.echo(f"differs beyond the scatter from run to run: {found.beyond_scatter.words}")
+    click.echo(f"scatter: {scatter} ({found.scatter.source}): {found.scatter.why}")
+    for trend in found.trends:
+        half = 0.5 * (known(trend.ci95[1]) - known(trend.ci95[0]))
+        name = SHORT[MAIN.index(trend.parameter)]
+        sure = "" if trend.shows else " (none shows)"
+        click.echo(f"trend over {trend.over}: {name} {trend.slope:+.3g} ±{half:.2g} {trend.unit}{sure}")
+    for one in found.left_out:
+        click.echo(f"left out: {one.folder}: {one.reason}")
+    for note in found.notes:
+        click.echo(f"note: {note}")
+
+
+def _compared(run: ComparedRunResult) -> list[str]:
+    values = (run.tau_s, run.K_rad_s_V, run.fc_V)
+    return [
+        f"{value:.4f} ±{0.5 * (known(run.ci95[key][1]) - known(run.ci95[key][0])):.4f}"
+        for key, value in zip(MAIN, values, strict=True)
+    ]
+
+
+def _off_others(percent: float, interval: tuple[float | None, float | None]) -> str:
+    return f"{percent:+.2f} ±{0.5 * (known(interval[1]) - known(interval[0])):.2f}"
 
 
 def show_estimates(

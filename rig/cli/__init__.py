@@ -16,6 +16,7 @@ import click
 from rig.cli import (
     campaign,
     check,
+    compare,
     config,
     design,
     doctor,
@@ -59,6 +60,7 @@ def main() -> None:
 for _command in (
     campaign.campaign,
     check.check,
+    compare.compare,
     config.ready_configs,
     design.design,
     doctor.doctor,
