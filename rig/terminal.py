@@ -237,7 +237,7 @@ def show_comparison(found: ComparisonResult) -> None:
         [
             run.name,
             *(_off_others(run.off_percent[key], run.off_ci95_percent[key]) for key in MAIN),
-            f"{100.0 * run.chance:.2g} %",
+            "< 0.01 %" if run.chance < 1e-4 else f"{100.0 * run.chance:.2g} %",
         ]
         for run in found.runs
     ]

@@ -254,7 +254,9 @@ class Chooser:
         absent = [law for law in self.candidates if law not in laws]
         columns = Columns(fit, rows, [law for law in absent if law.trials(self.bench) == (NOTHING,)])
         found = [
-            replace(starts[0], gain=starts[0].gain / unit(fit)) for law in absent if (starts := self._starts(law, columns))
+            replace(starts[0], gain=starts[0].gain / unit(fit))
+            for law in absent
+            if (starts := self._starts(law, columns))
         ]
         return sorted(found, key=lambda promise: -promise.gain)
 
