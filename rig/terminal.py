@@ -30,6 +30,8 @@ from rig.results import (
 from rig.results.budget_lines import budget_lines, that_matter
 from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
+from rig.results.listed import ListedRun
+from rig.signals import plain
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
@@ -45,6 +47,7 @@ MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
 BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V", "only in")
 SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
+LIST_HEADINGS = ("run", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", "laws", "ended")
 RECORD_AGAIN = (
     "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
     "relay.gains; part of a recording: --rows FIRST:LAST"
@@ -223,6 +226,28 @@ def show_design(found: DesignResult) -> None:
 
 def _seconds(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"
+
+
+def show_runs(runs: Sequence[ListedRun], of: int) -> None:
+    """Show runs, one line each; ``of``: how many there are in the folder."""
+    rows = []
+    for run in runs:
+        numbers = [
+            "" if value is None else f"{value:.4f}" + ("" if percent is None else f" ±{percent:.2g} %")
+            for value, percent in (
+                (run.tau_s, run.tau_percent), (run.K_rad_s_V, run.K_percent), (run.fc_V, run.fc_percent)
+            )
+        ]  # fmt: skip
+        ended = run.fault or run.state
+        rows.append([plain(run.name), *numbers, run.verdict or "", run.laws.replace("_", " "), ended])
+    count = f"{len(runs)} of {of} runs" if len(runs) < of else f"{of} runs" if of != 1 else "1 run"
+    if rows:
+        show_table(count, LIST_HEADINGS, rows)
+    else:
+        click.echo(count)
+    for run in runs:
+        if run.problem is not None:
+            click.echo(f"{plain(run.name)}: {run.problem}")
 
 
 def show_comparison(found: ComparisonResult) -> None:

@@ -41,6 +41,7 @@ from rig.results.comparison import (
     ScatterResult,
     TrendResult,
 )
+from rig.signals import plain
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ def compare(
 def _names(folders: Sequence[Path]) -> list[str]:
     """The folders' own names; where two are alike, as given."""
     own = [folder.resolve().name for folder in folders]
-    return [name if own.count(name) == 1 else str(folder) for name, folder in zip(own, folders, strict=True)]
+    return [plain(name if own.count(name) == 1 else str(folder)) for name, folder in zip(own, folders, strict=True)]
 
 
 def _unknown(folders: Sequence[Path], temperatures: Mapping[str, float]) -> list[str]:
