@@ -267,19 +267,25 @@ def show_comparison(found: ComparisonResult) -> None:
         for run in found.runs
     ]
     show_table(f"how far off {others}, ±: 95 %, with what the runs do not share", head, rows)
+    for line in comparison_words(found):
+        click.echo(line)
+
+
+def comparison_words(found: ComparisonResult) -> list[str]:
+    """Both answers, the scatter, the trends and the notes of a comparison, a line each."""
     scatter = ", ".join(f"{name} {found.scatter.percent[key]:.2g} %" for key, name in zip(MAIN, SHORT, strict=True))
-    click.echo(f"differs measurably: {found.measurably.words}")
-    click.echo(f"differs beyond the scatter from run to run: {found.beyond_scatter.words}")
-    click.echo(f"scatter: {scatter} ({found.scatter.source}): {found.scatter.why}")
+    lines = [
+        f"differs measurably: {found.measurably.words}",
+        f"differs beyond the scatter from run to run: {found.beyond_scatter.words}",
+        f"scatter: {scatter} ({found.scatter.source}): {found.scatter.why}",
+    ]
     for trend in found.trends:
         half = 0.5 * (known(trend.ci95[1]) - known(trend.ci95[0]))
         name = SHORT[MAIN.index(trend.parameter)]
         sure = "" if trend.shows else " (none shows)"
-        click.echo(f"trend over {trend.over}: {name} {trend.slope:+.3g} ±{half:.2g} {trend.unit}{sure}")
-    for one in found.left_out:
-        click.echo(f"left out: {one.folder}: {one.reason}")
-    for note in found.notes:
-        click.echo(f"note: {note}")
+        lines.append(f"trend over {trend.over}: {name} {trend.slope:+.3g} ±{half:.2g} {trend.unit}{sure}")
+    lines += [f"left out: {one.folder}: {one.reason}" for one in found.left_out]
+    return lines + [f"note: {note}" for note in found.notes]
 
 
 def _compared(run: ComparedRunResult) -> list[str]:

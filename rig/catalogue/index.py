@@ -43,7 +43,10 @@ class Catalogue:
 
 
 def catalogue(folder: Path) -> Catalogue:
-    """The runs in a folder, not in those below. Writes the index if it has changed. Raises RecordingError."""
+    """The runs in a folder, not in those below. Writes the index if it has changed.
+
+    Raises RecordingError (`no_run`) if it is no folder of runs.
+    """
     if not is_folder(folder):
         raise no_run(folder)
     if is_run(folder):

@@ -70,7 +70,10 @@ class ComparedRun:
 
 
 def in_units(values: Array) -> Array:
-    """Tau, K and friction of ln tau, ln K and friction."""
+    """Tau in s, K in (rad/s)/V and friction in V, (3,).
+
+    values   (3,) ln tau (s), ln K ((rad/s)/V), friction in V
+    """
     return np.array([math.exp(values[0]), math.exp(values[1]), values[2]])
 
 
@@ -78,7 +81,7 @@ def read_run(folder: Path, name: str = "") -> ComparedRun:
     """Read a run folder's meta.json and result.json.
 
     name   in messages; default: the folder's
-    Raises RecordingError if it is no run folder or is broken, NotComparableError if its motor is not known.
+    Raises RecordingError (`no_run`) if it is no run folder or is broken, NotComparableError if its motor is not known.
     """
     if not folder.is_dir():
         raise no_run(folder)

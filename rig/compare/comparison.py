@@ -1,4 +1,4 @@
-"""Is it one motor? Two answers, and the trend (docs/compare.md, docs/theory.md 15)."""
+"""Is it one motor? Two answers, and the trend (docs/compare.md, docs/theory.md 9.1)."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from rig.compare.statistics import (
     quantile,
     slope,
 )
+from rig.errors import RigError
 from rig.results.comparison import (
     Answer,
     ComparedRunResult,
@@ -60,7 +61,10 @@ KELVIN = 2.5
 
 @dataclass(frozen=True)
 class Scatter:
-    """Standard deviation of tau, K and f_c from run to run of one motor, % of each; and where the numbers come from."""
+    """Standard deviation of tau, K and f_c from run to run of one motor, % of each; and where the numbers come from.
+
+    Raises ValueError for numbers outside of 0 to 100.
+    """
 
     percent: tuple[float, float, float]
     why: str
@@ -80,7 +84,7 @@ DEFAULT = Scatter(
 )
 
 
-class CompareError(Exception):
+class CompareError(RigError):
     """Runs that cannot be compared. ``cause`` and ``cure`` are sentences; ``left_out`` says why of each."""
 
     def __init__(self, cause: str, cure: str, left_out: Sequence[LeftOutResult] = ()) -> None:
@@ -137,7 +141,10 @@ def compare_runs(
     left_out: Sequence[LeftOutResult] = (),
     notes: Sequence[str] = (),
 ) -> Comparison:
-    """Compare runs that were read. As ``compare``."""
+    """Compare runs that were read. As ``compare``.
+
+    Raises CompareError where they are fewer than two.
+    """
     if len(runs) < 2:
         why = "".join(f"; {one.folder}: {one.reason}" for one in left_out)
         raise CompareError(
@@ -194,15 +201,15 @@ def _beside_the_agreeing(values: Array, covariance: Array, odd: Sequence[int]) -
     """How far each run is off the others, without those that are odd."""
     n, p = values.shape
     blocks = covariance.reshape(n, p, n, p)
-    off, error, alone = np.empty((n, p)), np.empty((n, p)), np.empty(n)
+    off, error, square = np.empty((n, p)), np.empty((n, p)), np.empty(n)
     rest = [k for k in range(n) if k not in odd]
     for extra in (None, *odd):
         here = rest if extra is None else [*rest, extra]
         found = agreement(values[here], blocks[np.ix_(here, range(p), here, range(p))].reshape(p * len(here), -1))
         for row, k in enumerate(here):
             if extra in (None, k):
-                off[k], error[k], alone[k] = found.off[row], found.error[row], found.alone[row]
-    return Agreement(math.nan, off, error, alone)
+                off[k], error[k], square[k] = found.off[row], found.error[row], found.square[row]
+    return Agreement(math.nan, off, error, square)
 
 
 def _off(relative: Array, variances: Array, scatter: Scatter | None) -> list[list[Off]]:
@@ -357,7 +364,8 @@ def _notes(runs: Sequence[ComparedRun], bench: Sequence[int]) -> list[str]:
     if doubtful:
         notes.append(f"not ok: {_listed(doubtful)}; what makes an estimate doubtful can make it differ, too")
     laws = [{law.name for law in run.laws} for run in runs]
-    for name in sorted(set.union(*laws) - set.intersection(*laws)):
+    names = {name for own in laws for name in own}
+    for name in sorted(name for name in names if not all(name in own for own in laws)):
         has = [run.name for run, own in zip(runs, laws, strict=True) if name in own]
         notes.append(
             f"{name.replace('_', ' ')} shows in {_listed(has)} only: a part that changed, or tests that cannot show it"

@@ -105,6 +105,7 @@ def trends(found: ComparisonResult, over: str, at: Sequence[float], backend: str
         reach = 1.6 * float(np.max(np.abs(percent) + bars))
         axes.set_ylim(-reach, reach)
         axes.set_title(LABELS[line.parameter].split(",")[0])
+        axes.locator_params(axis="x", nbins=5)
         axes.set_xlabel("time since the first run, h" if over == "time" else "temperature, °C")
     figure.axes[0].set_ylabel("off the mean, %")
     told = "; ".join(

@@ -1,6 +1,6 @@
 """Whether estimates of several runs are of one motor, and how they change: weighted means, their scatter, their trend.
 
-Pure: arrays in, numbers out (docs/theory.md 15).
+Pure: arrays in, numbers out (docs/theory.md 9.1).
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ class Agreement:
     chance   probability that estimates of one motor differ at least so much
     off      (n, p) how far each is off the weighted mean of the others
     error    (n, p) standard deviation of ``off``
-    alone    (n,) probability that one of the same motor is off the others at least so much
+    square   (n,) how far that is in all p numbers together: a sum of p squares, in standard deviations
     """
 
     chance: float
     off: Array
     error: Array
-    alone: Array
+    square: Array
+
+    @property
+    def alone(self) -> Array:
+        """(n,) probability that one of the same motor is off the others at least so much."""
+        return np.asarray(chi2.sf(self.square, self.off.shape[1]), dtype=np.float64)
 
 
 def agreement(values: Array, covariance: Array) -> Agreement:
@@ -51,20 +56,22 @@ def agreement(values: Array, covariance: Array) -> Agreement:
     by_mean = weight @ same
     left = weight - by_mean @ np.linalg.solve(same.T @ by_mean, by_mean.T)
     pull = left @ values.ravel()
-    off, error, alone = np.empty((n, p)), np.empty((n, p)), np.empty(n)
+    off, error, square = np.empty((n, p)), np.empty((n, p)), np.empty(n)
     for k in range(n):
         own = slice(k * p, (k + 1) * p)
         spread = np.linalg.inv(left[own, own])
         off[k] = spread @ pull[own]
         error[k] = np.sqrt(np.diag(spread))
-        alone[k] = chi2.sf(pull[own] @ off[k], p)
-    return Agreement(float(chi2.sf(values.ravel() @ pull, p * (n - 1))), off, error, alone)
+        square[k] = pull[own] @ off[k]
+    return Agreement(float(chi2.sf(values.ravel() @ pull, p * (n - 1))), off, error, square)
 
 
 def odd_ones(values: Array, covariance: Array, level: float) -> list[int] | None:
     """The runs without which the others agree; [] if all agree; None if it takes away half of them, or of two runs.
 
-    level   probability of naming any run of those that are of one motor: each is one of n looks
+    values       (n, p), each in a unit of its own
+    covariance   (n p, n p) of them, run by run, in these units
+    level        probability of naming any run of those that are of one motor: each is one of n looks
     """
     n, p = values.shape
     here = list(range(n))
@@ -74,7 +81,7 @@ def odd_ones(values: Array, covariance: Array, level: float) -> list[int] | None
         found = agreement(values[here], covariance[np.ix_(rows, rows)])
         if found.chance >= level:
             return odd
-        most = int(np.argmin(found.alone))
+        most = int(np.argmax(found.square))
         if 2 * (len(here) - 1) <= n or len(here) < 3 or len(here) * found.alone[most] >= level:
             return None
         odd.append(here.pop(most))
@@ -192,5 +199,9 @@ def quantile(freedom: float) -> float:
 
 
 def chance_of(ratio: float, freedom: float) -> float:
-    """Probability of a ratio at least so far from 0, in Student's distribution."""
+    """Probability of a ratio at least so far from 0, in Student's distribution.
+
+    ratio     of a number to its standard error
+    freedom   degrees of freedom of that error; infinite: it is known
+    """
     return float(2.0 * stdtr(min(freedom, 1e9), -abs(ratio)))
