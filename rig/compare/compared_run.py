@@ -163,9 +163,18 @@ def benches(runs: Sequence[ComparedRun]) -> list[int]:
 
     What one of the runs does not say of its bench is not asked of the others.
     """
-    asked = sorted(set.intersection(*(set(run.bench) for run in runs)))
     numbers: dict[tuple[object, ...], int] = {}
+    asked = _said_by_all(runs)
     return [numbers.setdefault(tuple(run.bench[part] for part in asked), len(numbers) + 1) for run in runs]
+
+
+def bench_differences(runs: Sequence[ComparedRun]) -> list[str]:
+    """The parts of their benches in which runs differ."""
+    return [part for part in _said_by_all(runs) if any(run.bench[part] != runs[0].bench[part] for run in runs)]
+
+
+def _said_by_all(runs: Sequence[ComparedRun]) -> list[str]:
+    return [part for part in runs[0].bench if all(part in run.bench for run in runs)]
 
 
 def shared_variance(runs: Sequence[ComparedRun], bench: Sequence[int]) -> dict[int, Array]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from rig.compare.compared_run import (
     PARAMETERS,
     ComparedRun,
     NotComparableError,
+    bench_differences,
     benches,
     covariance_of,
     in_units,
@@ -348,12 +348,9 @@ def _trends(runs: Sequence[ComparedRun], relative: Array, variances: Array) -> l
 def _notes(runs: Sequence[ComparedRun], bench: Sequence[int]) -> list[str]:
     notes = [f"{run.name}: {note}" for run in runs for note in run.notes]
     if len(set(bench)) > 1:
-        parts = sorted(
-            {part for one, two in pairwise(runs) for part in one.bench if one.bench[part] != two.bench.get(part)}
-        )
         notes.append(
-            f"the runs are of {len(set(bench))} benches: they differ in {_listed(parts)}. The errors of motor supply, "
-            "calibration and clock do not cancel between them"
+            f"the runs are of {len(set(bench))} benches: they differ in {_listed(bench_differences(runs))}. The errors "
+            "of motor supply, calibration and clock do not cancel between them"
         )
     unsaid = [run.name for run in runs if run.lines is None]
     if unsaid:
