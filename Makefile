@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: compare stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: compare dist docs stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -29,7 +29,13 @@ check: .venv/.ready  ## format, lint, types, import contract, docs, signatures, 
 	.venv/bin/python tools/check_docs.py
 	.venv/bin/python tools/check_signatures.py
 	.venv/bin/python tools/check_docstrings.py
+	.venv/bin/sphinx-build -q -W --keep-going docs build/site
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
+
+docs: .venv/.ready  ## the documentation as a site, with a gallery of reports, in build/site
+	.venv/bin/python tools/gallery.py docs/gallery
+	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+	@echo "open build/site/index.html"
 
 format: .venv/.ready  ## format the Python code
 	.venv/bin/ruff check --fix --quiet . || true
@@ -85,6 +91,11 @@ firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/ri
 
 wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
 	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
+
+dist: .venv/.ready  ## wheel and source as they would be published, checked: dist
+	rm -rf dist
+	RIG_FIRMWARE=required .venv/bin/uv build --quiet -o dist
+	.venv/bin/twine check --strict dist/*
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py

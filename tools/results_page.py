@@ -33,7 +33,7 @@ def page_text() -> str:
         schema = json.loads(schema_text(model))
         parts = schema.pop("$defs", {})
         sections.append({"title": f"## {title}", "rows": _rows(schema)})
-        for name in _in_order(schema, parts):
+        for name in in_order(schema, parts):
             if name not in told:
                 told.add(name)
                 part = parts[name]
@@ -44,12 +44,12 @@ def page_text() -> str:
 def _rows(schema: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     required = schema.get("required", [])
     return [
-        (f"`{key}`", _kind(of), "yes" if key in required else "", of.get("description", ""))
+        (f"`{key}`", kind(of), "yes" if key in required else "", of.get("description", ""))
         for key, of in schema["properties"].items()
     ]
 
 
-def _kind(of: dict[str, Any]) -> str:
+def kind(of: dict[str, Any]) -> str:
     """The type of a key in words, a part as a link."""
     if "$ref" in of:
         name = _name(of)
@@ -57,23 +57,23 @@ def _kind(of: dict[str, Any]) -> str:
             return "any value"
         return f"[{name}](#{name.lower()})"
     if "anyOf" in of:
-        return " or ".join(dict.fromkeys(_kind(one) for one in of["anyOf"]))
+        return " or ".join(dict.fromkeys(kind(one) for one in of["anyOf"]))
     if "enum" in of:
         return " or ".join(f"`{one}`" for one in of["enum"])
-    kind = of.get("type", "any")
-    if kind == "array":
+    word = of.get("type", "any")
+    if word == "array":
         items = of.get("items")
         if items is None:
-            return " and ".join(dict.fromkeys(_kind(one) for one in of.get("prefixItems", [])))
-        return f"list of {_kind(items)}"
-    if kind == "object":
+            return " and ".join(dict.fromkeys(kind(one) for one in of.get("prefixItems", [])))
+        return f"list of {kind(items)}"
+    if word == "object":
         values = of.get("additionalProperties")
-        return f"by name: {_kind(values)}" if isinstance(values, dict) and values else "object"
+        return f"by name: {kind(values)}" if isinstance(values, dict) and values else "object"
     words = {"string": "text", "integer": "whole number", "boolean": "true or false"}
-    return words.get(kind, str(kind))
+    return words.get(word, str(word))
 
 
-def _in_order(schema: dict[str, Any], parts: dict[str, Any]) -> list[str]:
+def in_order(schema: dict[str, Any], parts: dict[str, Any]) -> list[str]:
     """The parts that a schema refers to, in the order in which they are met, each before its own."""
     found: list[str] = []
 

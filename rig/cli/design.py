@@ -56,7 +56,7 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
     if file is not None and file.exists():
         fail(EXIT_BAD_INPUT, f"{file} is there already", "remove it, or give another name")
     try:
-        motor = known_model(model_run).motor
+        motor = known_model(model_run, experiment.drive.max_V).motor
         result, _ = read_result(model_run.parent if model_run.is_file() else model_run)
         task = task_of_run(experiment, motor, result, doubt, percent)
     except RecordingError as error:

@@ -50,7 +50,7 @@ def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, as_js
         from rig.identify.known_model import known_model
 
         try:
-            known = known_model(model_run)
+            known = known_model(model_run, experiment.drive.max_V)
         except RecordingError as error:
             fail_input(error)
     if experiment.law is None:

@@ -86,6 +86,8 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
         raise ValueError("tests until the motor is known need relay.until and a breakaway check")
     session.recorder.drain()
     noise = noise_at_rest(session.read())
+    # a delay that no device reports is fitted, from the sample on: then nothing comes to it
+    late = session.delay is not None and session.delay.is_shown
     return AdvisorSettings(
         e.relay.until.interval_percent,
         LiveSettings(
@@ -95,9 +97,10 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
             largest_V=e.drive.max_V,
             prior=known,
             prior_percent=e.relay.until.model_doubt_percent / NORMAL_95,
+            delay_s=session.delay.range_s if session.delay is not None and late else None,
         ),
         room_of_tests(e, max(check.plus_V, check.minus_V), session.delay),
-        reading_of(e, noise.std_rad, session.loop.latency_s),
+        reading_of(e, noise.std_rad, 0.0 if late else session.loop.latency_s),
         SMALLEST_TURN_LSB * e.sensor.curve.lsb_rad,
         noise.error,
     )

@@ -14,10 +14,11 @@ from rig.recording.reader import read_result
 from rig.results import EstimateResult, RunResult
 
 
-def known_model(path: Path) -> FramedMotor:
+def known_model(path: Path, largest_V: float) -> FramedMotor:
     """The motor of a run folder, or of its result.json: the leading estimate, with the laws that the run shows.
 
-    Raises RecordingError where there is none, or where it was refused.
+    largest_V   the largest drive of the bench that it is for, V
+    Raises RecordingError where there is none, where it was refused, or where that drive does not move it.
     """
     folder = path.parent if path.name == RESULT else path
     result, _ = read_result(folder)
@@ -41,6 +42,13 @@ def known_model(path: Path) -> FramedMotor:
             folder / RESULT,
             f"holds no {LEADING} estimate that was not refused",
             f"see why: `rig identify {quote(str(folder))}`; or run without --model",
+        )
+    needed_V = motor.motor.fc_V + abs(motor.motor.bias_V)
+    if needed_V >= largest_V:
+        raise RecordingError(
+            folder / RESULT,
+            f"holds a motor that takes {needed_V:.3g} V to keep moving, and drive.max_V is {largest_V:.3g} V",
+            "give a run of this bench, or correct drive.max_V",
         )
     return motor
 

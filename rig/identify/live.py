@@ -36,7 +36,10 @@ ITERATIONS = 12
 COLD_ITERATIONS, POLISHED = 20, 3
 COLD_TAUS, COLD_SHARES = 8, (0.15, 0.4, 0.6, 0.75, 0.88, 0.97)  # of the friction, in the smallest drive that moved
 SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
-STRANGE = 1.2  # residual over the noise beyond which another valley is looked for, once the record has doubled
+STRANGE = (
+    1.2  # residual over the noise beyond which another valley is looked for, or a delay, once the record has doubled
+)
+EXPLAINS = 0.8  # of the residual, that a delay which no row tells must leave at most
 USABLE_PERCENT = 60.0  # half width beyond which a fit says nothing
 UNEXPLAINED = 0.3  # residual over the spread of positions beyond which a fit says nothing
 DIFFERENT = 1.6  # mean speed of quick swings over that of slow ones
@@ -148,6 +151,8 @@ class LiveFit:
         self._starts: dict[float, Array] = {}
         self._cold_at = 0.0  # seconds of motion at the last search for a start
         self._sure = False
+        self._late = False  # whether drives act later than the rows say: then the delay is fitted, too
+        self._late_at = 0.0  # seconds of motion when that was looked at
 
     def take(self, rows: LiveRows) -> None:
         """Append rows. Raises ValueError on columns of unequal length."""
@@ -179,12 +184,33 @@ class LiveFit:
         if longer is not None and bears(longer, fit):
             fit = longer
             self._keep(fit)
+        if self._looks_late(fit, moving):
+            fit, found = self._later(fit, found)
         estimate = self._estimate(fit, found, moving)
         if estimate is None:
             self._last = None
             return self._of_prior()
         self._sure = estimate.worst_percent <= SURE_PERCENT
         return estimate
+
+    def _looks_late(self, fit: Fit, moving_s: float) -> bool:
+        """Whether to look for a delay that no row tells: the residual is strange, and the record has doubled since."""
+        free = self._late or DELAY in fit.problem.free
+        return not free and math.sqrt(unit(fit)) > STRANGE and moving_s > 2.0 * self._late_at
+
+    def _later(self, fit: Fit, found: list[list[Motion]]) -> tuple[Fit, list[list[Motion]]]:
+        """The fit with a delay beyond the times of the rows, and its motions, if that explains much; else the same."""
+        self._late_at = sum((m.stop - m.first) * self.settings.period_s for each in found for m in each)
+        self._late = True
+        record = self._record()
+        if record is not None:
+            windows, later = record
+            late = self._warm(self._cut(windows, self._motions(windows, through=True)))
+            if late is not None and late.rms_rad < EXPLAINS * fit.rms_rad:
+                self._keep(late)
+                return late, later
+        self._late = False
+        return fit, found
 
     def _keep(self, fit: Fit) -> None:
         """Take this fit as the start of the next one."""
@@ -202,7 +228,7 @@ class LiveFit:
         self._rows = [LiveRows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
         windows: list[Window] = []
         for series in self._series(self._rows[0]):
-            latest_s = 0.0 if series.delay_s is None else series.delay_s[1]
+            latest_s = self._latest_s if series.delay_s is None else series.delay_s[1]
             if len(series) - np.searchsorted(series.t_s, series.edge_s[0] + latest_s) < FEWEST_ROWS:
                 continue
             windows.append(series.predictable(latest_s))
@@ -236,6 +262,11 @@ class LiveFit:
         """Bounds of the delay that is fitted, s."""
         return self.settings.delay_s or (0.0, 2.0 * self.settings.period_s)
 
+    @property
+    def _latest_s(self) -> float:
+        """Longest delay beyond the times that the rows tell, s."""
+        return self._delay_s[1] if self._late else 0.0
+
     def _frame(self, windows: Sequence[Window]) -> Frame:
         start_s = float(windows[0].t_s[0])
         prior = self.settings.prior
@@ -244,7 +275,7 @@ class LiveFit:
 
     def _problem(self, cut: Cut) -> Problem:
         """The fit as least squares; a prior motor is known to its percentage."""
-        free_delay = any(window.series.t_u_s is None for window in cut.windows)
+        free_delay = self._late or any(window.series.t_u_s is None for window in cut.windows)
         core = (*CORE, DELAY) if free_delay else CORE
         free = core + tuple(name for law in self._laws for name in (*law.numbers, *law.shape))
         limits = limits_of(free, cut, self._delay_s)

@@ -123,6 +123,14 @@ def test_a_model_without_friction_is_refused(tmp_path: Path) -> None:
     assert "fc > 0" in said.stderr
 
 
+def test_a_motor_that_the_bench_cannot_move_is_refused(tmp_path: Path) -> None:
+    run = run_folder(tmp_path, fc_V=7.0)
+    for command in ("design", "run"):
+        said = rig(command, CONFIG, "--model", run)
+        assert said.exit_code == 2
+        assert "takes 7.01 V to keep moving, and drive.max_V is 3 V" in said.stderr
+
+
 def test_the_room_is_a_little_inside_the_limits_and_looks_as_far_ahead_as_the_guard() -> None:
     e = load(CONFIG)
     room = room_of_tests(e, 0.5, noise_rad=0.005)

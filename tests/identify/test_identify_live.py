@@ -117,6 +117,15 @@ def test_a_delay_beyond_what_the_rows_tell_is_fitted_and_costs_certainty(golden:
     assert max(errors(untold, TRUTH).values()) < 1.5
 
 
+def test_rows_that_tell_too_early_a_drive_are_found_out_by_their_residual(golden: Recording) -> None:
+    rows = rows_of(golden, 0, TESTS_END)
+    early = estimated(rows._replace(t_u_s=rows.t_u_s - 0.008))
+    assert max(errors(early, TRUTH).values()) < 2.0
+    assert early.delay_s == pytest.approx(0.008, abs=0.0005)
+    assert early.residual_over_noise < 1.1
+    assert estimated(rows).delay_s == 0.0
+
+
 def test_a_gap_between_rows_is_no_motion(golden: Recording) -> None:
     """Of a link that lost a second of rows: what lies between is not predicted."""
     whole = rows_of(golden, 0, SEARCH_ENDS)

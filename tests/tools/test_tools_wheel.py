@@ -65,6 +65,8 @@ def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -
         assert f"rig/_config/{config.name}" in names
     assert "rig/_firmware/core/rig_core.c" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert wheel.name.startswith("motor_rig-")  # on PyPI, rig is another's name
+    subprocess.run([UV.with_name("twine"), "check", "--strict", wheel], check=True, capture_output=True)
 
 
 def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp_path: Path) -> None:

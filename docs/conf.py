@@ -1,0 +1,73 @@
+"""The documentation as a site: `make docs` builds it. The reference is made from the source each time."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tools")]
+
+from reference_pages import write_pages  # noqa: E402
+from rig.package import VERSION  # noqa: E402 - needs the path above
+
+project = "rig"
+author = "the rig contributors"
+release = VERSION
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click"]
+exclude_patterns = ["examples", "figures"]
+html_theme = "furo"
+html_title = f"rig {release}"
+html_extra_path = ["gallery"] if (HERE / "gallery").exists() else []
+myst_heading_anchors = 4
+nb_execution_mode = "off"  # a test runs the tutorial
+autodoc_typehints = "none"  # the signature has them
+autodoc_member_order = "bysource"
+
+# A page also links to files beside docs/, for readers of the repository. The site has no such pages: it names them.
+_ELSEWHERE = re.compile(r"\[([^\]]*)\]\((\.\./[^)#\s]*|examples/[^)#\s]*)(?:#[^)\s]*)?\)")
+
+
+def _named(match: re.Match[str]) -> str:
+    words, path = match.group(1), match.group(2).removeprefix("../")
+    return words if path.rstrip("/").endswith(words.strip("`").rstrip("/")) else f"{words} (`{path}`)"
+
+
+def _read(_app: Sphinx, page: str, text: list[str]) -> None:
+    if not page.startswith(("decisions/", "reference/")):
+        text[0] = _ELSEWHERE.sub(_named, text[0])
+
+
+_ROW = re.compile(r"^(\S.*?) {2,}(\S.*)$")  # of a table in a docstring: a name, and what it is
+
+
+def _told(_app: Sphinx, _what: str, _name: str, _thing: object, _options: object, lines: list[str]) -> None:
+    """A docstring's table as a list."""
+    out: list[str] = []
+    in_row = False
+    for line in lines:
+        row = _ROW.match(line)
+        if row is not None:
+            out += ["", f"* ``{row.group(1)}``: {row.group(2)}"]
+        elif in_row and line.startswith(" "):
+            out[-1] += " " + line.strip()
+        else:
+            out += ["", line] if in_row else [line]
+        in_row = row is not None or (in_row and line.startswith(" "))
+    lines[:] = [re.sub(r"\|(\w)", r"\\|\1", line) for line in out]
+
+
+def _paths(_app: Sphinx, _command: object, lines: list[str]) -> None:
+    """A default that is a path, as one types it."""
+    lines[:] = [re.sub(r"PosixPath\('([^']*)'\)", r"\1", line) for line in lines]
+
+
+def setup(app: Sphinx) -> None:
+    """Make the reference, and read the pages as the site has them."""
+    write_pages(HERE / "reference", HERE / "gallery")
+    app.connect("source-read", _read)
+    app.connect("sphinx-click-process-options", _paths)
+    app.connect("autodoc-process-docstring", _told)
