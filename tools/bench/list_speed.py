@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from bench.benchmark import options, tell
 from rig.catalogue.index import INDEX, catalogue
@@ -21,7 +22,7 @@ from rig.results import BudgetEntry, EstimateResult, FoundLawResult, RunMeta, Ru
 from shared.table import markdown
 
 PLAINLY = "json.loads of all"
-VALUES = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}
+VALUES: dict[str, Any] = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}
 MATRIX = ((1e-6,) * 5,) * 5
 
 
