@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: compare dist docs stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: compare pages dist docs stopping campaign-real design emps tracking wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -13,23 +13,33 @@ demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulat
 	$(RIG) run $(CONFIG)
 
 # what needs a real clock, or pytest's own process, runs alone, after the rest
-test: check firmware  ## check, then every test, the firmware's own included
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "not (realtime or alone)" -n $$(nproc) --maxprocesses 8 --dist loadfile
+test: .venv/.ready  ## check, then every test, the firmware's own included
+	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "not (realtime or alone)" -n $$(nproc) --maxprocesses 8 \
+	    --dist loadfile --no-loadscope-reorder
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "realtime or alone"
 
 search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
-check: .venv/.ready  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
+check: lint types pages analysis  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
+
+lint: .venv/.ready
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
-	.venv/bin/mypy
 	.venv/bin/lint-imports
 	.venv/bin/python tools/check_docs.py
 	.venv/bin/python tools/check_signatures.py
 	.venv/bin/python tools/check_docstrings.py
+
+types: .venv/.ready
+	.venv/bin/mypy
+
+pages: .venv/.ready
 	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+
+analysis: .venv/.ready
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
 
 docs: .venv/.ready  ## the documentation as a site, with a gallery of reports, in build/site
@@ -107,8 +117,8 @@ lock: .venv/.ready  ## lock the packages anew
 clean:  ## remove what was built; run folders stay
 	$(MAKE) --no-print-directory -C firmware clean
 	rm -rf build dist .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules
+	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules tools/uplot/node_modules rig/panel/static/vendor
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/setup.sh
+.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/uplot/package-lock.json tools/setup.sh
 	./tools/setup.sh

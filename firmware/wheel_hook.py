@@ -1,7 +1,7 @@
 """Builds the firmware of every variant, of Uno and Pico, into a wheel of rig: `rig flash` needs no compiler there.
 
 hatchling runs it for each wheel. Without both compilers the wheel has none, and says so; with RIG_FIRMWARE=required
-that is an error.
+that is an error. The same goes for uPlot, which draws the panel's curves and which the set-up brings.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 TOOLS = ("make", "cc", "avr-gcc", "avr-objcopy", "arm-none-eabi-gcc", "arm-none-eabi-objcopy", "sha256sum")
+UPLOT = "rig/panel/static/vendor/uPlot.esm.js"
 PACKAGES = "make gcc gcc-avr avr-libc binutils-avr gcc-arm-none-eabi binutils-arm-none-eabi"
 
 
@@ -28,12 +29,14 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         """Build the variants, unless the installation is editable."""
         if version == "editable":
             return
+        if not (Path(self.root) / UPLOT).is_file():
+            self._lack(f"{UPLOT} missing: the panel of this wheel draws no curves", "run tools/setup.sh")
         missing = [tool for tool in TOOLS if shutil.which(tool) is None]
         if missing:
-            words = f"{', '.join(missing)} missing: this wheel carries no prebuilt firmware"
-            if os.environ.get("RIG_FIRMWARE") == "required":
-                raise RuntimeError(f"{words}; Debian: apt-get install {PACKAGES}")
-            self.app.display_warning(f"{words}; `rig flash` will need them")
+            self._lack(
+                f"{', '.join(missing)} missing: this wheel has no prebuilt firmware, and `rig flash` will need them",
+                f"Debian: apt-get install {PACKAGES}",
+            )
             return
         self.folder = Path(tempfile.mkdtemp(prefix="rig-firmware-"))
         # a make that runs this build has flags and a job server of its own
@@ -41,6 +44,12 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         command = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(Path(self.root) / "firmware"), "prebuilt"]
         subprocess.run([*command, f"BUILD={self.folder}"], check=True, env=environment)
         build_data["force_include"][str(self.folder / "prebuilt")] = "rig/_firmware/prebuilt"
+
+    def _lack(self, words: str, cure: str) -> None:
+        """Say what the wheel will not have; an error with RIG_FIRMWARE=required."""
+        if os.environ.get("RIG_FIRMWARE") == "required":
+            raise RuntimeError(f"{words}; {cure}")
+        self.app.display_warning(f"{words}; {cure}")
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove what was built: the wheel has it."""

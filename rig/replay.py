@@ -8,6 +8,7 @@ the config; in meta.json the script and the drive's units; as events the models 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -52,6 +53,7 @@ from rig.results import (
     DrivenSurvey,
     DrivenSweep,
     FurtherTest,
+    JoggedLease,
     JsonObject,
     KnownModel,
     Part,
@@ -265,9 +267,12 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
         case "breakaway" | "track":
             drive = partial(stages.drive_check, check=_breakaway_law(recording, what, e))
         case "jog":
-            if what.u_V is None or what.duration_s is None:
+            if what.duration_s is None or (what.u_V is None) != bool(what.leased):
                 raise _broken(recording, "script", what.as_json())
-            drive = partial(stages.drive_by_hand, u_V=what.u_V, duration_s=what.duration_s)
+            if what.u_V is None:
+                drive = partial(stages.drive_by_lease, longest_s=what.duration_s, recorded=_leases(recording))
+            else:
+                drive = partial(stages.drive_by_hand, u_V=what.u_V, duration_s=what.duration_s)
         case "law":
             check = _breakaway_law(recording, what, e)
             drive = partial(stages.drive_law, law=_users_law(recording, what, e, own), check=check)
@@ -420,6 +425,18 @@ def _models(recording: Recording) -> dict[Method, tuple[Motor | FramedMotor, flo
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN
                 ) from error
     return models
+
+
+def _leases(recording: Recording) -> Callable[[int], float | None]:
+    """The drive of a jog by leases, V, by its row; None from its end on."""
+    leases = _events(recording, "lease", JoggedLease)
+    rows = [lease.row for lease in leases]
+
+    def drive_V(row: int) -> float | None:
+        seen = bisect_right(rows, row)
+        return leases[seen - 1].u_V if seen else 0.0
+
+    return drive_V
 
 
 def _sweeps(recording: Recording, e: Experiment) -> Sweeps | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import Clock
 from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
@@ -19,6 +22,7 @@ from rig.control.tracking import tracking_error
 from rig.estimators import ESTIMATORS, LEADING
 from rig.faults import Fault, since_the_last_run
 from rig.identify import Identification, IdentifyError, identify
+from rig.live.stop_flag import StopFlag
 from rig.loop.device_relay import STOPPING
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
@@ -29,7 +33,7 @@ from rig.recording.folder import create_run, write_config, write_meta, write_res
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.recording import Recording
-from rig.recording.sink import RowSink
+from rig.recording.sink import JsonScalar, RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
@@ -101,7 +105,7 @@ class Session:
         self.recording = read_run(self.folder, self.recording)
         return self.recording
 
-    def note(self, kind: str, **fields: str | float | int | bool) -> None:
+    def note(self, kind: str, **fields: JsonScalar) -> None:
         """Write an event, with the time of now."""
         self.recorder.event(self.loop.now_s, kind, **fields)
 
@@ -132,25 +136,27 @@ def record(
     session: Session | None = None
     fault: Fault | None = None
     failures: list[str] = []
-    with stop_on_signals() as stop:
-        try:
-            with connect(experiment) if again is None else nullcontext(again) as bench:
-                session, recorder = _begin(experiment, parent, what, bench, stop, started)
-                try:
-                    fault = _run_script(script, session, on_start)
-                finally:
-                    lost = _close(recorder)
-                    fault = fault or lost
-        except Exception as error:
-            if session is None:
-                raise
-            failures.append(f"the bench was not closed well: {_defect(error)}")
-        outcome = Outcome(session.folder, RunResult(), fault, failures)
-        _measure_tracking(session, outcome)
-        _write_result(session, outcome)
-        if stop.reason is not None and fault is None:
-            outcome.failures.append(f"{stop.reason} came after the experiment had ended")
-    return _conclude(session, outcome)
+    with StopFlag() as flag:  # until the report is there
+        with stop_on_signals(flag) as stop:
+            try:
+                with connect(experiment) if again is None else nullcontext(again) as bench:
+                    session, recorder = _begin(experiment, parent, what, bench, stop, started)
+                    try:
+                        fault = _run_script(script, session, on_start)
+                    finally:
+                        lost = _close(recorder)
+                        fault = fault or lost
+            except Exception as error:
+                if session is None:
+                    raise
+                failures.append(f"the bench was not closed well: {_defect(error)}")
+            outcome = Outcome(session.folder, RunResult(), fault, failures)
+            _measure_tracking(session, outcome)
+            _write_result(session, outcome)
+            late = stop.look()
+            if late is not None and fault is None:
+                outcome.failures.append(f"{late} came after the experiment had ended")
+        return _conclude(session, outcome)
 
 
 def _begin(
@@ -163,16 +169,36 @@ def _begin(
 ) -> tuple[Session, Recorder]:
     """Make the run folder, its recorder and the loop."""
     folder = create_run(parent, f"{what.name}-{experiment.name}", started)
+    no_flag = _set_up_flag(stop, folder)
     write_config(folder, dump(experiment))
     meta = run_meta(experiment, bench, what, started)
     write_meta(folder, meta)
     guard = Guard(guard_settings_of(experiment))
     recorder = Recorder(folder, _stages(experiment))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-    first_notes = [*bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]
+    _tell_time(stop, loop, bench.clock)
+    first_notes = [*no_flag, *bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]
     supply = _supply(experiment, bench).objection
     first_notes += [] if supply is None else [supply]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
+
+
+def _set_up_flag(stop: StopRequest, folder: Path) -> list[str]:
+    """Make the stop flag in the run folder. Returns a note where that fails: the run goes on without it."""
+    try:
+        if stop.flag is not None:
+            stop.flag.begin(folder)
+    except OSError as error:
+        return [f"no stop flag in {folder}: {error.strerror}. no panel can stop this run; Ctrl-C can"]
+    return []
+
+
+def _tell_time(stop: StopRequest, loop: Loop, clock: Clock) -> None:
+    """Tell who looks on which time of this machine's clock is the run's time 0. Virtual time has none."""
+    zero_s = -loop.since_start_s(0.0) if isinstance(clock, MonotonicClock) else math.nan
+    with suppress(OSError):  # on a disk that has just become full the age of a row stays unknown
+        if stop.flag is not None:
+            stop.flag.tell(zero_s, loop.statistics.period_s)
 
 
 def _run_script(script: Script, session: Session, on_start: OnStart | None) -> Fault | None:

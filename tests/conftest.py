@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import importlib
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -20,6 +21,11 @@ def pytest_configure() -> None:
     """A runner that was started in the background ignores Ctrl-C, and so would the processes that tests send it to."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take longest begin first, so that workers that share the files end together."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -45,14 +51,38 @@ def largest_file() -> Callable[[int], contextlib.AbstractContextManager[None]]:
     return limited
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made but not rendered: what can go wrong with missing data goes wrong before that."""
+@contextlib.contextmanager
+def _no_drawing() -> Iterator[None]:
+    """In its block figures are made but not drawn: what can go wrong with missing data goes wrong before that."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
-    monkeypatch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
+        patch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
+    """To draw the figures of a report takes longer than a run in virtual time: tests marked ``drawn`` look at them."""
+    with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else _no_drawing():
+        yield
+
+
+@pytest.fixture
+def undrawn() -> Iterator[None]:
+    """No drawing in one test of a module marked ``drawn``."""
+    with _no_drawing():
+        yield
+
+
+@pytest.fixture
+def plain_motor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs look for no laws of the motor: that takes longer than they do, and tests/identify is about it."""
+    identification = importlib.import_module("rig.identify.identification")
+    for step in ("_add_motor_law", "_add_friction_law"):
+        monkeypatch.setattr(identification, step, lambda *_: None)
 
 
 @pytest.fixture

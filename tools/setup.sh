@@ -37,10 +37,15 @@ need /usr/include/modbus/modbus.h libmodbus-dev
 # peer of the wake-up benchmark
 need cyclictest rt-tests
 install_missing
-# the Pico's firmware and the emulators that run on node; of what Debian recommends with them nothing is needed
+# of what Debian recommends with these nothing is needed
+# the Pico's firmware and the emulators that run on node
 need arm-none-eabi-gcc gcc-arm-none-eabi
 need node nodejs
 need npm npm
+# a browser, for the test of the panel's page
+need chromium chromium
+# loads what is exported for MATLAB
+need octave-cli octave
 install_missing --no-install-recommends
 if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
@@ -57,9 +62,15 @@ VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
 .venv/bin/python -m rig.identify.ready
-# the second emulator of the Uno's chip, and the Pico's; npm keeps its own stamp of what it has installed
-for folder in tests/hil/avr8js firmware/emulator/pico; do
+# the second emulator of the Uno's chip, the Pico's, uPlot, what drives the browser; npm keeps its own stamp of what it
+# has installed
+for folder in tests/hil/avr8js firmware/emulator/pico tools/uplot tests/panel/browser; do
     [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
         (cd "$folder" && npm ci --loglevel=error >/dev/null)
 done
+# uPlot goes where the panel serves it from, with its license; the wheel takes it from there
+uplot=tools/uplot/node_modules/uplot vendor=rig/panel/static/vendor
+mkdir -p "$vendor"
+cp "$uplot/dist/uPlot.esm.js" "$uplot/dist/uPlot.min.css" "$vendor/"
+cp "$uplot/LICENSE" "$vendor/uPlot-LICENSE"
 touch .venv/.ready

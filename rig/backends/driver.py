@@ -231,7 +231,10 @@ class Driver(Protocol):
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
-        """Counts of exchanges and of what went wrong in them, by name; empty where there is no link."""
+        """Counts of exchanges and of what went wrong in them, by name; empty where there is no link.
+
+        All but ``exchanges`` count errors: who watches the run is told of them.
+        """
         ...
 
     def open(self) -> DeviceInfo:

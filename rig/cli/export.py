@@ -1,4 +1,4 @@
-"""`rig export`: a run as one file."""
+"""`rig export`: a run as one file, or its motor as a model for another tool."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import JSON, ROWS
 from rig.recording.errors import RecordingError
 
@@ -15,29 +15,62 @@ from rig.recording.errors import RecordingError
 @click.command()
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 @click.option(
-    "--to", "file", required=True, type=click.Path(path_type=Path), metavar="FILE",
-    help="Its suffix names the format: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or .json.",
+    "--to", "to", required=True, metavar="FILE|TOOL",
+    help="A file, whose suffix names the format: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or "
+    ".json. Or a tool that gets the model: control, matlab, mujoco, wpilib or c.",
+)  # fmt: skip
+@click.option(
+    "--into", type=click.Path(path_type=Path), metavar="FOLDER", default=None,
+    help="For a tool: the folder that gets its files. Default: the working folder.",
 )  # fmt: skip
 @click.option("--stage", default=None, help="Only the rows of this stage, such as relay-1. Default: all.")
 @ROWS
-@click.option("--force", is_flag=True, help="Replace FILE if it is there already.")
+@click.option("--force", is_flag=True, help="Replace files that are there already.")
 @JSON
 def export(
     run_folder: Path,
-    file: Path,
+    to: str,
+    into: Path | None,
     stage: str | None,
     rows: tuple[int | None, int | None] | None,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Write a run to one file that other programs open.
+    """Write a run to one file that other programs open, or its motor as a model that another tool loads.
 
-    The file holds samples, events and result; a .csv file holds the samples.
+    A file holds samples, events and result; a .csv file holds the samples. A model has the numbers of the motor with
+    units and intervals, its laws, and where it comes from.
     """
+    from rig.export import FORMATS, TOOLS
+
+    if to in TOOLS:
+        if stage is not None or rows is not None:
+            fail(EXIT_BAD_INPUT, f"--to {to} takes the model of the whole run", "leave out --stage and --rows")
+        _model(run_folder, to, into or Path(), force, as_json)
+    elif into is not None:
+        fail(EXIT_BAD_INPUT, f"--into is for a tool, and {to!r} is none", f"--to one of {', '.join(TOOLS)}")
+    elif not Path(to).suffix:
+        fail(
+            EXIT_BAD_INPUT,
+            f"{to}: ends in none of {', '.join(FORMATS)}, and is no tool",
+            f"give a file with one of these suffixes, or one of {', '.join(TOOLS)}",
+        )
+    else:
+        _whole_run(run_folder, Path(to), (stage, rows), force, as_json)
+
+
+def _whole_run(
+    run_folder: Path,
+    file: Path,
+    chosen: tuple[str | None, tuple[int | None, int | None] | None],
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write the run to one file; ``chosen``: stage and rows."""
     from rig.export import export as export_run
 
     try:
-        run = export_run(run_folder, file, stage, rows, overwrite=force)
+        run = export_run(run_folder, file, *chosen, overwrite=force)
     except RecordingError as error:
         fail_input(error)
     number = len(run.recording)
@@ -47,3 +80,22 @@ def export(
     for note in run.notes:
         click.echo(note)
     click.echo(f"{file}: {number} rows")
+
+
+def _model(run_folder: Path, tool: str, into: Path, force: bool, as_json: bool) -> None:
+    """Write the model for a tool."""
+    from rig.export import export_model
+
+    try:
+        written = export_model(run_folder, tool, into, overwrite=force)
+    except RecordingError as error:
+        fail_input(error)
+    files = [str(file) for file in written.files]
+    if as_json:
+        lacks = dict(written.motor.lacks)
+        click.echo(json.dumps({"ok": True, "tool": tool, "files": files, "lacks": lacks, "notes": written.notes}))
+        return
+    for note in (*written.notes, *written.motor.lacks_in_words()):
+        click.echo(note)
+    for file in files:
+        click.echo(file)

@@ -73,6 +73,11 @@ class MotorObserver:
         return self._predicted(sample.t_s)
 
     @property
+    def gain(self) -> list[list[float]]:
+        """Of velocity, then of position, by each error: of the position, then of the tachometer if there is one."""
+        return self._gain
+
+    @property
     def delay_s(self) -> float:
         """From a sample to the motion that its drive makes, s."""
         return self.latency_s + self.further_s

@@ -14,6 +14,7 @@ from rig.control.laws import construct
 from rig.control.sweep_plan import TooShortError
 from rig.experiment.stages import (
     drive_by_hand,
+    drive_by_lease,
     drive_check,
     drive_law,
     drive_one_test,
@@ -183,6 +184,16 @@ def jog(
         drive_by_hand(session, u_V, duration_s)
 
     return record(experiment, parent, ScriptCall(name="jog", u_V=u_V, duration_s=duration_s), script, on_start)
+
+
+def jog_leased(experiment: Experiment, longest_s: float, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """A jog that goes on only while somebody renews a lease in the run folder (``rig.live.lease``)."""
+
+    def script(session: Session) -> None:
+        drive_by_lease(session, longest_s)
+
+    what = ScriptCall(name="jog", duration_s=longest_s, leased=True)
+    return record(experiment, parent, what, script, on_start)
 
 
 def _drive_tests(session: Session, known: FramedMotor | None = None) -> None:

@@ -21,6 +21,7 @@ from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
 from rig.control.known_motor import NOT_COMPENSATED
 from rig.control.law import Constant, Rest, Timed
+from rig.control.leased import LeasedDrive
 from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay
 from rig.control.tracking import Tracking
@@ -30,6 +31,8 @@ from rig.experiment.in_device import relay_in_device
 from rig.faults import Fault
 from rig.identify import Identification, identify
 from rig.identify.stroke_delay import strokes_delay
+from rig.live.lease import NAME as LEASE
+from rig.live.lease import HeldLease
 from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
@@ -90,6 +93,48 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
         session.found.jog = JogResult(
             from_rad=from_rad, to_rad=session.loop.last_y_rad, refused_ticks=session.loop.guard.clipped_ticks
         )
+
+
+def drive_by_lease(session: Session, longest_s: float, recorded: Callable[[int], float | None] | None = None) -> None:
+    """A drive by leases between two rests, within the limits; outside them only inward.
+
+    longest_s  the jog ends after this time, s, whoever renews a lease
+    recorded   in a replay: the drive by its row, V; None: the jog ended there
+    Raises Fault CONFIG_MISMATCH in virtual time, RECORDER_DEAD where the folder cannot hold the lease.
+    """
+    loop = session.loop
+
+    def changed(u_V: float | None) -> None:
+        session.note("lease", row=loop.rows, u_V=u_V)
+
+    def drive(promised: Callable[[], float | None]) -> None:
+        loop.guard.recovering = True
+        with driving(session):
+            loop.run(Rest(0.1), "rest")
+            from_rad = loop.last_y_rad
+            loop.run(LeasedDrive(promised, changed, longest_s), "jog")
+            loop.run(Rest(REST_S), "rest")
+            session.found.jog = JogResult(
+                from_rad=from_rad, to_rad=loop.last_y_rad, refused_ticks=loop.guard.clipped_ticks
+            )
+
+    if recorded is not None:
+        drive(lambda: recorded(loop.rows))
+        return
+    if not isinstance(session.bench.clock, MonotonicClock):
+        raise Fault(
+            "CONFIG_MISMATCH",
+            "a lease runs out in real time, which daq.driver: simulated does not wait for; an emulated board "
+            "does: driver: serial with port: emulated",
+        )
+    try:
+        held = HeldLease(session.folder)
+    except OSError as error:
+        raise Fault("RECORDER_DEAD", f"no {LEASE} in {session.folder}: {error.strerror}") from error
+    with held:
+        drive(held.u_V)
+    if held.refused:
+        session.found.notes.append(f"{held.refused} leases were refused: of more than 150 ms, or without a drive")
 
 
 @contextmanager

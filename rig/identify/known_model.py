@@ -41,7 +41,7 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
         raise RecordingError(
             folder / RESULT,
             f"holds no {LEADING} estimate that was not refused",
-            f"see why: `rig identify {quote(str(folder))}`; or run without --model",
+            f"see why: `rig identify {quote(str(folder))}`; or give another run",
         )
     needed_V = motor.motor.fc_V + abs(motor.motor.bias_V)
     if needed_V >= largest_V:

@@ -8,12 +8,14 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
 from rig.control.motion import is_obeyed
 from rig.faults import Fault
 from rig.loop.device_relay import DeviceRelay
+from rig.loop.link_watch import LinkWatch
 from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
@@ -51,6 +53,7 @@ class Loop:
         self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
         self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
+        self._link_watch = LinkWatch(driver, record)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False
@@ -101,8 +104,8 @@ class Loop:
         """
         self.pause_watch.end()
         self.check_stop()
-        # collect garbage now: in the middle of a tick it would delay the drive
-        gc.collect()
+        if isinstance(self._clock, MonotonicClock):  # in the middle of a tick it would delay the drive
+            gc.collect()
         gc.disable()
         try:
             self.guard.rearm()
@@ -251,14 +254,16 @@ class Loop:
         """Go to the next tick of the grid that is still ahead."""
         if self.statistics.ticks % _CHECK_EVERY_TICKS == 0:
             self._record.check()
+            self._link_watch.look(self.now_s)
         self._skipped = max(int((self._clock.now_s() - due_s) / self._period_s), 0)
         self.statistics.skipped += self._skipped
         self._tick += 1 + self._skipped
 
     def check_stop(self) -> None:
-        """Raise Fault INTERRUPTED if a signal asked for a stop, or the fault that was seen in a pause."""
-        if self._stop.reason is not None:
-            raise Fault("INTERRUPTED", self._stop.reason)
+        """Raise Fault INTERRUPTED if a signal or the stop flag asks for a stop, or the fault that a pause showed."""
+        reason = self._stop.look()
+        if reason is not None:
+            raise Fault("INTERRUPTED", reason)
         self.pause_watch.check()
 
     def _complete_row(self, sample: Sample) -> None:

@@ -1,4 +1,4 @@
-"""Signals that ask a run to stop; the loop checks for them once a tick."""
+"""What asks a run to stop: a signal, or another process by the run's stop flag. The loop looks once a tick."""
 
 from __future__ import annotations
 
@@ -7,25 +7,38 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from rig.live.stop_flag import StopFlag
+
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
 
 
 class StopRequest:
-    """Keeps in ``reason`` the name of the signal that asked for a stop; None: none did."""
+    """Keeps in ``reason`` what asked for a stop: the name of a signal, or who set the stop flag; None: nothing did.
 
-    def __init__(self) -> None:
+    flag  of the run; None: only signals count
+    """
+
+    def __init__(self, flag: StopFlag | None = None) -> None:
         self.reason: str | None = None
+        self.flag = flag
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Take the signal; the first one counts."""
         if self.reason is None:
             self.reason = signal.Signals(number).name
 
+    def look(self) -> str | None:
+        """The reason, after a look at the flag."""
+        if self.reason is None and self.flag is not None:
+            by = self.flag.asked_by()
+            self.reason = f"Stop by {by}" if by else None
+        return self.reason
+
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
-    """Within the block SIGINT, SIGTERM and SIGHUP set the request instead of ending the process."""
-    request = StopRequest()
+def stop_on_signals(flag: StopFlag | None = None) -> Iterator[StopRequest]:
+    """Within the block SIGINT, SIGTERM and SIGHUP set the request instead of ending the process; so does ``flag``."""
+    request = StopRequest(flag)
     before = {number: signal.signal(number, request) for number in STOP_SIGNALS}
     try:
         yield request

@@ -99,14 +99,27 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
             "no relay test, nothing is identified"
         )
         return
-    stages = (_breakaway(e), _relay_tests(e), _hysteretic_runs(e), _IDENTIFY, _survey(e), _verify(e))
-    for stage in stages:
+    for stage in _stages(e):
         yield from stage.lines
-    bounded = e.relay.target is not None or e.relay.until is not None
-    unknown = "" if bounded and e.relay.hysteretic is None else ", and the relay tests"
+    unknown = "" if _relay_tests_are_bounded(e) else ", and the relay tests"
     clock = backend_of(e).seconds_words(e)
-    total_s = sum(stage.longest_s for stage in stages)
+    total_s = sum(stage.longest_s for stage in _stages(e))
     yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"
+
+
+def _stages(e: Experiment) -> tuple[_Stage, ...]:
+    return (_breakaway(e), _relay_tests(e), _hysteretic_runs(e), _IDENTIFY, _survey(e), _verify(e))
+
+
+def _relay_tests_are_bounded(e: Experiment) -> bool:
+    return (e.relay.target is not None or e.relay.until is not None) and e.relay.hysteretic is None
+
+
+def lasts_s(e: Experiment) -> float | None:
+    """About how long a run drives at most, s, without settling and rests; None if nothing bounds its tests."""
+    if e.law is not None:
+        return _breakaway(e).longest_s + e.law.duration_s
+    return sum(stage.longest_s for stage in _stages(e)) if _relay_tests_are_bounded(e) else None
 
 
 def _breakaway(e: Experiment) -> _Stage:

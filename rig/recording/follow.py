@@ -8,6 +8,7 @@ at the begin of each stage.
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from rig.recording.columns import COLUMNS
 from rig.recording.end_of_input import EndOfInput, end_of_input
@@ -54,23 +55,41 @@ def following(folder: Path) -> Iterator[None]:
 
 
 class Tail:
-    """Reads the new whole lines of a file while another process appends to it."""
+    """Reads the new whole lines of a file while another process appends to it.
 
-    def __init__(self, path: Path) -> None:
+    last_bytes  of a file that is longer, the first call reads only the whole lines in so many bytes; None: all
+    """
+
+    def __init__(self, path: Path, last_bytes: int | None = None) -> None:
         self.path = path
         self._offset = 0
+        self._last_bytes = last_bytes
 
     def lines(self) -> list[str]:
-        """Lines completed since the last call; none while there is no file."""
+        """Lines completed since the last call; none while there is no file. Raises OSError for what is no file."""
         try:
-            with self.path.open("rb") as file:
+            with open(self.path, "rb", opener=_without_waiting) as file:
+                torn = self._skip(file)
                 file.seek(self._offset)
                 data = file.read()
         except FileNotFoundError:
             return []
         end = data.rfind(b"\n") + 1
         self._offset += end
-        return data[:end].decode("ascii", errors="replace").splitlines()
+        return data[:end].decode("ascii", errors="replace").splitlines()[torn:]
+
+    def _skip(self, file: BinaryIO) -> int:
+        """Skip what the first call does not read. Returns the number of lines that are torn by that: 1 or 0."""
+        last_bytes, self._last_bytes = self._last_bytes, None
+        if last_bytes is None:
+            return 0
+        self._offset = max(file.seek(0, os.SEEK_END) - last_bytes, 0)
+        return int(self._offset > 0)
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a file; a pipe of its name, which nobody writes, would hold up an ordinary open."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 class Progress:

@@ -85,6 +85,14 @@ def read_result(folder: Path) -> tuple[RunResult | None, list[str]]:
     return _read_part(folder / RESULT, RunResult, strict=False)
 
 
+def read_meta(folder: Path) -> tuple[RunMeta | None, list[str]]:
+    """The content of a run folder's meta.json, without wrong values; and notes on it. None without that file.
+
+    Raises RecordingError if the file is no JSON object.
+    """
+    return _read_part(folder / META, RunMeta, strict=False)
+
+
 def _read_events(path: Path, *, strict: bool) -> tuple[tuple[RunEvent, ...], list[str]]:
     """The events, none without the file; and notes on the file."""
     content, notes = whole_content(path) if path.exists() else (b"", [])

@@ -61,6 +61,13 @@ class Decided(Part):
     longest_stroke_s: Number = None
 
 
+class JoggedLease(Part):
+    """The keys of an event ``lease``: the drive of a jog by leases from this row on, V; None: it ended there."""
+
+    row: Count
+    u_V: Number
+
+
 class DrivenStroke(Part):
     """The keys of an event ``stroke``: one stroke of the stroke test that is decided next."""
 

@@ -47,6 +47,9 @@ class ScriptCall(Part):
     breakaway: Sometimes[Text] = Field(None, description="law of the breakaway check; older versions write none")
     u_V: Sometimes[Number] = Field(None, description="drive of a jog, V")
     duration_s: Sometimes[Number] = Field(None, description="duration of a jog or of a user's law, s")
+    leased: Sometimes[Flag] = Field(
+        None, description="whether a jog was driven by leases; `duration_s` is its longest time"
+    )
     law: Sometimes[Text] = Field(None, description="the user's law that ran: its name in the config, or its class")
 
 

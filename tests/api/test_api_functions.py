@@ -21,6 +21,8 @@ from rig.identify import IdentifyError
 from rig.plug_ins import PlugInError
 from rig.recording.errors import RecordingError
 
+pytestmark = pytest.mark.drawn
+
 MOTOR = rig.Motor(0.17, 6.5, rig.coulomb(0.48))
 SAMPLING = rig.Sampling(noise_rad=0.003, resolution_rad=0.004)
 

@@ -16,6 +16,8 @@ from rig.campaign import session
 from rig.campaign.summary import Summary
 from rig.config import load_campaign
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path(__file__).parents[2] / "config"
 MOTORS = 2000
 MOTORS_OF_THE_OTHERS = 1000  # with coarse steps, with correlated noise

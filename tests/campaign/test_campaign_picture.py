@@ -17,6 +17,8 @@ from rig.campaign.report import HEADINGS, sentences, table_rows, write_report
 from rig.config import Campaign
 from rig.identify.estimate import PARAMETERS
 
+pytestmark = pytest.mark.drawn
+
 GRID = Campaign(name="grid", experiments=1)
 
 

@@ -18,6 +18,8 @@ from rig.report import design_map as picture
 from rig.results import BreakawayResult, RunResult
 from rig.results.design import DesignResult
 
+pytestmark = pytest.mark.drawn
+
 CONFIG = Path(__file__).parents[2] / "config" / "simulated.yaml"
 
 

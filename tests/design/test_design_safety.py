@@ -26,6 +26,8 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED
 
+pytestmark = pytest.mark.long
+
 OFF = 0.3
 INSIDE = 0.95
 SECONDS = 6.0

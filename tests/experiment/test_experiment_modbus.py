@@ -54,6 +54,8 @@ def test_in_real_time_at_10_ms(name: str, tmp_path: Path, record_property: Calla
     Only silence does: whatever came has to be right in every run. How many there were is in the test's report.
     """
     config = shorter(example(name))
+    config["relay"] = {"gains": GAINS[:1], "cycles": 5}  # each second is a second here
+    config["tracking"]["duration_s"] = 2.0
     assert config["period_s"] == 0.01
     config["loop"] = {"raise_workers": True}
     for run in range(1, _RUNS + 1):

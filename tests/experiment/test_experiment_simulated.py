@@ -15,6 +15,8 @@ from command_line import rig
 from rig.recording.reader import read_run
 from rig.results import MotorLawResult
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -18,6 +18,8 @@ from rig.replay import replay
 from rig.results import known
 from tracking_table import BENCHES, bench, compare
 
+pytestmark = pytest.mark.long
+
 STRIBECK, UNBALANCED, SAG = [name for name in BENCHES if name.startswith(("Stribeck", "an unbalanced", "a supply"))]
 PLAIN = next(name for name in BENCHES if name.startswith("none"))
 

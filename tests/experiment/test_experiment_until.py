@@ -16,6 +16,8 @@ from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.results import RunResult
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 SOFT_RAD = 1.1
 

@@ -32,6 +32,8 @@ from rig.backends.modbus.emulated.tcp_slave import Adu
 from rig.backends.serial.frames import Block, DeviceState, Kind, RelaySetup, encode, pack_drive
 from rig.control.guard import Guard
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 SUMMARY = ROOT / "docs" / "fault-table.md"
 PAGE = ROOT / "docs" / "fault-rows.md"

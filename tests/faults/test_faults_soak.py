@@ -7,6 +7,8 @@ import pytest
 from faults import soak
 from faults.backends import PLAIN
 
+pytestmark = pytest.mark.long
+
 KEYS = [backend.key for backend in PLAIN]
 
 

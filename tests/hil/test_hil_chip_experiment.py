@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
+from emulated_run import finds_it_undisturbed, finds_the_truth, run_on
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink, break_away
 from wanted_cycle import wanted_cycle
 
@@ -19,7 +18,6 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.cli import main
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.relay import DualChannelRelay
@@ -27,48 +25,29 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 
-ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.long
+
 UNO_FULL = 400
 
 
-def run_on_chip(folder: Path, daq: dict[str, object] | None = None, **relay: object) -> dict[str, Any]:
-    """config/demo.yaml with a wanted cycle on the chip; changes of its sections ``daq`` and ``relay``."""
-    config = yaml.safe_load(wanted_cycle("demo.yaml"))
-    config["daq"] |= {"port": "emulated-chip"} | (daq or {})
-    config["limits"]["max_speed_rad_s"] = 4.7 if daq is None else 4.5  # an adapter needs room, too
-    config["relay"] |= relay
-    if relay:
-        del config["tracking"]
-    path = folder / "chip.yaml"
-    path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    result = CliRunner().invoke(main, ["run", str(path), "--out", str(folder / "runs"), "--json"])
-    assert result.exit_code == 0, result.output
-    outcome: dict[str, Any] = json.loads(result.stdout)
-    return outcome
-
-
-def within_2_percent_of_the_truth(outcome: dict[str, Any]) -> None:
-    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert estimate[name] == pytest.approx(truth[name], rel=0.02)
+def demo() -> dict[str, Any]:
+    """config/demo.yaml with a wanted cycle."""
+    config: dict[str, Any] = yaml.safe_load(wanted_cycle("demo.yaml"))
+    return config
 
 
 def test_the_whole_experiment_on_the_chip_finds_the_truth(tmp_path: Path) -> None:
-    outcome = run_on_chip(tmp_path)
+    outcome = run_on("emulated-chip", tmp_path, demo())
     assert outcome["backend"].startswith("emulated-chip (emulated uno board, build uno ")
-    within_2_percent_of_the_truth(outcome)
-    assert outcome["estimates"]["sampled-data"]["verdict"] == "ok", outcome["estimates"]["sampled-data"]["reasons"]
+    finds_it_undisturbed(outcome, 0.02)
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
     assert set(outcome["estimates"]) == {"sampled-data", "triple-relay", "describing-function"}
-    link = outcome["link"]
-    assert link["timeouts"] == link["bad_frames"] == link["drives_lost"] == link["stale_replies"] == 0
-    assert outcome["loop"]["skipped"] == 0 and not outcome["faults"]
 
 
 def test_the_relay_in_the_chip_finds_the_truth(tmp_path: Path) -> None:
     gains = [{"h1_V": 0.42, "h2_V": 0.84}]
-    outcome = run_on_chip(tmp_path, where="device", target=None, gains=gains, cycles=7)
-    within_2_percent_of_the_truth(outcome)
+    outcome = run_on("emulated-chip", tmp_path, demo(), where="device", target=None, gains=gains, cycles=7)
+    finds_the_truth(outcome, 0.02)
     assert outcome["link"]["bad_frames"] == 0 and not outcome["faults"]
 
 
@@ -76,12 +55,8 @@ def test_behind_an_unos_usb_chip_it_identifies_as_ever(tmp_path: Path) -> None:
     """Replies wait for up to 4 ms, each another time: the device's own stamps say when all was, at 10 ms as without."""
     gains = [{"h1_V": 0.43, "h2_V": 0.80}, {"h1_V": 0.75, "h2_V": 0.80}]  # the second excludes a dead band
     daq = {"adapter": "16u2", "baud": 1_000_000}
-    outcome = run_on_chip(tmp_path, daq, target=None, gains=gains, cycles=8)
-    within_2_percent_of_the_truth(outcome)
-    assert outcome["estimates"]["sampled-data"]["verdict"] == "ok", outcome["estimates"]["sampled-data"]["reasons"]
-    link = outcome["link"]
-    assert link["timeouts"] == link["bad_frames"] == link["drives_lost"] == link["stale_replies"] == 0
-    assert outcome["loop"]["skipped"] == 0 and not outcome["faults"]
+    outcome = run_on("emulated-chip", tmp_path, demo(), daq, target=None, gains=gains, cycles=8)
+    finds_it_undisturbed(outcome, 0.02)
     assert outcome["loop"]["io_us"]["max"] > 4000, "it did wait"
 
 

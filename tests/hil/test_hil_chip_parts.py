@@ -12,6 +12,7 @@ import pytest
 import yaml
 from chip_host import ChipHost, armed_chip
 from command_line import rig
+from intervals import reaches
 from real_motors import EACH, FRAME, PLAIN, with_parts
 
 from rig.model.bench import BenchModel, BenchParameters
@@ -96,6 +97,6 @@ def test_a_run_on_the_chip_names_the_laws_of_the_motor_behind_it(tmp_path: Path)
     assert outcome["backend"].startswith("emulated-chip (emulated uno board, build uno ")
     laws = {law["name"]: law for law in outcome["law"]}
     for name, true_V in (("stribeck", 0.2), ("force_over_position", math.hypot(0.06, 0.03))):
-        assert laws[name]["ci95"][0] < true_V < laws[name]["ci95"][1]
+        assert reaches(laws[name]["ci95"], true_V)
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         assert outcome["with_law"][name] == pytest.approx(outcome["truth"][name], rel=0.02)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import sys
@@ -13,55 +12,33 @@ from typing import Any
 
 import pytest
 import yaml
-from click.testing import CliRunner
+from emulated_run import finds_it_undisturbed, finds_the_truth, run_on
 from processes import PATIENCE_S, rows, wait_until
 
 from rig.backends.driver import Timeouts
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
-from rig.cli import main
 from rig.preflight import check
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
-def run_on_pico(folder: Path, **relay: object) -> dict[str, Any]:
-    """config/demo-pico.yaml in virtual time; changes of its section ``relay``, without tracking then."""
-    config = yaml.safe_load((CONFIG / "demo-pico.yaml").read_text(encoding="utf-8"))
-    config["daq"]["port"] = "emulated-pico"
-    config["limits"]["max_speed_rad_s"] = 4.7
-    config["relay"] |= relay
-    if relay:
-        del config["tracking"]
-    path = folder / "pico.yaml"
-    path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    result = CliRunner().invoke(main, ["run", str(path), "--out", str(folder / "runs"), "--json"])
-    assert result.exit_code == 0, result.output
-    outcome: dict[str, Any] = json.loads(result.stdout)
-    return outcome
-
-
-def within_1_percent_of_the_truth(outcome: dict[str, Any]) -> None:
-    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert estimate[name] == pytest.approx(truth[name], rel=0.01)
+def demo() -> dict[str, Any]:
+    config: dict[str, Any] = yaml.safe_load((CONFIG / "demo-pico.yaml").read_text(encoding="utf-8"))
+    return config
 
 
 def test_the_whole_experiment_on_the_pico_finds_the_truth(tmp_path: Path) -> None:
-    outcome = run_on_pico(tmp_path)
+    outcome = run_on("emulated-pico", tmp_path, demo())
     assert outcome["backend"].startswith("emulated-pico (emulated pico board, build pico ")
-    within_1_percent_of_the_truth(outcome)
-    assert outcome["estimates"]["sampled-data"]["verdict"] == "ok", outcome["estimates"]["sampled-data"]["reasons"]
+    finds_it_undisturbed(outcome, 0.01)
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
-    link = outcome["link"]
-    assert link["timeouts"] == link["bad_frames"] == link["drives_lost"] == link["stale_replies"] == 0
-    assert outcome["loop"]["skipped"] == 0 and not outcome["faults"]
 
 
 def test_the_relay_in_the_pico_finds_the_truth(tmp_path: Path) -> None:
     gains = [{"h1_V": 0.42, "h2_V": 0.84}]
-    outcome = run_on_pico(tmp_path, until=None, where="device", gains=gains, cycles=7)
-    within_1_percent_of_the_truth(outcome)
+    outcome = run_on("emulated-pico", tmp_path, demo(), until=None, where="device", gains=gains, cycles=7)
+    finds_the_truth(outcome, 0.01)
     assert outcome["link"]["bad_frames"] == 0 and not outcome["faults"]
     assert outcome["loop"]["device"]["missed"] == 0
 

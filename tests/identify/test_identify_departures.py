@@ -21,6 +21,8 @@ from rig.identify.motor_law import motor_law, thinned
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
 from rig.recording.series import TimeSeries
 
+pytestmark = pytest.mark.long
+
 CAMPAIGN = Campaign(name="real", experiments=1, seed=1)
 BY_NAME = {kind.name: kind for kind in KINDS}
 OF = ("tau_s", "K_rad_s_V", "fc_V")

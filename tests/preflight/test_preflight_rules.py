@@ -26,6 +26,8 @@ from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
 from rig.signals import BenchDelay
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = wanted_cycle("demo.yaml")
 

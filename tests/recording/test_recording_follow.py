@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 from rig.recording.columns import HEADER
@@ -49,6 +50,20 @@ def test_each_stage_is_shown_with_what_came_of_it() -> None:
         progress.take_event(event)
     assert progress.ended
     assert "POLARITY" in shown(progress)
+
+
+def test_a_tail_begins_with_the_last_whole_lines_and_waits_for_no_pipe(tmp_path: Path) -> None:
+    long = tmp_path / "long.csv"
+    long.write_text("".join(f"{number:03d}\n" for number in range(100)))
+    tail = Tail(long, last_bytes=10)
+    assert tail.lines() == ["098", "099"]
+    with long.open("a") as file:
+        file.write("100\n10")
+    assert tail.lines() == ["100"]
+    assert Tail(long, last_bytes=10_000).lines()[0] == "000"
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="not seekable"):
+        Tail(tmp_path / "pipe").lines()
 
 
 LIVE = {"t_s": 9.41, "kind": "live", "tau_s": 0.17098, "tau_percent": 0.796, "fc_V": 0.48138, "fc_percent": None} | {

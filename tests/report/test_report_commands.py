@@ -16,7 +16,6 @@ from command_line import rig
 from rig.report import write_report
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture

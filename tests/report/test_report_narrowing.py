@@ -15,6 +15,8 @@ from rig.report.source import ReportedRun
 from rig.report.style import AbsentError, style
 from rig.results import LiveResult, RunEvent, RunMeta, RunResult, StoppedResult, TrueMotor
 
+pytestmark = pytest.mark.drawn
+
 
 def live(of_s: float, percent: float) -> RunEvent:
     values = LiveResult(

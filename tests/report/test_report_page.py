@@ -30,6 +30,8 @@ from rig.report.page import draw, render_page
 from rig.report.source import load
 from rig.report.style import style
 
+pytestmark = [pytest.mark.long, pytest.mark.drawn]
+
 FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
 # every subset without samples (quick); with them each file alone, the two that know the search, and all four
 SUBSETS = [c for n in range(1, 6) for c in combinations(FILES, n) if "samples.csv" in c or n in (1, 4)]

@@ -15,6 +15,8 @@ from rig.report.style import AbsentError, style
 from rig.report.words import headline
 from rig.results import EstimateResult, RunMeta, RunResult
 
+pytestmark = pytest.mark.drawn
+
 
 def run_with(estimate: EstimateResult) -> ReportedRun:
     return ReportedRun(Path("run"), None, RunMeta(backend="here"), RunResult(estimates={"least-squares": estimate}))

@@ -21,6 +21,8 @@ from rig.model.limit_cycle import limit_cycle
 from rig.preflight import check
 from shared.table import Cell, Table, significant
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -18,7 +18,10 @@ ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
 
 
-pytestmark = pytest.mark.timeout(900)  # 64 variants of the firmware for two boards, on a busy machine
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.timeout(900),
+]  # 64 variants of the firmware for two boards, on a busy machine
 
 
 @pytest.fixture(scope="module")
@@ -38,25 +41,32 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return next(out.glob("*.whl"))
 
 
-def test_the_wheel_holds_every_variant_of_the_firmware_the_same_from_another_folder(
+# between them they have each side of every switch, so that a path in any line of any source would show
+EXTREMES = (UnoOptions(), UnoOptions("IN1_IN2", 1000000, True, True, True, True))
+
+
+def test_the_wheel_holds_every_variant_of_the_firmware_and_the_same_from_another_folder(
     wheel: Path, tmp_path: Path
 ) -> None:
-    shutil.copytree(ROOT / "firmware", tmp_path / "elsewhere")
-    subprocess.run(
-        ["make", "-s", "-j2", "-C", tmp_path / "elsewhere", "prebuilt", f"BUILD={tmp_path / 'out'}"],
-        check=True, capture_output=True, env={name: value for name, value in os.environ.items() if "MAKE" not in name},
-    )  # fmt: skip
     with zipfile.ZipFile(wheel) as archive:
         held = {
             name.rpartition("/")[2]: archive.read(name)
             for name in archive.namelist()
             if name.startswith("rig/_firmware/prebuilt/")
         }
-    assert held == {path.name: path.read_bytes() for path in (tmp_path / "out/prebuilt").iterdir()}
     wired = list(itertools.product((False, True), repeat=4))
     every = [UnoOptions(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
     files = {f"{one.name}.hex" for one in every} | {f"{one.name_for('pico')}.uf2" for one in every}
     assert held.keys() == files | {"SHA256SUMS"}
+
+    shutil.copytree(ROOT / "firmware", tmp_path / "elsewhere", ignore=shutil.ignore_patterns("node_modules"))
+    for one in EXTREMES:
+        subprocess.run(
+            ["make", "-s", "-j2", "-C", tmp_path / "elsewhere", "uno", "pico", *one.variables(), f"BUILD={tmp_path}"],
+            check=True, capture_output=True, env={key: value for key, value in os.environ.items() if "MAKE" not in key},
+        )  # fmt: skip
+        assert held[f"{one.name}.hex"] == (tmp_path / f"uno/{one.name}.hex").read_bytes()
+        assert held[f"{one.name_for('pico')}.uf2"] == (tmp_path / f"pico/{one.name_for('pico')}.uf2").read_bytes()
 
 
 def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -> None:
@@ -64,6 +74,7 @@ def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -
     for config in sorted((ROOT / "config").glob("*.yaml")):
         assert f"rig/_config/{config.name}" in names
     assert "rig/_firmware/core/rig_core.c" in names
+    assert {"rig/panel/static/vendor/uPlot.esm.js", "rig/panel/static/vendor/uPlot-LICENSE"} <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert wheel.name.startswith("motor_rig-")  # on PyPI, rig is another's name
     subprocess.run([UV.with_name("twine"), "check", "--strict", wheel], check=True, capture_output=True)

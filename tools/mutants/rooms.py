@@ -16,7 +16,11 @@ ROOMS = (
         "rig/control",
         24,
         ("tests/control", "tests/loop"),
-        {"breakaway_one_way": _REPLAY, "laws": ("tests/api/test_api_law.py",)},
+        {
+            "breakaway_one_way": _REPLAY,
+            "laws": ("tests/api/test_api_law.py",),
+            "leased": ("tests/control/test_control_leased.py",),
+        },
     ),
     Room(
         "rig/loop",

@@ -9,7 +9,9 @@ static const double LEAST_BEND_RAD = 1e-4;
 static const double SLIDING = 1e-8;
 static const double LEVEL_CHANGES = 60.0;
 static const double BALANCED = 1e-12;
-static const double EVENT_S = 1e-14;
+/* Where double has four bytes, as on an AVR, rounding is coarser: an event within its reach, and longer steps, will do. */
+static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
+static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
 static const double STEP_OF_TAU = 0.05;
 static const double SHORT_LAG_S = 1e-3;
 static const double STEP_OF_LAG = 0.065;
@@ -187,7 +189,7 @@ static real_state moved(const real_motor *m, double sign, const real_state *at, 
     real_state in = *at;
     const double a1 = target(m, sign, &in, t);
     const double slide = sliding(m, sign, at, a1, t, h);
-    const weights b = weights_of(h * slide);
+    const weights b = m->bristle_V_rad > 0.0 ? weights_of(h * slide) : k; /* without bristles nothing is weighed by it */
     const double near_f = 0.5 * h * b.mean;
     const double n1 = bending(m, sign, &in, t) + slide * in.f;
     const double v2 = k.half * at->v + near * a1;
@@ -258,7 +260,7 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
     if (falls(m) || turns(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
         longest = fmin(longest, STEP_OF_TAU * tau);
     }
-    return longest;
+    return STRETCH * longest;
 }
 
 /* By how much the pull in the direction `sign` on a motor at rest is above its level `h` s after `t`. */
@@ -283,6 +285,9 @@ static double rest(const real_motor *m, real_state *at, double staged_V, double 
                 double high = h;
                 for (int i = 0; i < ROUNDS; i++) {
                     const double middle = 0.5 * (low + high);
+                    if (middle <= low || middle >= high) {
+                        break; /* there is no number between them */
+                    }
                     if (margin(m, sign, at, staged_V, t_s, middle) > 0.0) {
                         high = middle;
                     } else {
@@ -414,6 +419,16 @@ void real_advance(const real_motor *m, real_state *at, double u_V, const double 
         take_up_play(m, sign, at);
         left_s -= h;
     }
+}
+
+double real_force(const real_motor *m, double y)
+{
+    return force(m, y);
+}
+
+double real_level(const real_motor *m, double speed, double y)
+{
+    return level(m, speed, y, m->start_s);
 }
 
 double real_reading(const real_motor *m, double x)

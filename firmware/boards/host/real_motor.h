@@ -32,6 +32,10 @@ void real_put(const real_motor *m, real_state *at, double v, double y);
 /* From when[0], s, on, for when[1], s, under the constant drive `u_V`, between the stops, rad. */
 void real_advance(const real_motor *m, real_state *at, double u_V, const double when[2], const double stops[2]);
 
+/* Force over position, and the level of the friction in motion at `speed`, at the start, V. */
+double real_force(const real_motor *m, double y);
+double real_level(const real_motor *m, double speed, double y);
+
 /* What the sensor shows where its side is at `x`. */
 double real_reading(const real_motor *m, double x);
 

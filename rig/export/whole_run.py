@@ -190,15 +190,18 @@ def as_npz(run: ExportedRun) -> bytes:
     return out.getvalue()
 
 
-def as_mat(run: ExportedRun) -> bytes:
-    """A MATLAB 5 file: columns n x 1, numbers doubles, texts char, lists of texts cells, null []."""
+def as_mat(run: ExportedRun, further: JsonObject | None = None) -> bytes:
+    """A MATLAB 5 file: columns n x 1, numbers doubles, texts char, lists of texts cells, null [].
+
+    further   variables beside those of the run
+    """
     from scipy.io import savemat
 
     columns: dict[str, NDArray[Any]] = {
         name: _cell(column.tolist()) if KINDS[name] == "name" else column.astype(np.float64).reshape(-1, 1)
         for name, column in run.columns().items()
     }
-    whole = {name: _matlab(value) for name, value in run.documents().items()}
+    whole = {name: _matlab(value) for name, value in (run.documents() | (further or {})).items()}
     out = io.BytesIO()
     savemat(
         out,  # type: ignore[arg-type]  # scipy writes to open files, its stubs do not know

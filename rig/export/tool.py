@@ -1,0 +1,51 @@
+"""What every tool's export is made of: its files as texts, from templates of this room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import jinja2
+
+from rig.export.motor import IdentifiedMotor
+from rig.export.whole_run import ExportedRun
+from rig.package import FOLDER
+
+# What has no inverse, and no state in a model of velocity and position.
+NOT_RIGID: Final = {
+    "bristle": "the shaft is rigid where friction holds it: it does not bend",
+    "backlash": "the sensor follows the motor without play",
+    "drift": "friction stays at its mean over the tests",
+}
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool that loads the model of a run.
+
+    title   for people
+    files   of a motor and its run: content by name of file
+    lacks   parts of a motor that its files cannot express, each with what follows
+    """
+
+    title: str
+    files: Callable[[IdentifiedMotor, ExportedRun], dict[str, bytes]]
+    lacks: Mapping[str, str]
+
+
+def rendered(template: str, **values: object) -> bytes:
+    """A template of this room, filled in, as UTF-8."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.export", "templates"),
+        autoescape=False,  # no markup that a browser reads
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+    )
+    return environment.get_template(template).render(**values).encode("utf-8")
+
+
+def constant(name: str) -> bytes:
+    """A file of this room that is the same for every motor."""
+    return (FOLDER / "export" / "templates" / name).read_bytes()

@@ -1,0 +1,72 @@
+"""The model of a run for another tool: which tools there are, and their files written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rig.export.c import C
+from rig.export.control import CONTROL
+from rig.export.matlab import MATLAB
+from rig.export.motor import IdentifiedMotor, identified_motor
+from rig.export.mujoco import MUJOCO
+from rig.export.tool import Tool
+from rig.export.whole_run import load
+from rig.export.wpilib import WPILIB
+from rig.recording.errors import RecordingError
+from rig.recording.folder import write_whole
+from rig.recording.path_kind import is_file_of_a_run
+
+TOOLS: Final[dict[str, Tool]] = {
+    "control": CONTROL,
+    "matlab": MATLAB,
+    "mujoco": MUJOCO,
+    "wpilib": WPILIB,
+    "c": C,
+}
+
+
+@dataclass(frozen=True)
+class ExportedModel:
+    """What an export of a model wrote.
+
+    files   the files, in the order in which they are to be read
+    notes   what the run lacks, in words
+    """
+
+    motor: IdentifiedMotor
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def export_model(run_folder: Path, tool: str, into: Path, *, overwrite: bool = False) -> ExportedModel:
+    """Write the model of a run for ``tool``, one of ``TOOLS``, as files in the folder ``into``.
+
+    overwrite  replace files that are there already
+    Raises RecordingError if there is no run, no model in it that was not refused, no such folder, or a file of a name
+    that is to be written; CannotWriteError if a file cannot be written.
+    """
+    run = load(run_folder)
+    chosen = TOOLS[tool]
+    motor = identified_motor(run_folder, run).lacking(chosen.lacks)
+    contents = chosen.files(motor, run)
+    paths = [into / name for name in contents]
+    _require_free(into, paths, overwrite=overwrite)
+    for path, content in zip(paths, contents.values(), strict=True):
+        write_whole(path, content)
+    return ExportedModel(motor, tuple(paths), run.notes)
+
+
+def _require_free(into: Path, paths: Sequence[Path], *, overwrite: bool) -> None:
+    try:
+        if not into.is_dir():
+            raise RecordingError(into, "is no folder", "make it first, or name another folder")
+        for path in paths:
+            if is_file_of_a_run(path):
+                raise RecordingError(path, "is a file of the run itself", "name another folder with --into")
+            if path.is_dir() or (path.exists() and not overwrite):
+                raise RecordingError(path, "is there already", "name another folder, or add --force to replace it")
+    except OSError as error:
+        raise RecordingError(into, f"cannot be used: {error.strerror}", "name another folder") from error

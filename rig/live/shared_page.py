@@ -1,0 +1,135 @@
+"""A small file that two processes map: one of them writes it, the other reads it without ever waiting for a disk."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import secrets
+import stat
+import sys
+from pathlib import Path
+from typing import Final
+
+from rig.recording.layout import allocate
+
+SIZE: Final = 4096
+_NEW: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+# without O_NONBLOCK opening a pipe of that name would wait
+_LOOK: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+_RENAMES_OPEN_FILES: Final = sys.platform != "win32"
+
+
+class MappedPage:
+    """The page as its owner has it: mapped to be read, and locked for as long as the owner lives.
+
+    The lock is the kernel's: whatever ends the owner, ``is_owned`` says so. The page appears under its name with its
+    content, locked. Systems without such a lock have the page, but there nobody can tell whether the owner lives.
+
+    path     must not exist
+    content  its first bytes
+    Raises OSError, e.g. where the disk is full or read-only.
+    """
+
+    def __init__(self, path: Path, content: bytes) -> None:
+        self._path = path
+        first = path.with_name(f".{path.name}.{secrets.token_hex(8)}") if _RENAMES_OPEN_FILES else path
+        self._descriptor = os.open(first, _NEW, 0o666)
+        try:
+            allocate(self._descriptor, SIZE)
+            self.write(0, content)
+            _lock(self._descriptor)
+            self._map = mmap.mmap(self._descriptor, SIZE, access=mmap.ACCESS_READ)
+            if first != path:
+                first.rename(path)
+        except OSError:
+            os.close(self._descriptor)
+            with contextlib.suppress(OSError):
+                first.unlink()
+            raise
+
+    def __getitem__(self, at: int) -> int:
+        """The byte at this place: a read of memory."""
+        return self._map[at]
+
+    def read(self, at: int, size: int) -> bytes:
+        """The bytes from this place on."""
+        return self._map[at : at + size]
+
+    def write(self, at: int, data: bytes) -> None:
+        """Write bytes from this place on. This may wait for the disk: not while the loop runs. Raises OSError."""
+        os.lseek(self._descriptor, at, os.SEEK_SET)
+        os.write(self._descriptor, data)
+
+    def close(self) -> None:
+        """Delete the file: nobody owns it any more."""
+        if _RENAMES_OPEN_FILES:
+            self._delete()
+        self._map.close()
+        os.close(self._descriptor)
+        if not _RENAMES_OPEN_FILES:
+            self._delete()
+
+    def _delete(self) -> None:
+        with contextlib.suppress(OSError):  # a read-only disk: nobody holds the lock any more, and that says the same
+            self._path.unlink()
+
+
+class OthersPage:
+    """The page of another process, open to be read, or to be written, too.
+
+    Raises OSError where there is no such file, or this user may not open it; ValueError where it is no such page.
+    """
+
+    def __init__(self, path: Path, *, writes: bool = False) -> None:
+        self._descriptor = os.open(path, (os.O_RDWR if writes else os.O_RDONLY) | _LOOK)
+        status = os.fstat(self._descriptor)
+        if not stat.S_ISREG(status.st_mode) or status.st_size != SIZE:
+            os.close(self._descriptor)
+            raise ValueError(f"{path} is no page of rig: it is no file of {SIZE} bytes")
+
+    def __enter__(self) -> OthersPage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self._descriptor)
+
+    @property
+    def is_owned(self) -> bool:
+        """Whether the process that made the page lives; False, too, on a system that cannot tell."""
+        return _is_locked(self._descriptor)
+
+    def read(self, at: int, size: int) -> bytes:
+        """The bytes from this place on."""
+        os.lseek(self._descriptor, at, os.SEEK_SET)
+        return os.read(self._descriptor, size)
+
+    def write(self, at: int, data: bytes) -> None:
+        """Write bytes from this place on. Raises OSError, e.g. on a read-only disk."""
+        os.lseek(self._descriptor, at, os.SEEK_SET)
+        os.write(self._descriptor, data)
+
+
+def _lock(descriptor: int) -> None:
+    try:
+        import fcntl  # Windows does not have it
+    except ImportError:
+        return
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+
+
+def _is_locked(descriptor: int) -> bool:
+    try:
+        import fcntl
+    except ImportError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False

@@ -1,0 +1,244 @@
+"""What a page may make the bench do: check a config, start a run, jog, stop. Each run is a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import secrets
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rig.live.lease import Leaser
+from rig.live.running import Running, running
+from rig.live.stop_flag import StopError, request_stop
+from rig.panel import processes
+from rig.panel.aside import answer_of
+from rig.panel.errors import RefusedError
+from rig.panel.processes import Ended, StartedProcess
+
+HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
+_CONFIRMED_FOR_S: Final = 600.0
+
+
+@dataclass(frozen=True)
+class StopAnswer:
+    """What became of a Stop.
+
+    runs   folders of the runs that it reached
+    waits  commands that have no run folder yet and were interrupted
+    why    what did not work; empty: all of it did
+    """
+
+    runs: tuple[Path, ...]
+    waits: int
+    why: str
+
+
+@dataclass(frozen=True)
+class _Confirmation:
+    key: str
+    digest: str
+    until_s: float
+
+
+@dataclass
+class _Hold:
+    """A button that a page holds: which page, its leases, and when the last one was given."""
+
+    holder: str
+    leaser: Leaser
+    at_s: float
+
+
+class Bench:
+    """The runs below one folder, and the one config that is started from here.
+
+    config  None: this panel starts nothing
+    out     folder of the run folders
+    """
+
+    def __init__(self, config: Path | None, out: Path) -> None:
+        self.config, self.out = config, out
+        # the look, a Stop and the pages come from different threads
+        self._lock, self._jog_lock = threading.Lock(), threading.RLock()
+        self._started = processes.found_again(out)
+        self._confirmation: _Confirmation | None = None
+        self._jog_V = 0.0
+        self._hold: _Hold | None = None
+        self._interrupted: set[str] = set()  # pages whose hold was interrupted, until they let go
+        self._running: list[Running] = []
+
+    # ------------------------------------------------------------------ what goes on
+
+    def look(self) -> None:
+        """Look anew which runs go on. It reads the folder."""
+        self._running = running(self.out)
+        pids = {one.runner.pid for one in self._running}
+        with self._lock:
+            for process in self._started:
+                process.has_folder |= process.pid in pids
+
+    @property
+    def running(self) -> list[Running]:
+        """The runs that went on at the last look, the newest last; whoever started them."""
+        return self._running
+
+    @property
+    def opening(self) -> list[StartedProcess]:
+        """What was started here, goes on, and has no run folder yet."""
+        with self._lock:
+            return [process for process in self._started if not process.has_folder and process.lives]
+
+    @property
+    def pids(self) -> set[int]:
+        """The processes that were started here and whose end was not told yet."""
+        with self._lock:
+            return {process.pid for process in self._started}
+
+    def ended(self) -> list[Ended]:
+        """What was started here and has ended since the last call."""
+        with self._lock:
+            over = [process for process in self._started if not process.lives]
+            self._started = [process for process in self._started if process not in over]
+        return [process.end() for process in over]
+
+    def _start(self, command: str, *arguments: str) -> dict[str, Any]:
+        """Start a command, if nothing else goes on."""
+        self.look()
+        if busy := [one.folder.name for one in self._running] + [one.command for one in self.opening]:
+            raise RefusedError(409, f"{busy[-1]} goes on already", "wait for its end, or press Stop")
+        with self._lock:
+            process = processes.start(self.out, command, arguments)
+            self._started.append(process)
+        return {"run": None, "pid": process.pid}
+
+    # ------------------------------------------------------------------ start
+
+    def _own_config(self) -> Path:
+        if self.config is None:
+            raise RefusedError(409, "this panel has no config to start", "start it as: rig panel CONFIG")
+        return self.config
+
+    async def check(self) -> dict[str, Any]:
+        """What `rig check` says of the config, and a ``confirmation`` with which it may be started."""
+        config = self._own_config()
+        digest = await asyncio.to_thread(_digest, config)
+        found = await answer_of("rig.panel.prospect", config)
+        confirmation = None
+        if found.get("may_run"):
+            confirmation = secrets.token_urlsafe(12)
+            self._confirmation = _Confirmation(confirmation, digest, time.monotonic() + _CONFIRMED_FOR_S)
+            self._jog_V = float(found["plan"]["jog_V"])
+        return {**found, "confirmation": confirmation}
+
+    def start(self, confirmation: object) -> dict[str, Any]:
+        """Start ``rig run`` on the config as it was checked. Raises RefusedError if anything is in the way."""
+        config = self._own_config()
+        given, self._confirmation = self._confirmation, None  # each starts once
+        if given is None or confirmation != given.key or time.monotonic() > given.until_s:
+            raise RefusedError(409, "this start was not confirmed, or too long ago", "check the config again")
+        if _digest(config) != given.digest:
+            raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
+        return self._start("run", str(config))
+
+    # ------------------------------------------------------------------ stop
+
+    def stop(self, name: str | None = None, by: str = "panel") -> StopAnswer:
+        """Stop the run of this name, or without a name all that goes on. Raises nothing: it says what did not work."""
+        self.release()
+        self.look()
+        reached, failed = [], []
+        for one in self._running:
+            if name is None or one.folder.name == name:
+                try:
+                    request_stop(one.folder, by)
+                    reached.append(one.folder)
+                except StopError as error:
+                    failed.append(str(error))
+        waiting = self.opening if name is None else []
+        for process in waiting:
+            process.interrupt()
+        return StopAnswer(tuple(reached), len(waiting), "; ".join(failed))
+
+    # ------------------------------------------------------------------ jog
+
+    async def start_jog(self) -> dict[str, Any]:
+        """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease.
+
+        Raises RefusedError if anything is in the way.
+        """
+        config = self._own_config()
+        found = await answer_of("rig.panel.prospect", config)
+        if not found.get("may_run"):
+            raise RefusedError(409, "rig refuses this config", "press START: the check says why")
+        self._jog_V = float(found["plan"]["jog_V"])
+        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased")
+        return {**started, "jog_V": self._jog_V}
+
+    def end_jog(self) -> None:
+        """End the jog that waits for leases, in order: it is no fault. Raises RefusedError if there is none."""
+        with self._jog_lock:
+            self._drop()
+            leaser = self._leaser()
+            try:
+                leaser.end()
+            except OSError as error:
+                raise RefusedError(409, f"the jog cannot be ended: {error.strerror}", "press Stop") from error
+            finally:
+                leaser.close()
+
+    def jog(self, holder: str, share: float) -> None:
+        """Drive with this share of the jog's voltage, -1 to 1, until the lease runs out.
+
+        holder  the socket that asks; another one cannot while this one holds
+        Raises RefusedError if no jog goes on.
+        """
+        now_s = time.monotonic()
+        with self._jog_lock:
+            if self._hold is not None and now_s - self._hold.at_s > HOLD_ENDS_S:
+                self._interrupted.add(self._hold.holder)
+                self._drop()
+            if holder in self._interrupted:  # what comes now may be old: the page, the network or this panel slept
+                raise RefusedError(409, "the hold was interrupted", "let go, then press again")
+            if self._hold is not None and self._hold.holder != holder:
+                raise RefusedError(409, "another page holds the jog", "let go there")
+            hold = self._hold = self._hold or _Hold(holder, self._leaser(), now_s)
+            hold.at_s = now_s
+            try:
+                hold.leaser.drive(min(max(share, -1.0), 1.0) * self._jog_V)
+            except OSError as error:
+                self._drop()
+                raise RefusedError(409, f"the jog takes no lease: {error.strerror}", "start it again") from error
+
+    def release(self, holder: str | None = None) -> None:
+        """Give the lease back at once, if ``holder`` has it; None: whoever has it."""
+        with self._jog_lock:
+            self._interrupted.discard(holder or "")
+            if self._hold is not None and holder in (None, self._hold.holder):
+                self._drop()
+
+    def _leaser(self) -> Leaser:
+        for one in reversed(self._running):
+            try:
+                return Leaser(one.folder)
+            except (OSError, ValueError):
+                continue
+        raise RefusedError(409, "no jog goes on", "press Jog first, and wait until the device is open")
+
+    def _drop(self) -> None:
+        if self._hold is not None:
+            with contextlib.suppress(OSError):  # the jog is over, or its lease runs out by itself
+                self._hold.leaser.release()
+            self._hold.leaser.close()
+        self._hold = None
+
+
+def _digest(config: Path) -> str:
+    try:
+        return hashlib.sha256(config.read_bytes()).hexdigest()
+    except OSError as error:
+        raise RefusedError(409, f"{config} cannot be read: {error.strerror}", "check the path") from error

@@ -1,0 +1,52 @@
+"""What a run of a config would do: the verdict of `rig check`, and numbers for the page that asks before a start.
+
+``python -m rig.panel.prospect CONFIG`` prints it as JSON.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rig import preflight
+from rig.config import ConfigError, Experiment, is_campaign
+from rig.panel.aside import give
+from rig.preflight.plan import lasts_s
+from rig.preflight.room_to_stop import stopping_terms
+
+
+def prospect(config: Path) -> dict[str, Any]:
+    """``lines`` with a severity each, ``may_run``, and the ``plan``: null if the config is refused."""
+    try:
+        if is_campaign(config):
+            return _refused([f"{config} is the config of a campaign: nothing moves there; `rig campaign` runs it"])
+        experiment, found = preflight.check(config)
+    except ConfigError as error:
+        return _refused(str(error).splitlines())
+    lines = [
+        {"severity": "note" if line.startswith("note: ") else "ok", "text": line.removeprefix("note: ")}
+        for line in found.lines
+    ]
+    return {"lines": lines, "may_run": True, "plan": _plan(experiment)}
+
+
+def _refused(problems: list[str]) -> dict[str, Any]:
+    return {"lines": [{"severity": "error", "text": line} for line in problems], "may_run": False, "plan": None}
+
+
+def _plan(e: Experiment) -> dict[str, Any]:
+    endless = e.limits.is_endless
+    return {
+        "name": e.name,
+        "largest_drive_V": e.drive.max_V,
+        "jog_V": min(e.breakaway.max_V, e.drive.max_V),  # enough to move any shaft that a run would accept
+        "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e)),
+        "soft_rad": None if endless else list(e.limits.soft_rad),
+        "hard_rad": None if endless else list(e.limits.hard_rad),
+        "max_speed_rad_s": e.limits.max_speed_rad_s,
+        "lasts_s": lasts_s(e),
+    }
+
+
+if __name__ == "__main__":
+    give(prospect)

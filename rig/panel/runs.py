@@ -1,0 +1,146 @@
+"""Past runs: the run folders below the panel's --out folder, by name, and what came of each.
+
+A name from a page is looked up among the folders that are there. It never becomes part of a path unchecked.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from rig.estimators import LEADING
+from rig.panel.errors import RefusedError
+from rig.recording.errors import RecordingError
+from rig.recording.folder import CONFIG, META, RESULT
+from rig.recording.path_kind import is_run
+from rig.recording.reader import read_meta, read_result
+from rig.recording.writer import EVENTS, SAMPLES
+from rig.results import EstimateResult, RunMeta, RunResult
+from rig.signals import plain
+
+REPORT: Final = "report.html"
+MOST_RUNS: Final = 300
+_FILES: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, REPORT)
+_NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\\x00-\x1f]{1,180}")
+
+
+class Runs:
+    """The run folders of one folder. What does not change is read once."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._known: dict[str, tuple[float, dict[str, Any]]] = {}
+
+    def find(self, name: str) -> Path:
+        """The run folder of this name. Raises RefusedError 404 if there is none."""
+        found = self._folders().get(name)
+        if found is None:
+            raise RefusedError(
+                404, f"there is no run {plain(name)[:200]!r} in {self.folder}", "reload the list of runs"
+            )
+        return found
+
+    def report(self, name: str) -> Path:
+        """The report of a run. Raises RefusedError 404 if it has none."""
+        path = self.find(name) / REPORT
+        if not path.is_file():
+            raise RefusedError(404, f"the run {name} has no report", f"make it: rig report {self.folder / name}")
+        return path
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each run, the newest first; at most ``MOST_RUNS``."""
+        folders = self._folders()
+        newest = sorted(folders, reverse=True)[:MOST_RUNS]
+        self._known = {name: known for name, known in self._known.items() if name in folders}
+        return [self._row(folders[name]) for name in newest]
+
+    def row(self, folder: Path) -> dict[str, Any]:
+        """What came of one run; reads its small files."""
+        notes: list[str] = []
+        try:
+            meta, _ = read_meta(folder)
+        except RecordingError as error:
+            meta = None
+            notes.append(f"{META} {error.cause}")
+        try:
+            result, _ = read_result(folder)
+        except RecordingError as error:
+            result = None
+            notes.append(f"{RESULT} {error.cause}")
+        return _summary(folder, meta or RunMeta(), result, notes)
+
+    def _row(self, folder: Path) -> dict[str, Any]:
+        try:
+            changed = max(path.stat().st_mtime for path in (folder, folder / RESULT) if path.exists())
+        except (OSError, ValueError):
+            changed = 0.0
+        known = self._known.get(folder.name)
+        if known is None or known[0] != changed:
+            known = self._known[folder.name] = (changed, self.row(folder))
+        return known[1]
+
+    def _folders(self) -> dict[str, Path]:
+        try:
+            there = list(self.folder.iterdir())
+        except OSError:
+            return {}
+        return {
+            path.name: path
+            for path in there
+            if _NAME.fullmatch(path.name)
+            and not path.is_symlink()
+            and path.is_dir()
+            and is_run(path)
+            # a link could lead to a file that the watchers of this panel must not read
+            and not any((path / name).is_symlink() for name in _FILES)
+        }
+
+
+def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> dict[str, Any]:
+    estimate = None if result is None else _leading(result)
+    fault = result.faults[0].code if result is not None and result.faults else None
+    loop = None if result is None else result.loop
+    lasts_s = None if loop is None or not loop.ticks or not loop.period_s else loop.ticks * loop.period_s
+    return {
+        "name": folder.name,
+        "when": meta.started_utc or _stamp(folder.name),
+        "command": None if meta.script is None else meta.script.name,
+        "config": meta.name,
+        "backend": meta.backend,
+        "emulated": meta.emulated,
+        "verdict": "failed" if fault else None if estimate is None else estimate.verdict or None,
+        "fault": fault,
+        "estimate": None if estimate is None else _numbers(estimate),
+        "lasts_s": lasts_s,
+        "report": (folder / REPORT).is_file(),
+        "notes": notes,
+    }
+
+
+def _leading(result: RunResult) -> EstimateResult | None:
+    """The estimate that counts: the leading estimator's, with the motor's laws where it found some."""
+    if result.with_law is not None and not result.with_law.is_refused:
+        return result.with_law
+    return result.estimates.get(LEADING) or next(iter(result.estimates.values()), None)
+
+
+def _numbers(estimate: EstimateResult) -> dict[str, Any]:
+    """tau, K and f_c, each with half its 95 % interval; null where there is none."""
+    numbers: dict[str, Any] = {}
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        value, interval = estimate.value(name), estimate.interval(name)
+        half = None if interval is None else 0.5 * (interval[1] - interval[0])
+        numbers[name] = None if value is None else [value, half]
+    return numbers
+
+
+def _stamp(name: str) -> str | None:
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return None
+    try:
+        return datetime.strptime(match[1], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC).isoformat()
+    except ValueError:
+        return None

@@ -1,0 +1,81 @@
+"""One recorded run, thin enough to draw: ``python -m rig.panel.series FOLDER`` prints it as JSON."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.panel.aside import give
+from rig.recording.errors import RecordingError
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
+from rig.recording.stage import kind_of
+from rig.results import RunEvent
+
+Array = NDArray[np.float64]
+
+MOST_POINTS: Final = 4000
+_DRIVEN: Final = ("relay", "strokes", "hysteretic", "track")
+
+
+def drawn(folder: Path) -> dict[str, Any]:
+    """Curves, stages, faults, and when the drive first changes its sign in a test; or what is wrong with the run."""
+    try:
+        recording = read_run(folder)
+    except RecordingError as error:
+        return {"error": {"what": f"{error.path}: {error.cause}", "cure": error.cure}}
+    shown = thinned(recording.y_rad, MOST_POINTS)
+    return {
+        "series": {
+            "t_s": _numbers(recording.t_s[shown], 4),
+            "y_rad": _numbers(recording.y_rad[shown], 5),
+            "u_V": _numbers(recording.u_V[shown], 4),
+        },
+        "rows": len(recording.t_s),
+        "first_switch_s": first_switch_s(recording),
+        "stages": [_of(event, "name") for event in recording.events if event.kind == "stage"],
+        "faults": [_of(event, "code", "cause", "cure") for event in recording.events if event.kind == "fault"],
+        "notes": list(recording.notes),
+    }
+
+
+def thinned(y_rad: Array, most: int) -> NDArray[np.intp]:
+    """At most ``most`` row numbers, rising: of each stretch its lowest and its highest row, so that no peak is lost."""
+    rows = len(y_rad)
+    if rows <= most:
+        return np.arange(rows)
+    edges = np.linspace(0, rows, most // 2 + 1).astype(int)
+    found = [
+        first + index
+        for first, last in itertools.pairwise(edges.tolist())
+        for index in (int(np.argmin(y_rad[first:last])), int(np.argmax(y_rad[first:last])))
+    ]
+    return np.unique(found)
+
+
+def first_switch_s(recording: Recording) -> float | None:
+    """When the drive first changes its sign in the first test, s; None if it never does. Runs are aligned by it."""
+    for stage in recording.stages():
+        if kind_of(stage) in _DRIVEN:
+            rows = np.flatnonzero(recording.stage == stage)  # a broken recording may have them in pieces
+            sign = np.sign(recording.u_V[rows])
+            changed = np.flatnonzero(sign[1:] * sign[:-1] < 0)
+            if len(changed):
+                return float(recording.t_s[rows][changed[0] + 1])
+    return None
+
+
+def _of(event: RunEvent, *keys: str) -> dict[str, Any]:
+    return {"t_s": event.t_s, **{key: event.detail.get(key) for key in keys}}
+
+
+def _numbers(values: Array, digits: int) -> list[float | None]:
+    return [round(value, digits) if np.isfinite(value) else None for value in values.tolist()]
+
+
+if __name__ == "__main__":
+    give(drawn)

@@ -1,0 +1,143 @@
+// The page's beginning: it connects the parts, and says which of them the reader sees.
+
+import { Bench } from "./bench.js";
+import { Connection } from "./connection.js";
+import { ask, byId, setText, show } from "./dom.js";
+import { Jog } from "./jog.js";
+import { loadPlots } from "./plot.js";
+import { Runs } from "./runs.js";
+import { Start } from "./start.js";
+import { Stop } from "./stop.js";
+import { startTheme } from "./theme.js";
+
+const body = document.body;
+startTheme();
+const connection = new Connection();
+const stop = new Stop(connection); // first of all, so that it works whatever else fails
+const jog = new Jog(connection, stop);
+const start = new Start(stop);
+const runs = new Runs();
+const SEEN_EVERY = 5; // the server slows down for a page that does not answer
+let seen = 0;
+const bench = new Bench((number) => {
+  if (number >= seen + SEEN_EVERY || number < seen) connection.send({ type: "seen", n: (seen = number) });
+});
+
+let state = { operator: false, has_token: false, config: null };
+let command = null; // of the run that drives
+let opened = false; // a jog that waits for a hold: its device is open
+let opens = null; // command that was started, and opens its device
+
+const VIEWS = ["bench", "runs", "report"];
+
+function route() {
+  const [view, name] = location.hash.slice(1).split("/");
+  const shown = VIEWS.includes(view) ? view : "bench";
+  body.dataset.view = shown;
+  for (const one of VIEWS) show(byId(`${one}-view`), one === shown);
+  byId("to-bench").ariaCurrent = shown === "bench" ? "page" : null;
+  byId("to-runs").ariaCurrent = shown === "bench" ? null : "page";
+  if (shown === "runs") runs.reload();
+  if (shown === "report") runs.report(decodeURIComponent(name ?? ""));
+}
+
+/** What the bench does: the command that drives ("run", "jog"...), or null. */
+function drives(next) {
+  command = next;
+  if (next !== null) opens = null;
+  else opened = false;
+  body.dataset.bench = next === null ? "idle" : "driving";
+  setText(byId("lamp"), next === null ? (opens ? "Opening" : "Idle") : next === "jog" ? "Jogging" : "Running");
+  buttons();
+}
+
+function buttons() {
+  const mine = state.operator && connection.alive;
+  byId("start").disabled = !mine || command !== null || opens !== null || !state.config;
+  byId("jog").disabled = !mine || opens !== null || (command !== null && !opened) || !state.config;
+  jog.allow(mine && command === "jog" && opened);
+  show(byId("take"), !state.operator && state.has_token);
+  const note = byId("watcher");
+  show(note, !state.operator || !state.config);
+  setText(
+    note,
+    state.operator
+      ? "No config: start the panel as rig panel CONFIG to start runs here."
+      : state.has_token
+        ? "Another page has the bench. You watch. Stop works."
+        : "You watch. Stop works. To start runs, open the address that rig panel printed.",
+  );
+}
+
+async function readState() {
+  try {
+    state = { ...state, ...(await ask("/api/state")) };
+    setText(byId("config-name"), state.config ?? "");
+  } catch {
+    // the silence watch says that the server is gone
+  }
+  buttons();
+}
+
+connection.addEventListener("live", ({ detail }) => {
+  bench.live(detail);
+  if (command === null) stop.forget();
+  const waits = detail.command === "jog" && detail.stage === "jog";
+  if (command !== (detail.command ?? "run") || opened !== waits) {
+    opened = waits;
+    drives(detail.command ?? "run");
+  }
+  // the report's frame would swallow Stop's keys
+  if (document.activeElement === byId("report")) {
+    document.activeElement.blur();
+    window.focus();
+  }
+});
+connection.addEventListener("estimate", ({ detail }) => bench.estimate(detail));
+connection.addEventListener("fault", ({ detail }) => bench.fault(detail));
+connection.addEventListener("ended", ({ detail }) => {
+  bench.ended(detail);
+  drives(null);
+  if (body.dataset.view === "runs") runs.reload();
+});
+connection.addEventListener("idle", ({ detail }) => {
+  const opening = detail.opening ?? null;
+  if (command === null && body.dataset.bench === "idle" && opening === opens) return;
+  opens = opening;
+  bench.idle(opening);
+  drives(null);
+});
+connection.addEventListener("trouble", ({ detail }) => {
+  bench.fault({ code: "Not readable", cause: detail.what, cure: "check the disk and the folder of runs" });
+});
+connection.addEventListener("operator", ({ detail }) => {
+  state.operator = detail.you;
+  buttons();
+});
+connection.addEventListener("alive", () => {
+  body.dataset.link = "alive";
+  show(byId("silence"), false);
+  setText(byId("silence"), "");
+  document.title = "rig panel";
+  readState();
+});
+connection.addEventListener("silent", () => {
+  body.dataset.link = "silent";
+  body.dataset.bench = "unknown";
+  command = null;
+  setText(byId("lamp"), "Not connected");
+  setText(byId("silence"), "Not connected: use the e-stop");
+  show(byId("silence"), true);
+  document.title = "Not connected – rig panel";
+  buttons();
+});
+
+byId("take").addEventListener("click", () => connection.send({ type: "take" }));
+addEventListener("hashchange", route);
+
+connection.open();
+const curves = await loadPlots();
+show(byId("no-uplot"), !curves);
+for (const id of ["plot-y", "plot-u", "plot-overlay", "zoom"]) show(byId(id), curves);
+bench.start();
+route();

@@ -1,0 +1,325 @@
+"""What the pages are told, 25 times a second: one look at the run for all of them, and for each page what it lacks.
+
+Nothing is queued. A page that takes its time gets the newest rows later, all at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from rig.live.view import KEPT_ROWS, Estimate, LiveRow, LiveView, SeenFault, Snapshot
+from rig.panel.bench import Bench, StopAnswer
+from rig.panel.processes import Ended
+from rig.panel.runs import Runs
+
+PERIOD_S: Final = 0.04
+ALIVE_S: Final = 0.25  # a page that hears nothing for longer says that it is not connected
+_LOOK_EVERY: Final = 6  # ticks between two looks at which runs go on
+_MOST_UNSEEN: Final = 10  # live messages on their way to a page that says what it has seen
+_MOST_NEWS: Final = 20
+_MOST_TICKS_TO_EXIT: Final = 100
+_LATE_SHARE: Final = 0.1  # of the period, beyond which a tick counts as late
+_ZERO_WITHIN_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What there is to tell at one moment.
+
+    run       the folder's name; None: nothing runs, and nothing was opened
+    opening   the command that was started and has no folder yet
+    snapshot  of the run
+    ended     the message that it is over; None: it goes on
+    news      messages for every page, each with its number
+    """
+
+    run: str | None = None
+    opening: str | None = None
+    snapshot: Snapshot | None = None
+    ended: dict[str, Any] | None = None
+    news: tuple[tuple[int, dict[str, Any]], ...] = ()
+
+
+@dataclass
+class _Asked:
+    """A Stop on its way: when it came, and whether the pages know that the drive is not at 0."""
+
+    at_s: float
+    told: bool = False
+
+
+class Watch:
+    """Looks at the bench, and has what the pages are told."""
+
+    def __init__(self, bench: Bench, runs: Runs, opened: Path | None = None) -> None:
+        self._bench, self._runs = bench, runs
+        self._view = None if opened is None else LiveView(opened)
+        self._ended: dict[str, Any] | None = None
+        self._statuses: dict[int, Ended] = {}
+        self._pid: int | None = None
+        self._asked: dict[Path, _Asked] = {}
+        self._news: list[tuple[int, dict[str, Any]]] = []
+        self._number = 0
+        self._ticks = 0
+        self._over_ticks = 0
+        self._trouble = ""
+        self.scene = Scene()
+        self._followers: set[Follower] = set()
+
+    async def go(self) -> None:
+        """Look and tell until cancelled."""
+        next_s = time.monotonic()
+        while True:
+            await asyncio.to_thread(self.look)
+            for follower in self._followers:
+                follower.wake.set()
+            next_s = max(next_s + PERIOD_S, time.monotonic() + 0.25 * PERIOD_S)
+            await asyncio.sleep(next_s - time.monotonic())
+
+    def follow(self) -> Follower:
+        """A page that came."""
+        follower = Follower(self._news[-1][0] if self._news else 0)
+        self._followers.add(follower)
+        return follower
+
+    def leave(self, follower: Follower) -> None:
+        """A page that went."""
+        self._followers.discard(follower)
+
+    def stop_asked(self, answer: StopAnswer) -> dict[str, Any]:
+        """A Stop was given on: the message for who asked. What comes of it is told to every page."""
+        at_s = time.monotonic()
+        for folder in answer.runs:
+            self._asked.setdefault(folder, _Asked(at_s))
+        run = answer.runs[-1].name if answer.runs else "the run that was starting" if answer.waits else None
+        return _stop_message(run, True if run is None and not answer.why else None, answer.why, None)
+
+    # ------------------------------------------------------------------ looking; in a thread of its own
+
+    def look(self) -> None:
+        """Look once."""
+        try:
+            self._look()
+        except OSError as error:  # a run folder that was deleted, or a disk that fails: say so, go on
+            words = f"{error.strerror}: {error.filename}"
+            if words != self._trouble:
+                self._tell({"type": "trouble", "what": words})
+            self._trouble = words
+
+    def _look(self) -> None:
+        bench = self._bench
+        if self._ticks % _LOOK_EVERY == 0:
+            bench.look()
+            self._choose()
+        self._ticks += 1
+        snapshot = None if self._view is None else self._view.read()
+        folder = None if self._view is None else self._view.folder
+        self._take_ends(folder, snapshot)
+        self._watch_stops(folder, snapshot)
+        opening = bench.opening
+        self.scene = Scene(
+            None if folder is None else folder.name,
+            opening[0].command if opening else None,
+            snapshot,
+            self._ended,
+            tuple(self._news),
+        )
+
+    def _choose(self) -> None:
+        """Follow the newest run that goes on, once the one that is followed is over."""
+        going = [one.folder for one in self._bench.running]
+        if going and (self._view is None or self._view.folder not in going):
+            self._view, self._ended, self._pid, self._over_ticks = LiveView(going[-1]), None, None, 0
+
+    def _take_ends(self, folder: Path | None, snapshot: Snapshot | None) -> None:
+        """Tell of the run that is over, and of commands that ended before they had a run folder."""
+        for ended in self._bench.ended():
+            self._statuses[ended.pid] = ended
+        if snapshot is not None and snapshot.runner is not None:
+            self._pid = snapshot.runner.pid
+        if folder is not None and snapshot is not None and snapshot.state != "runs" and self._ended is None:
+            # a process that was started here still has to say its last words and its exit status
+            self._over_ticks += 1
+            if self._pid not in self._bench.pids or self._over_ticks > _MOST_TICKS_TO_EXIT:
+                self._end(folder, snapshot)
+        for pid in [pid for pid in self._statuses if pid != self._pid]:
+            early = self._statuses.pop(pid)
+            if early.status != 0:
+                self._tell(_ended_early(early))
+
+    def _end(self, folder: Path, snapshot: Snapshot) -> None:
+        """The run is over."""
+        row = self._runs.row(folder)
+        mine = self._statuses.pop(self._pid, None) if self._pid is not None else None
+        died = "the process died, and left no end" if snapshot.state == "died" else ""
+        self._ended = {
+            "type": "ended", "run": folder.name, "why": row["fault"] or died, "verdict": row["verdict"],
+            "exit": None if mine is None else mine.status, "words": "" if mine is None else mine.words,
+        }  # fmt: skip
+
+    def _watch_stops(self, folder: Path | None, snapshot: Snapshot | None) -> None:
+        now_s = time.monotonic()
+        going = {one.folder for one in self._bench.running}
+        for asked, stop in list(self._asked.items()):
+            after_ms = round(1e3 * (now_s - stop.at_s))
+            if asked == folder and snapshot is not None:
+                at_zero = snapshot.drive_is_off or snapshot.is_over or snapshot.state != "runs"
+            else:
+                at_zero = asked not in going
+            if at_zero:
+                del self._asked[asked]
+                self._tell(_stop_message(asked.name, True, "", after_ms))
+            elif now_s - stop.at_s > _ZERO_WITHIN_S and not stop.told:
+                stop.told = True
+                self._tell(_stop_message(asked.name, False, "the device has not confirmed 0 V", after_ms))
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        self._number += 1
+        self._news = [*self._news[1 - _MOST_NEWS :], (self._number, message)]
+
+
+@dataclass(eq=False)
+class Follower:
+    """What one page has been told already."""
+
+    news: int
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    _run: str | None = None
+    _after_row: int = -1
+    _estimates: int = 0
+    _faults: int = 0
+    _ended: bool = False
+    _number: int = 0
+    _seen: int | None = None
+    _spoke_s: float = -math.inf
+    _operator: bool | None = None
+
+    def seen(self, number: int) -> None:
+        """The page says which live message it has shown."""
+        self._seen = max(number, self._seen or 0)
+
+    def due(self, scene: Scene, *, operator: bool, now_s: float) -> list[str]:
+        """The messages that the page lacks, now."""
+        messages: list[dict[str, Any]] = []
+        if operator != self._operator:
+            self._operator = operator
+            messages.append({"type": "operator", "you": operator})
+        messages += [message for number, message in scene.news if number > self.news]
+        self.news = max(self.news, scene.news[-1][0] if scene.news else 0)
+        if scene.run is not None and scene.snapshot is not None:
+            messages += self._of_run(scene, scene.run, scene.snapshot, now_s)
+        if not messages and now_s - self._spoke_s >= ALIVE_S - 0.5 * PERIOD_S:
+            messages.append({"type": "idle", "opening": scene.opening})
+        if messages:
+            self._spoke_s = now_s
+        return [json.dumps(message, allow_nan=False, separators=(",", ":")) for message in messages]
+
+    def _of_run(self, scene: Scene, run: str, snapshot: Snapshot, now_s: float) -> list[dict[str, Any]]:
+        if run != self._run:
+            self._run, self._after_row, self._estimates, self._faults, self._ended = run, -1, 0, 0, False
+        messages: list[dict[str, Any]] = []
+        rows = snapshot.rows[_first_after(snapshot.rows, self._after_row) :]
+        is_silent = now_s - self._spoke_s >= ALIVE_S - 0.5 * PERIOD_S
+        too_many = self._seen is not None and self._number - self._seen >= _MOST_UNSEEN
+        if not self._ended and (is_silent or (rows and not too_many)):
+            self._number += 1
+            self._after_row = rows[-1].number if rows else self._after_row
+            messages.append({"type": "live", "n": self._number, **live(run, snapshot, rows)})
+        messages += [_estimate(run, one) for one in snapshot.estimates[self._estimates :]]
+        messages += [_fault(run, one) for one in snapshot.faults[self._faults :]]
+        self._estimates, self._faults = len(snapshot.estimates), len(snapshot.faults)
+        if scene.ended is not None and not self._ended:
+            self._ended = True
+            messages.append(scene.ended)
+        return messages
+
+
+def live(run: str, snapshot: Snapshot, rows: Sequence[LiveRow]) -> dict[str, Any]:
+    """The numbers of a run, and its newest rows."""
+    limits, planes, cycle, health = snapshot.limits, snapshot.planes, snapshot.cycle, snapshot.loop
+    runner = snapshot.runner
+    return {
+        "run": run,
+        "command": snapshot.command,
+        "pid": None if runner is None else runner.pid,
+        "age_ms": None if snapshot.age_s is None else round(1e3 * snapshot.age_s),
+        "rows": {
+            "t_s": [_rounded(row.t_s, 4) for row in rows],
+            "y_rad": [_rounded(row.y_rad, 5) for row in rows],
+            "u_V": [_rounded(row.u_V, 4) for row in rows],
+            "z_rad_s": [_rounded(row.z_rad_s, 5) for row in rows],
+        },
+        "stage": snapshot.stage,
+        "words": snapshot.words,
+        "stage_left_s": _rounded(snapshot.left.stage_s, 1),
+        "run_left_s": _rounded(snapshot.left.run_s, 1),
+        "cycles": None if cycle is None else cycle.number,
+        "amplitude_rad": None if cycle is None else _rounded(cycle.amplitude_rad, 5),
+        "period_s": None if cycle is None else _rounded(cycle.period_s, 5),
+        "drive_is_off": snapshot.drive_is_off,
+        "loop": {
+            "late": _late(snapshot),
+            "latest_us": _rounded(health.latest_us, 0),
+            "skipped": health.skipped,
+            "link_errors": health.link_errors,
+        },
+        "limits": {
+            "soft_rad": None if limits is None else _finite(limits.soft_rad),
+            "hard_rad": None if limits is None else _finite(limits.hard_rad),
+            "drive_V": None if limits is None else limits.max_u_V,
+        },
+        "planes": None
+        if planes is None
+        else {"y_rad": [0.0], "z_rad_s": [0.0], "h1_V": planes.h1_V, "h2_V": planes.h2_V},
+    }
+
+
+def _late(snapshot: Snapshot) -> int | None:
+    """How many of the kept ticks began late; None where the period is not known."""
+    runner = snapshot.runner
+    if runner is None or math.isnan(runner.period_s):
+        return None
+    late_us = _LATE_SHARE * 1e6 * runner.period_s
+    return sum(row.late_us > late_us for row in snapshot.rows)
+
+
+def _first_after(rows: Sequence[LiveRow], number: int) -> int:
+    """Index of the first row after this number; the rows are numbered without gaps."""
+    return 0 if not rows else min(max(number + 1 - rows[0].number, 0), KEPT_ROWS)
+
+
+def _ended_early(over: Ended) -> dict[str, Any]:
+    """A command ended before it had a run folder."""
+    why = f"rig {over.command} was stopped before it drove" if over.stopped else f"rig {over.command} did not start"
+    return {
+        "type": "ended", "run": None, "why": why, "verdict": None, "exit": over.status, "words": over.words,
+    }  # fmt: skip
+
+
+def _estimate(run: str, one: Estimate) -> dict[str, Any]:
+    return {"type": "estimate", "run": run, **one._asdict()}
+
+
+def _fault(run: str, one: SeenFault) -> dict[str, Any]:
+    return {"type": "fault", "run": run, **one._asdict()}
+
+
+def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> dict[str, Any]:
+    return {
+        "type": "stop", "received": True, "run": run, "drive_zero": drive_zero, "after_ms": after_ms, "why": why,
+    }  # fmt: skip
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return round(value, digits) if value is not None and math.isfinite(value) else None
+
+
+def _finite(pair: tuple[float, float]) -> list[float] | None:
+    return list(pair) if all(map(math.isfinite, pair)) else None

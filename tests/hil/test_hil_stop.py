@@ -1,0 +1,121 @@
+"""The stop flag, set by another process at any instant: the drive at the pin of the compiled firmware and of the chip.
+
+In virtual time. The bound is the one of docs/panel.md: two periods of the loop and a frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
+
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.control.excitation import RelayTest
+from rig.control.guard import Guard
+from rig.control.law import Constant
+from rig.control.leased import LeasedDrive
+from rig.control.relay import RelayOnCounts
+from rig.faults import Fault
+from rig.live.lease import LONGEST_NS, HeldLease, Leaser
+from rig.live.stop_flag import StopFlag, request_stop
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.model.cycle_detector import CycleDetector
+
+FRAME_S = 0.0025  # of 14 bytes on the wire with the time until the program has acted on it
+GAINS_V = (0.4, 0.85)
+Device = VirtualBoard | VirtualChip
+
+
+class Bench(NamedTuple):
+    """A loop on a device of which another process has the flag."""
+
+    device: Device
+    driver: SerialDriver
+    loop: Loop
+    record: ListSink
+
+
+def bench_of(device: Device, flag: StopFlag) -> Bench:
+    driver = SerialDriver(device, SCALING, emulated=True)
+    driver.open()
+    guard, record = Guard(GUARD), ListSink()
+    guard.sign_proven = True
+    return Bench(device, driver, Loop(driver, device, guard, record, PERIOD_S, StopRequest(flag)), record)
+
+
+def at(device: Device, t_s: float, do: Callable[[], object]) -> list[float]:
+    """Do something at that time after now, between what the loop does. Returns when it was done, s, once it is."""
+    done: list[float] = []
+    sleep, when_s = device.sleep_until, device.now_s() + t_s
+
+    def until(due_s: float) -> float:
+        if not done and due_s >= when_s:
+            sleep(when_s)
+            do()
+            done.append(device.now_s())
+        return sleep(due_s)
+
+    device.sleep_until = until  # type: ignore[assignment,method-assign]  # of this device alone
+    return done
+
+
+def drive_until_stopped(bench: Bench, where: str) -> None:
+    with bench.loop.armed(LIMITS):
+        if where == "host":
+            bench.loop.run(Constant(0.62, 5.0), "jog")
+            return
+        c = bench.driver.relay_command(*GAINS_V, 0.7)
+        relay = RelayOnCounts(
+            c.centre_counts, c.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, GAINS_V
+        )
+        test = RelayTest(relay, CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad), GAINS_V, 50, 60.0)
+        bench.loop.run_in_device(test, c, "relay-1")
+
+
+@pytest.mark.parametrize("where", ["host", "device"])
+@pytest.mark.parametrize("device", [VirtualBoard, VirtualChip])
+@pytest.mark.parametrize("in_tick", [0.05, 0.95])
+def test_a_stop_is_0_V_at_the_pin_within_two_periods_and_a_frame(
+    tmp_path: Path, device: type[Device], where: str, in_tick: float
+) -> None:
+    with StopFlag() as flag:
+        flag.begin(tmp_path)
+        bench = bench_of(device(DEMO, 3), flag)
+        asked = at(bench.device, (60 + in_tick) * PERIOD_S, lambda: request_stop(tmp_path, "test"))
+        with pytest.raises(Fault, match="Stop by test") as caught:
+            drive_until_stopped(bench, where)
+    assert caught.value.code == "INTERRUPTED"
+    truth = bench.device.truth()
+    assert truth.pin_V == 0.0
+    assert 0.0 < truth.pin_changed_s - asked[0] <= 2 * PERIOD_S + FRAME_S
+    assert any(row["u_V"] != 0.0 for row in bench.record.rows)
+    assert bench.record.events[-1]["confirmed"] is True
+
+
+@pytest.mark.parametrize("device", [VirtualBoard, VirtualChip])
+def test_a_jog_whose_leases_end_is_0_V_at_the_pin_within_the_lease_and_two_periods(
+    tmp_path: Path, device: type[Device]
+) -> None:
+    """Who jogs dies right after its last lease, the longest that there is: nobody tells the loop."""
+    bench = bench_of(device(DEMO, 3), StopFlag())
+
+    def now_ns() -> int:
+        return round(bench.device.now_s() * 1e9)
+
+    with HeldLease(tmp_path, now_ns) as held:
+        lease = Leaser(tmp_path, now_ns)
+        given = at(bench.device, 20.3 * PERIOD_S, lambda: lease.drive(0.62))
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(LeasedDrive(held.u_V, lambda _: None, longest_s=1.0), "jog")
+            driven = [row["t_s"] for row in bench.record.rows if row["u_V"] != 0.0]
+            off_s = bench.device.truth().pin_changed_s
+    lease.close()
+    assert len(driven) in (14, 15)  # as the lease begins in a tick
+    assert LONGEST_NS * 1e-9 < off_s - given[0] <= LONGEST_NS * 1e-9 + 2 * PERIOD_S + FRAME_S
+    assert bench.device.truth().pin_V == 0.0

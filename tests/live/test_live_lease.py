@@ -1,0 +1,96 @@
+"""Leases: the drive that is promised, until when, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.live.lease import LONGEST_NS, NAME, HeldLease, Leaser
+from rig.live.shared_page import SIZE, OthersPage
+
+
+class Clock:
+    """A clock that the test sets."""
+
+    ns = 10_000_000_000
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def held(tmp_path: Path, clock: Clock) -> Iterator[HeldLease]:
+    with HeldLease(tmp_path, clock) as lease:
+        yield lease
+
+
+def test_a_lease_drives_until_it_runs_out_is_renewed_or_given_back(
+    tmp_path: Path, held: HeldLease, clock: Clock
+) -> None:
+    leaser = Leaser(tmp_path, clock)
+    assert held.u_V() == 0.0
+    leaser.drive(0.8, 0.15)
+    clock.ns += LONGEST_NS - 1
+    assert held.u_V() == 0.8
+    clock.ns += 1
+    assert held.u_V() == 0.0
+    leaser.drive(-0.5, 0.05)
+    assert held.u_V() == -0.5
+    leaser.release()
+    assert held.u_V() == 0.0
+    leaser.drive(0.3)
+    leaser.close()
+    again = Leaser(tmp_path, clock)  # another process goes on, also after the first has died
+    again.drive(0.4)
+    assert held.u_V() == 0.4
+    again.end()
+    assert held.u_V() is None
+    assert held.refused == 0
+
+
+@pytest.mark.parametrize(
+    ("u_V", "ahead_ns"), [(0.8, LONGEST_NS + 1), (0.8, 2**62), (math.nan, 1_000_000), (math.inf, 1_000_000)]
+)
+def test_a_lease_that_reaches_too_far_or_asks_for_no_volts_drives_nothing_and_is_counted(
+    tmp_path: Path, held: HeldLease, clock: Clock, u_V: float, ahead_ns: int
+) -> None:
+    """Both sides refuse: who gives it, and the loop whoever wrote it."""
+    leaser = Leaser(tmp_path, clock)
+    leaser.drive(0.2)
+    assert held.u_V() == 0.2
+    with pytest.raises(ValueError, match="a lease of"):
+        leaser.drive(u_V, ahead_ns * 1e-9)
+    leaser._write(u_V, clock.ns + ahead_ns)
+    assert held.u_V() == 0.0
+    assert held.u_V() == 0.0
+    assert held.refused == 1
+
+
+def test_a_lease_that_is_half_written_changes_nothing(tmp_path: Path, held: HeldLease, clock: Clock) -> None:
+    leaser = Leaser(tmp_path, clock)
+    leaser.drive(0.2)
+    assert held.u_V() == 0.2
+    with OthersPage(tmp_path / NAME, writes=True) as page:
+        page.write(0, struct.pack("=qd", 99, 0.9))  # number and drive, and not yet the number again
+        assert held.u_V() == 0.2
+        page.write(0, bytes(SIZE))  # an older one
+    assert held.u_V() == 0.2
+    clock.ns += LONGEST_NS
+    assert held.u_V() == 0.0
+
+
+def test_nobody_gives_leases_where_no_jog_waits(tmp_path: Path, clock: Clock) -> None:
+    with pytest.raises(FileNotFoundError):
+        Leaser(tmp_path, clock)
+    (tmp_path / NAME).write_bytes(b"short")
+    with pytest.raises(ValueError, match="is no page of rig"):
+        Leaser(tmp_path, clock)

@@ -1,0 +1,241 @@
+"""STOP by another process: in every stage of a run, before the first, while it computes, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from rig import experiment as script
+from rig import session
+from rig.backends.simulated.driver import SimulatedDriver
+from rig.config import Experiment, load
+from rig.experiment import stages
+from rig.identify import Identification, IdentifyError, identify
+from rig.live import shared_page
+from rig.live.running import running
+from rig.live.stop_flag import NAME, StopError, StopFlag, request_stop, runner_of
+from rig.recording.reader import read_run
+from rig.recording.recorder import Recorder
+from rig.recording.recording import Recording
+from rig.replay import replay
+from rig.session import Outcome
+from rig.signals import Sample
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _no_figures(undrawn: None) -> None:
+    """The figures of a report take longer than the run in virtual time, and are tested elsewhere."""
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+    """Given gains, one cycle, one short tracking run."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 3}
+    config["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
+    path = tmp_path_factory.mktemp("config") / "quick.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    return load(path)
+
+
+class Asks:
+    """Asks the run to stop in the middle of a tick of one stage: the worst instant, right after the loop has looked."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+        self.driver: SimulatedDriver | None = None
+        self.folder: Path | None = None
+        ticks = 0
+        read, event = SimulatedDriver.read, Recorder.event
+
+        def reading(driver: SimulatedDriver) -> Sample:
+            nonlocal ticks
+            sample = read(driver)
+            ticks += self.folder is not None
+            if ticks == 7 and self.folder is not None:
+                self.driver = driver
+                request_stop(self.folder, "test")
+            return sample
+
+        def noted(recorder: Recorder, t_s: float, kind: str, **fields: Any) -> None:
+            event(recorder, t_s, kind, **fields)
+            if kind == "stage" and fields["name"] == stage:
+                self.folder = recorder.folder
+
+        monkeypatch.setattr(SimulatedDriver, "read", reading)
+        monkeypatch.setattr(Recorder, "event", noted)
+
+
+def nothing_to_identify(recordings: Sequence[Recording]) -> Identification:
+    """What was driven before the stop is identified, too: that takes seconds, and is tested elsewhere."""
+    raise IdentifyError("not in this test", "none")
+
+
+def interrupted(outcome: Outcome, by: str = "test") -> None:
+    assert outcome.fault is not None
+    assert (outcome.fault.code, outcome.fault.detail) == ("INTERRUPTED", f"Stop by {by}")
+    assert not (outcome.folder / NAME).exists()
+    assert (outcome.folder / "report.html").is_file()
+
+
+@pytest.mark.parametrize("stage", ["breakaway", "search", "relay-1", "survey", "track:sampled-data", "jog"])
+def test_a_stop_in_any_stage_ends_it_with_the_next_tick_and_a_replay_ends_there_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment, stage: str
+) -> None:
+    asks = Asks(monkeypatch, stage)
+    monkeypatch.setattr(session, "identify", nothing_to_identify)
+    if stage == "jog":
+        outcome = script.jog(experiment, 0.6, 2.0, tmp_path)
+    elif stage == "survey":
+        outcome = script.run_survey(experiment, tmp_path)
+    elif stage == "search":
+        outcome = script.run(load(ROOT / "config/simulated.yaml"), tmp_path)
+    else:
+        outcome = script.run(experiment, tmp_path)
+    interrupted(outcome)
+    assert asks.driver is not None and asks.driver.bench.pin_counts == 0
+    recording = read_run(outcome.folder)
+    last, stop = recording.rows()[-1], [event for event in recording.events if event.kind == "stop"][-1]
+    assert last.stage == stage
+    assert stop.t_s is not None and stop.t_s - last.t_s <= 2 * experiment.period_s
+    monkeypatch.undo()
+    again = replay(outcome.folder)
+    assert again.is_same and again.replayed == again.rows
+
+
+def test_a_stop_before_anything_drives_and_one_while_it_identifies_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
+) -> None:
+    def ask(folder: Path, notes: tuple[str, ...]) -> None:
+        seen = running(tmp_path)
+        assert [one.folder for one in seen] == [folder] and seen[0].runner.pid == os.getpid()
+        request_stop(folder, "the first")
+        request_stop(folder, "another")  # changes nothing
+
+    outcome = script.jog(experiment, 0.6, 2.0, tmp_path, ask)
+    interrupted(outcome, "the first")
+    assert (outcome.folder / "samples.csv").read_text().count("\n") == 1  # no row, only their names
+    assert running(tmp_path) == []
+
+    original = identify
+
+    def computing(recordings: Sequence[Recording]) -> Identification:
+        request_stop(running(tmp_path)[0].folder, "test")
+        return original(recordings)
+
+    monkeypatch.setattr(stages, "identify", computing)
+    outcome = script.run_relay(experiment, tmp_path)
+    interrupted(outcome)
+    assert outcome.result.estimates  # as after Ctrl-C
+
+
+def test_a_stop_after_the_end_is_told_and_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
+) -> None:
+    close = Recorder.close
+
+    def closing(recorder: Recorder) -> None:
+        close(recorder)
+        request_stop(recorder.folder, "test")
+
+    monkeypatch.setattr(Recorder, "close", closing)
+    outcome = script.jog(experiment, 0.3, 0.1, tmp_path)
+    assert outcome.fault is None
+    assert outcome.failure == "Stop by test came after the experiment had ended"
+
+
+def test_a_folder_that_cannot_hold_the_flag_costs_the_flag_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
+) -> None:
+    def full(descriptor: int, size: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(shared_page, "allocate", full)
+    outcome = script.jog(experiment, 0.3, 0.1, tmp_path)
+    assert outcome.fault is None
+    assert [note for note in outcome.result.notes if "no stop flag" in note and "No space left on device" in note]
+    assert sorted(path.name for path in outcome.folder.iterdir() if path.name.startswith((".", "stop"))) == []
+
+
+HOLDS = """
+import sys, time
+from pathlib import Path
+from rig.live.stop_flag import StopFlag
+with StopFlag() as flag:
+    flag.begin(Path(sys.argv[1]))
+    flag.tell(time.monotonic(), 0.01)
+    print("holds", flush=True)
+    while not flag.asked_by():
+        time.sleep(0.001)
+    print(flag.asked_by(), flush=True)
+"""
+
+
+def test_between_processes_a_stop_arrives_and_whoever_is_killed_is_known_to_be_gone(tmp_path: Path) -> None:
+    def holder() -> subprocess.Popen[str]:
+        process = subprocess.Popen([sys.executable, "-c", HOLDS, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None and process.stdout.readline() == "holds\n"
+        return process
+
+    with pytest.raises(StopError, match="no run goes on there"):
+        request_stop(tmp_path)
+    with holder() as process:
+        runner = runner_of(tmp_path)
+        assert runner is not None and runner.pid == process.pid and runner.period_s == 0.01
+        assert request_stop(tmp_path, "pan\x1bel") == runner
+        assert process.communicate()[0] == "pan\\x1bel\n"
+    assert not (tmp_path / NAME).exists()
+    with holder() as process:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        assert (tmp_path / NAME).exists()
+        assert runner_of(tmp_path) is None and running(tmp_path.parent) == []
+        with pytest.raises(StopError):
+            request_stop(tmp_path)
+
+
+def test_a_flag_that_cannot_be_written_is_a_signal_to_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a disk that has become read-only."""
+    sent: list[tuple[int, int]] = []
+
+    def read_only(page: shared_page.OthersPage, at: int, data: bytes) -> None:
+        raise OSError(30, "Read-only file system")
+
+    def kill(pid: int, number: int) -> None:
+        sent.append((pid, number))
+        if len(sent) > 1:
+            raise PermissionError(1, "Operation not permitted")
+
+    with StopFlag() as flag:
+        flag.begin(tmp_path)
+        monkeypatch.setattr(shared_page.OthersPage, "write", read_only)
+        monkeypatch.setattr(os, "kill", kill)
+        request_stop(tmp_path)
+        assert sent == [(os.getpid(), signal.SIGTERM)]
+        with pytest.raises(StopError, match="use the e-stop"):
+            request_stop(tmp_path)
+
+
+@pytest.mark.parametrize("make", [lambda p: p.write_bytes(bytes(4096)), lambda p: p.write_bytes(b"x"), os.mkfifo,
+                                  lambda p: p.symlink_to("/dev/zero"), lambda p: p.mkdir()])  # fmt: skip
+def test_what_only_looks_like_a_flag_is_no_run_and_takes_no_time(
+    tmp_path: Path, make: Callable[[Path], object]
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    make(folder / NAME)
+    assert runner_of(folder) is None
+    assert running(tmp_path) == []
+    with pytest.raises(StopError):
+        request_stop(folder)

@@ -1,0 +1,143 @@
+"""A run seen from another process: what a view makes of a growing, torn, damaged or dead folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.live.stop_flag import StopFlag
+from rig.live.view import KEPT_ROWS, Cycle, Estimate, LiveView, Planes
+from rig.recording.columns import HEADER, SampleRow, format_row
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def row(tick: int, stage: str = "relay-1", flags: int = 0, late_us: float = 20.0) -> str:
+    t_s = 0.01 * tick
+    return format_row(
+        SampleRow(tick, tick, t_s, t_s + 0.001, 0.3, 580, math.nan, 0.9, 0.02, math.nan, stage, late_us, 160.0, flags)
+    )
+
+
+def event(kind: str, t_s: float = 1.0, **fields: object) -> str:
+    return json.dumps({"t_s": t_s, "kind": kind, **fields}) + "\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A run that has just begun."""
+    (tmp_path / "config.yaml").write_text((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "meta.json").write_text('{"script": {"name": "run"}}')
+    (tmp_path / "samples.csv").write_text(HEADER)
+    (tmp_path / "events.jsonl").write_text("")
+    return tmp_path
+
+
+@pytest.fixture
+def flag(folder: Path) -> Iterator[StopFlag]:
+    """The run lives."""
+    with StopFlag() as held:
+        held.begin(folder)
+        yield held
+
+
+def write(folder: Path, name: str, *lines: str) -> None:
+    with (folder / name).open("a") as file:
+        file.writelines(lines)
+
+
+def test_rows_come_once_whole_and_with_their_age(folder: Path, flag: StopFlag) -> None:
+    view = LiveView(folder)
+    first = view.read()
+    assert (first.state, first.command, first.stage, first.rows, first.age_s) == ("runs", "run", None, (), None)
+    assert first.drive_is_off and first.limits is not None and first.limits.soft_rad == (-1.1, 1.1)
+    flag.tell(time.monotonic() - 10.0, 0.01)
+    write(folder, "samples.csv", row(100), row(101), row(102)[:20])
+    seen = view.read(-1)
+    assert [one.number for one in seen.rows] == [0, 1]
+    assert seen.rows[1][1:6] == (101, 1.01, 0.3, 0.9, 0.02)
+    assert math.isnan(seen.rows[1].yd_rad) and seen.rows[1].stage == "relay-1"
+    assert seen.age_s is not None and seen.age_s >= 10.0 - 1.01
+    write(
+        folder, "samples.csv", row(102)[20:], "no, row\n", row(105, flags=4, late_us=700.0), row(106, late_us=math.nan)
+    )
+    seen = view.read(after_row=1)
+    assert [one.tick for one in seen.rows] == [102, 105, 106]
+    assert seen.damaged == 1
+    assert seen.loop == (700.0, 700.0, 2, None)  # of the loop's ticks the newest and the latest; those skipped; no link
+    write(folder, "samples.csv", *(row(tick) for tick in range(200, 200 + KEPT_ROWS)))
+    assert len(view.read().rows) == KEPT_ROWS
+
+
+def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) -> None:
+    view = LiveView(folder)
+    write(
+        folder,
+        "events.jsonl",
+        event("stage", 3.0, name="search"),
+        event("search", 4.0, h1_V=0.3, h2_V=0.7, period_s=None, amplitude_rad=None, outcome="no oscillation"),
+    )
+    seen = view.read()
+    assert (seen.stage, seen.planes, seen.drive_is_off) == ("search", Planes(0.3, 0.7), False)
+    assert "no oscillation" in seen.words
+    assert seen.left.stage_s == pytest.approx(60.0)  # relay.until.longest_s, and no row has come
+    assert seen.left.run_s is not None and seen.left.run_s > 60.0  # tracking follows
+    live = {"tau_s": 0.17, "tau_percent": 2.0, "K_rad_s_V": 6.5, "K_percent": None, "fc_V": 0.48, "fc_percent": 1.0}
+    write(
+        folder,
+        "events.jsonl",
+        event("decided", 5.0, row=9, by="advice", what="relay", h1_V=0.42, h2_V=0.85),
+        event("gains", 5.0, stage="relay-1", h1_V=0.42, h2_V=0.85, cycles=4),
+        event("stage", 5.1, name="relay-1"),
+        event("cycle", 6.0, stage="relay-1", number=2, settled=True, period_s=1.0, amplitude_rad=0.58),
+        event("live", 7.0, row=70, of_s=6.9, **live),
+        event("link", 7.5, errors=3, most="timeouts"),
+        "{torn\n",
+        "[1]\n",
+        event("stage", 7.6),
+    )
+    seen = view.read()
+    assert (seen.stage, seen.planes, seen.cycle) == ("relay-1", Planes(0.42, 0.85), Cycle(2, 0.58, 1.0))
+    assert seen.estimates == (Estimate(7.0, (0.17, 0.17 * 2.0 / 100.0), None, (0.48, 0.48 * 1.0 / 100.0)),)
+    assert (seen.loop.link_errors, seen.damaged) == (3, 3)
+    write(
+        folder,
+        "events.jsonl",
+        event("stop", 8.0, confirmed=True),
+        event("fault", 8.1, code="INTERRUPTED", cause="the run was interrupted", cure="again", detail="Stop by panel"),
+    )
+    seen = view.read()
+    assert (seen.drive_is_off, seen.planes, seen.is_over) == (True, None, False)
+    assert (seen.faults[0].code, seen.faults[0].detail) == ("INTERRUPTED", "Stop by panel")
+    write(folder, "events.jsonl", event("end", 8.2))
+    seen = view.read()
+    assert (seen.state, seen.is_over, seen.left.run_s) == ("runs", True, None)  # it identifies, and writes its report
+    assert [name for _, name in seen.stages] == ["search", "relay-1"]
+    for stage, is_off in (("identify", True), ("rest", False), ("identify", False)):
+        write(folder, "events.jsonl", event("stage", 9.0, name=stage))
+        assert view.read().drive_is_off is is_off, "while rig identifies, nothing drives that did not before"
+
+
+def test_a_run_that_nobody_makes_has_ended_or_died_or_was_never_there(folder: Path, tmp_path: Path) -> None:
+    view = LiveView(folder)
+    write(folder, "events.jsonl", event("stage", 0.0, name="breakaway"))
+    assert (view.read().state, view.read().runner) == ("died", None)
+    write(folder, "events.jsonl", event("end"))
+    assert view.read().state == "ended"
+    assert LiveView(tmp_path / "none").read().state == "absent"
+
+
+def test_a_long_recording_begins_with_its_last_rows_and_a_broken_folder_with_what_it_has(folder: Path) -> None:
+    line = row(1)
+    write(folder, "samples.csv", *(line for _ in range(6_000_000 // len(line))))
+    write(folder, "samples.csv", row(900_000))
+    (folder / "config.yaml").write_text("no: [config")
+    (folder / "meta.json").write_text('{"script": 3}')
+    seen = LiveView(folder).read()
+    assert seen.rows[-1].tick == 900_000 and seen.rows[-1].number < 4_000_000 // len(line) + 1
+    assert (seen.damaged, seen.limits, seen.command, seen.left) == (0, None, None, (None, None))

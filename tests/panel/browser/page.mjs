@@ -1,0 +1,248 @@
+// A user before the panel: opens it, checks, starts, stops, reads the report, lays runs over each other, jogs, and
+// loses the connection in each way there is. It prints what the page showed, as one JSON object; the test judges it.
+//
+//   node page.mjs '{"url", "panel_pid", "runs", "config", "jog_config", "shots"}'
+//
+// config: the file that the panel starts; jog_config: what it becomes before the jogs; shots: folder for pictures or null
+
+import { copyFileSync, existsSync, readFileSync, readdirSync } from "node:fs";
+import { chromium } from "playwright-core";
+
+const { url, panel_pid, runs, config, jog_config, shots } = JSON.parse(process.argv[2]);
+const PATIENCE_MS = 60_000; // a shared machine may hold a browser up for long
+const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
+const seen = { complaints: [], stops: 0 };
+let page;
+
+/** Wait until this is true of the page; fails with its name. */
+async function until(name, true_, ...given) {
+  await page.waitForFunction(true_, given, { timeout: PATIENCE_MS, polling: 20 }).catch(() => {
+    throw new Error(`it never happened: ${name}`);
+  });
+}
+const text = (id) => page.locator(`#${id}`).textContent();
+const says = (id, words) => until(`${id} says ${words}`, ([id, words]) => document.getElementById(id).textContent.includes(words), id, words);
+const picture = async (name) => shots && page.screenshot({ path: `${shots}/${name}.png` });
+
+async function open(context, address) {
+  const opened = await context.newPage();
+  opened.setDefaultTimeout(PATIENCE_MS);
+  opened.on("pageerror", (error) => seen.complaints.push(String(error)));
+  opened.on("console", (message) => message.type() === "error" && seen.complaints.push(message.text()));
+  opened.on("request", (request) => (seen.stops += request.url().endsWith("/api/stop") ? 1 : 0));
+  // the wire between page and server, to be cut
+  await opened.routeWebSocket(/\/ws$/, (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => opened.cut || server.send(message));
+    server.onMessage((message) => opened.cut || socket.send(message));
+  });
+  await opened.goto(address);
+  return opened;
+}
+
+/** The newest jog on the disk, where the panel may be dead: its drives, V, and whether it is over. */
+function jog() {
+  const folder = `${runs}/${readdirSync(runs).filter((name) => name.includes("-jog")).sort().at(-1)}`;
+  if (!existsSync(`${folder}/samples.csv`)) return { drives: [], over: false };
+  const [head, ...lines] = readFileSync(`${folder}/samples.csv`, "utf8").split("\n").slice(0, -1);
+  const column = head.split(",").indexOf("u_V");
+  const drives = lines.map((line) => Number(line.split(",")[column])).filter(Number.isFinite);
+  return { drives, over: readFileSync(`${folder}/events.jsonl`, "utf8").includes('"end"') };
+}
+
+const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
+
+async function eventually(name, true_) {
+  const until_ms = performance.now() + PATIENCE_MS;
+  while (!true_()) {
+    if (performance.now() > until_ms) throw new Error(`it never happened: ${name}`);
+    await sleep(20);
+  }
+}
+
+/** Hold the jog's button until the shaft is driven. An emulated board on a busy machine may end a jog: begin again. */
+async function holdJog() {
+  for (let tries = 0; tries < 5; tries++) {
+    await until("a jog can begin, or be held", () => !document.getElementById("jog").disabled);
+    if (await page.isDisabled("#jog-plus")) {
+      await page.click("#jog-ready");
+      await until("the jog begins", () => document.getElementById("lamp").textContent !== "Idle");
+    }
+    await until("the jog can be held, or is over", () => !document.getElementById("jog-plus").disabled || document.getElementById("lamp").textContent === "Idle");
+    if (!(await page.isEnabled("#jog-plus"))) continue;
+    await page.locator("#jog-plus").scrollIntoViewIfNeeded();
+    const box = await page.locator("#jog-plus").boundingBox();
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+    await page.mouse.down();
+    while (!jog().over && (await page.locator(".held").count()) === 1) {
+      if (jog().drives.at(-1) > 0) return;
+      await sleep(20);
+    }
+    await page.mouse.up();
+    if (jog().over) await until("the page knows that the jog is over", () => document.getElementById("lamp").textContent !== "Jogging");
+  }
+  throw new Error("no jog lasted until it drove");
+}
+
+/** Jog, lose the bench in this way, and count the driven ticks from then until the shaft rests. */
+async function jogUntil(lost) {
+  await holdJog();
+  const before = jog().drives.length;
+  await lost();
+  await eventually("the jog rests", () => jog().over || (jog().drives.length > before + 10 && jog().drives.slice(-10).every((u) => u === 0)));
+  return { driven_ticks: jog().drives.slice(before).filter((u) => u !== 0).length };
+}
+
+const steps = {
+  async opens_and_checks() {
+    page = await open(seen.context, url);
+    await says("lamp", "Idle");
+    await page.click("#start");
+    await until("the sheet", () => !document.getElementById("sheet").hidden);
+    seen.sheet = {
+      address: page.url(),
+      plan: await text("plan"),
+      lines: await page.locator("#check-lines li").count(),
+      on_top_at_stop: await page.evaluate(() => {
+        const box = document.getElementById("stop").getBoundingClientRect();
+        return document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2).closest("button")?.id;
+      }),
+    };
+    await picture("sheet");
+  },
+
+  async starts_and_shows_the_run() {
+    const curve = () => page.evaluate(() => document.querySelector("#plot-y canvas").toDataURL());
+    await page.evaluate(() => {
+      globalThis.shifted = [];
+      new PerformanceObserver((list) => list.getEntries().filter((entry) => !entry.hadRecentInput).forEach((entry) => globalThis.shifted.push(...entry.sources.map(({ node }) => node?.id || node?.className || node?.nodeName)))).observe({ type: "layout-shift" });
+    });
+    await page.click("#confirm");
+    await until("rows", () => document.getElementById("y").textContent !== "–");
+    const first = await curve();
+    await until("an estimate", () => document.querySelector("#estimate-tau_s .estimate-value").textContent.includes("±"));
+    seen.live = {
+      moved: first !== (await curve()),
+      estimate: await text("parameters"),
+      shifted: await page.evaluate(() => globalThis.shifted),
+      live_regions: await page.evaluate(() => ["y", "u", "stage", "faults", "silence"].map((id) => document.getElementById(id).closest("[aria-live], [role=alert]")?.id ?? null)),
+    };
+    await picture("live");
+  },
+
+  async is_watched_without_a_token_and_without_uplot() {
+    const context = await browser.newContext({ viewport: { width: 360, height: 740 }, colorScheme: "dark" });
+    const watcher = await context.newPage();
+    await watcher.route("**/uPlot.esm.js", (route) => route.abort());
+    await watcher.goto(new URL("/", url).href);
+    await watcher.waitForFunction(() => document.getElementById("y").textContent !== "–" && !document.getElementById("no-uplot").hidden);
+    seen.watcher = {
+      note: await watcher.locator("#watcher").textContent(),
+      start: await watcher.isEnabled("#start"),
+      stop: await watcher.isEnabled("#stop"),
+      too_wide_px: await watcher.evaluate(() => document.documentElement.scrollWidth - innerWidth),
+    };
+    if (shots) await watcher.screenshot({ path: `${shots}/watcher.png` });
+    await context.close();
+  },
+
+  async stops_by_a_key() {
+    await page.focus("#zoom");
+    await page.keyboard.press("Space");
+    await says("stop-state", "the drive is at 0");
+    await says("faults", "INTERRUPTED");
+    seen.stopped = { stops: seen.stops, zoomed: await page.getAttribute("#zoom", "aria-pressed"), fault: await text("faults"), state: await text("stop-state") };
+    await says("stage", "ended");
+    await picture("stopped");
+  },
+
+  async shows_past_runs() {
+    await page.click("#to-runs");
+    await until("two runs", () => document.querySelectorAll("#runs-table tbody tr").length >= 2);
+    await page.fill("#find", "run");
+    await page.focus("#find");
+    const stops = seen.stops;
+    await page.keyboard.press("Space");
+    await page.keyboard.press("Escape");
+    seen.typed = { stops: seen.stops - stops };
+    await page.fill("#find", "");
+    for (const tick of await page.locator("#runs-table input").all()) await tick.check();
+    await until("two runs in the picture", () => document.querySelectorAll("#overlay-table tbody tr").length >= 2 && document.querySelector("#plot-overlay canvas"));
+    seen.overlay = { table: await text("overlay-table") };
+    await picture("runs");
+    await page.locator("#runs-table a").first().click();
+    const frame = page.frameLocator("#report");
+    await frame.locator("h1").first().waitFor();
+    seen.report = { title: await frame.locator("h1").first().textContent(), sandbox: await page.getAttribute("#report", "sandbox"), stop: await page.isVisible("#stop") };
+    await picture("report");
+  },
+
+  async jogs_until_the_wire_is_cut() {
+    await page.click("#to-bench");
+    copyFileSync(jog_config, config);
+    const held = page;
+    seen.cut = await jogUntil(async () => {
+      held.cut = true;
+      await says("silence", "Not connected");
+    });
+    Object.assign(seen.cut, { words: await text("silence"), stop: await text("stop-state"), held: await page.locator(".held").count() });
+    await picture("silence");
+    await page.mouse.up();
+    held.cut = false;
+    await until("connected again", () => document.getElementById("silence").hidden);
+  },
+
+  async jogs_until_the_tab_is_closed() {
+    const other = await open(seen.context, new URL("/", url).href);
+    const closing = page;
+    await closing.bringToFront();
+    seen.closed = await jogUntil(() => closing.close());
+    page = other;
+    await page.bringToFront();
+    await until("connected", () => document.body.dataset.link === "alive");
+  },
+
+  async jogs_until_the_panel_freezes() {
+    seen.frozen = await jogUntil(async () => {
+      process.kill(panel_pid, "SIGSTOP");
+      await says("silence", "Not connected");
+    });
+    Object.assign(seen.frozen, { words: await text("silence") });
+    await page.mouse.up();
+    process.kill(panel_pid, "SIGCONT");
+    await until("connected again", () => document.getElementById("silence").hidden);
+  },
+
+  async jogs_until_the_panel_is_killed() {
+    seen.killed = await jogUntil(async () => {
+      process.kill(panel_pid, "SIGKILL");
+      await says("silence", "Not connected");
+    });
+    Object.assign(seen.killed, { words: await text("silence") });
+    await page.mouse.up();
+    // a Stop that cannot get through says so
+    await page.locator("#stop").click();
+    await says("stop-state", "did not get through");
+    seen.killed.stop = await text("stop-state");
+    await picture("killed");
+  },
+};
+
+const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: FLAGS });
+seen.context = await browser.newContext({ viewport: { width: 1280, height: 800 }, reducedMotion: "reduce" });
+try {
+  for (const [name, step] of Object.entries(steps)) {
+    const began_ms = performance.now();
+    await step().catch((error) => {
+      throw new Error(`${name}: ${error.message}`);
+    });
+    console.error(`${name}: ${Math.round(performance.now() - began_ms)} ms`);
+  }
+} catch (error) {
+  seen.failed = error.message;
+  seen.page = await page?.evaluate(() => document.body.innerText).catch(() => null);
+} finally {
+  delete seen.context;
+  await browser.close();
+}
+console.log(JSON.stringify(seen));

@@ -1,0 +1,244 @@
+"""The panel's pages, JSON and WebSocket, without a network: what each browser may, and what hostile ones get."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient, WebSocketDenialResponse
+from starlette.websockets import WebSocketDisconnect
+
+from rig.panel.access import Access, Address
+from rig.panel.app import Panel, make_app
+from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
+
+HERE = Address("127.0.0.1", 8470)
+ORIGIN = {"origin": "http://127.0.0.1:8470"}
+HOSTILE = "20260102T000000Z-run-<img src=x onerror=alert(1)>"
+CONFIG = "hostile <script>.yaml"
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run folders as others may have written them."""
+    out = tmp_path_factory.mktemp("out") / "runs"
+    for name in (HOSTILE, "20260101T000000Z-run-broken", "20260103T000000Z-run-whole", "campaign-1", "..secret"):
+        (out / name).mkdir(parents=True)
+    (out / HOSTILE / "meta.json").write_text('{"name": "\\u001b[2J</script>", "script": {"name": 7}}')
+    (out / HOSTILE / "report.html").write_text("<script>fetch('/api/stop',{method:'POST'})</script>")
+    for name in ("meta.json", "samples.csv", "result.json"):
+        (out / "20260101T000000Z-run-broken" / name).write_text("{broken")
+    (out / "20260103T000000Z-run-whole" / "samples.csv").write_text(
+        "t_s,u_V,y_rad,stage\n"
+        + "".join(f"{0.01 * k},{1 if k % 20 < 10 else -1},{0.001 * k},relay-1\n" for k in range(9000))
+    )
+    (out / "..secret" / "report.html").write_text("secret")
+    secret = out.parent / "20260104T000000Z-run-elsewhere"
+    secret.mkdir()
+    (secret / "meta.json").write_text("{}")
+    (secret / "report.html").write_text("secret")
+    (out / secret.name).symlink_to(secret)
+    linked = out / "20260105T000000Z-run-linked"
+    linked.mkdir()
+    (linked / "samples.csv").symlink_to("/etc/passwd")
+    (out / CONFIG).write_text("daq: [not, a, config]\nname: '<b>'\n")
+    return out
+
+
+@pytest.fixture(scope="module")
+def panel(out: Path) -> Panel:
+    return Panel.of(Access(HERE), out, out / CONFIG)
+
+
+@pytest.fixture(scope="module")
+def watcher(panel: Panel) -> Iterator[TestClient]:
+    """A browser without a session."""
+    with TestClient(make_app(panel), base_url="http://127.0.0.1:8470", headers=ORIGIN) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def operator(panel: Panel, watcher: TestClient) -> TestClient:
+    """A browser that has used the token."""
+    client = TestClient(watcher.app, base_url="http://127.0.0.1:8470", headers=ORIGIN)
+    client.portal = watcher.portal  # one event loop, as in a server
+    token = panel.access.token
+    answer = client.get(f"/?token={token}", follow_redirects=False)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/"), "the token leaves the address bar"
+    assert "set-cookie" not in watcher.get(f"/?token={token}", follow_redirects=False).headers
+    return client
+
+
+def error(answer: Any, status: int) -> dict[str, str]:
+    assert answer.status_code == status, answer.text
+    said: dict[str, str] = answer.json()["error"]
+    assert set(said) == {"what", "cure"}
+    return said
+
+
+def test_a_browser_without_a_session_watches_and_stops_and_no_more(watcher: TestClient, operator: TestClient) -> None:
+    assert watcher.get("/api/state").json()["operator"] is False
+    assert operator.get("/api/state").json()["operator"] is True
+    for path in ("/api/check", "/api/start", "/api/jog/start", "/api/take"):
+        error(watcher.post(path, json={"confirmed": True}), 403)
+    for body in (b"", b"{}", b'{"run": null}', b"no json", b'{"run": ["x"]}', b"\xff\xfe"):
+        answer = watcher.post("/api/stop", content=body).json()
+        assert (answer["received"], answer["run"], answer["drive_zero"]) == (True, None, True)
+    error(operator.post("/api/start", json={"confirmed": False}), 400)
+    assert (
+        "not confirmed"
+        in error(operator.post("/api/start", json={"confirmed": True, "confirmation": None}), 409)["what"]
+    )
+    said = operator.post("/api/check").json()
+    assert said["may_run"] is False
+    assert said["confirmation"] is None
+    assert all(line["severity"] == "error" for line in said["lines"])
+
+
+def test_each_answer_forbids_foreign_code_framing_and_telling(watcher: TestClient) -> None:
+    answers = [
+        watcher.get("/"), watcher.get("/api/state"), watcher.get("/nowhere"), watcher.get("/static/nowhere.js"),
+        watcher.get("/", headers={"host": "evil.example"}), watcher.request("DELETE", "/api/state"),
+    ]  # fmt: skip
+    assert [answer.status_code for answer in answers] == [200, 200, 404, 404, 421, 405]
+    for answer in answers:
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'self';")
+        assert "unsafe" not in policy
+        assert "frame-ancestors 'none'" in policy
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["referrer-policy"] == "no-referrer"
+        assert "access-control-allow-origin" not in answer.headers
+    error(watcher.post("/api/stop", headers={"origin": "http://evil.example"}), 403)
+    error(watcher.request("OPTIONS", "/api/start"), 405)
+
+
+def test_a_name_never_leads_out_of_the_folder_and_a_report_runs_nothing(watcher: TestClient) -> None:
+    rows = watcher.get("/api/runs").json()["runs"]
+    assert [row["name"] for row in rows] == ["20260103T000000Z-run-whole", HOSTILE, "20260101T000000Z-run-broken"]
+    assert rows[1]["config"].isprintable()
+    assert "broken JSON" in rows[2]["notes"][0]
+    outside = (
+        "..%2f..%2f..%2fetc",
+        "%2e%2e",
+        "..secret",
+        "20260104T000000Z-run-elsewhere",
+        "20260105T000000Z-run-linked",
+        "campaign-1",
+        "%00",
+        "a" * 300,
+    )
+    for name in outside:
+        for path in (f"/api/runs/{name}", f"/runs/{name}/report.html"):
+            error(watcher.get(path), 404)
+    for path in ("/static/../app.py", "/static/%2e%2e/app.py", "/static/..%2fapp.py", "/static//etc/passwd"):
+        assert watcher.get(path).status_code == 404
+    report = watcher.get(f"/runs/{HOSTILE}/report.html")
+    assert report.status_code == 200
+    assert report.headers["content-security-policy"].startswith("sandbox; default-src 'none'")
+    assert "allow-scripts" not in report.headers["content-security-policy"]
+
+
+def test_a_run_is_drawn_with_few_points_and_a_broken_one_says_why(watcher: TestClient) -> None:
+    drawn = watcher.get("/api/runs/20260103T000000Z-run-whole").json()
+    series = drawn["series"]
+    assert 3000 < len(series["t_s"]) == len(series["y_rad"]) == len(series["u_V"]) <= 4000
+    assert series["y_rad"][-1] == pytest.approx(8.999)
+    assert drawn["first_switch_s"] == pytest.approx(0.1)
+    assert drawn["rows"] == 9000
+    assert "samples.csv" in error(watcher.get("/api/runs/20260101T000000Z-run-broken"), 409)["what"]
+
+
+def test_what_is_too_large_is_refused(operator: TestClient) -> None:
+    error(operator.post("/api/start", content=b" " * (LARGEST_MESSAGE + 1)), 413)
+    error(operator.post("/api/start", content=b"[" * LARGEST_MESSAGE), 400)
+    assert operator.post("/api/stop", content=b"x" * 100_000).json()["received"], "Stop never fails for its body"
+
+
+@pytest.mark.parametrize("headers", [{"origin": "http://evil.example"}, {"origin": "null"}, {"origin": ""}])
+def test_a_socket_of_another_site_is_not_opened(watcher: TestClient, headers: dict[str, str]) -> None:
+    with (
+        pytest.raises(WebSocketDenialResponse) as denied,
+        watcher.websocket_connect("ws://127.0.0.1:8470/ws", headers=headers),
+    ):
+        pass
+    assert denied.value.status_code == 403
+    host = {"host": "evil.example", "origin": "http://evil.example"}
+    with (
+        pytest.raises(WebSocketDenialResponse) as rebound,
+        watcher.websocket_connect("ws://127.0.0.1:8470/ws", headers=host),
+    ):
+        pass
+    assert rebound.value.status_code == 421
+
+
+def closed(socket: Any) -> tuple[int, str]:
+    """Code and reason with which the server closes."""
+    with pytest.raises(WebSocketDisconnect) as end:
+        while True:
+            socket.receive_json()
+    return end.value.code, end.value.reason
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["no json", "[]", '{"type": "start"}', '{"type": "jog"}', '{"type": "jog", "volts_share": 2}', "[" * 4000,
+     '{"type": "jog", "volts_share": NaN}', '{"type": "jog", "volts_share": true}', '{"type": "seen", "n": "1"}',
+     '{"type": "stop", "long": "' + "x" * LARGEST_MESSAGE + '"}'],
+)  # fmt: skip
+def test_a_socket_that_speaks_nonsense_is_closed_with_the_reason(operator: TestClient, message: str) -> None:
+    with operator.websocket_connect("ws://127.0.0.1:8470/ws") as socket:
+        socket.send_text(message)
+        code, reason = closed(socket)
+    assert code == 1008
+    assert reason
+
+
+def test_a_flood_is_closed_and_bytes_are_no_message(watcher: TestClient) -> None:
+    with watcher.websocket_connect("ws://127.0.0.1:8470/ws") as socket:
+        socket.send_bytes(b"\0\1")
+        assert closed(socket)[0] == 1008
+    with watcher.websocket_connect("ws://127.0.0.1:8470/ws") as socket:
+        for _ in range(1000):
+            socket.send_text('{"type": "seen", "n": 1}')
+        assert closed(socket) == (1008, f"more than {MOST_MESSAGES_S} messages a second")
+
+
+def test_each_page_knows_who_drives_and_only_that_one_jogs(watcher: TestClient, operator: TestClient) -> None:
+    def until(socket: Any, kind: str) -> dict[str, Any]:
+        while (message := socket.receive_json())["type"] != kind:
+            assert message["type"] == "idle", message
+        return dict(message)
+
+    with (
+        watcher.websocket_connect("ws://127.0.0.1:8470/ws") as one,
+        operator.websocket_connect("ws://127.0.0.1:8470/ws") as other,
+    ):
+        assert until(one, "operator")["you"] is False
+        assert until(other, "operator")["you"] is True
+        assert until(one, "idle")["opening"] is None
+        one.send_json({"type": "take"})
+        for socket, what in ((one, "another page has the bench"), (other, "no jog goes on")):
+            socket.send_json({"type": "jog", "volts_share": 0.5, "lease": 1})
+            assert until(socket, "refused")["what"] == what
+            socket.send_json({"type": "release"})
+        one.send_json({"type": "stop"})
+        assert until(one, "stop")["received"] is True
+
+
+def test_with_a_password_nothing_is_told_without_it_but_stop_works(out: Path) -> None:
+    access = Access(Address("192.168.1.5", 8470, secure=True), "correct horse battery")
+    base = "https://192.168.1.5:8470"
+    with TestClient(make_app(Panel.of(access, out)), base_url=base, headers={"origin": base}) as client:
+        assert client.get("/").headers["www-authenticate"].startswith("Basic")
+        error(client.get("/?token=None"), 401)
+        for path in ("/api/state", "/api/runs", f"/api/runs/{HOSTILE}", f"/runs/{HOSTILE}/report.html"):
+            error(client.get(path), 401)
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect("wss://192.168.1.5:8470/ws"):
+            pass
+        assert client.post("/api/stop").json()["received"]
+        assert client.get("/", auth=("me", "correct horse battery")).status_code == 200
+        assert json.loads(client.get("/api/state").text)["operator"] is True
