@@ -69,14 +69,6 @@ def read_run(folder: Path, known: Recording | None = None, *, strict: bool = Fal
     )
 
 
-def read_meta(folder: Path) -> tuple[RunMeta | None, list[str]]:
-    """The content of a run folder's meta.json, without wrong values; and notes on it. None without that file.
-
-    Raises RecordingError if the file is no JSON object.
-    """
-    return _read_part(folder / META, RunMeta, strict=False)
-
-
 def read_result(folder: Path) -> tuple[RunResult | None, list[str]]:
     """The content of a run folder's result.json, without wrong values; and notes on it. None without that file.
 
