@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from rig.cli import (
+    calibrate,
     campaign,
     check,
     compare,
@@ -60,6 +61,7 @@ def main() -> None:
 
 
 for _command in (
+    calibrate.calibrate,
     campaign.campaign,
     check.check,
     compare.compare,

@@ -83,7 +83,8 @@ def init(
         fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
     click.echo(flash_line(experiment))
-    click.echo("then measure what its comments ask for; docs/real-bench.md has the wiring and the first steps")
+    click.echo("docs/real-bench.md has the wiring and the first steps")
+    click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
 
 
 def _chosen(what: str, given: str | None, words: dict[str, str], asks: bool) -> str:

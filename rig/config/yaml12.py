@@ -108,7 +108,7 @@ def parse(text: str, file: str) -> Document:
     Raises ConfigError, with places, for anything else: bad syntax, several documents, keys given twice or not
     names, anchors, tags, numbers that are not finite, text that is not Unicode.
     """
-    node = _compose(text, file)
+    node = compose(text, file)
     document = Document(file)
     if node is None:
         raise ConfigError([Problem((), "the file is empty", "start from config/demo.yaml").at(file, 1, 1)])
@@ -128,7 +128,7 @@ def emit(data: dict[str, Any]) -> str:
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
 
-def _compose(text: str, file: str) -> yaml.Node | None:
+def compose(text: str, file: str) -> yaml.Node | None:
     """The document's root node, None if there is none; ConfigError for bad syntax."""
     try:
         loader = _Loader(text)

@@ -51,7 +51,8 @@ def written(folder: Path, parts: dict[str, float] | None = None, **sections: obj
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("survey")
-    result = rig("survey", written(folder), "--out", folder / "runs", "--json")
+    sweeps = {"speeds_rad_s": [0.7, 0.4, 0.3], "longest_s": 60}
+    result = rig("survey", written(folder, survey=sweeps), "--out", folder / "runs", "--json")
     outcome: dict[str, Any] = json.loads(result.stdout)
     assert result.exit_code == 0, outcome.get("cause")
     return outcome
@@ -149,7 +150,7 @@ def test_the_check_of_a_thorough_config_names_the_sweeps(tmp_path: Path) -> None
 
 def test_a_thorough_run_tells_what_the_plain_run_leaves_open(tmp_path: Path) -> None:
     """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
-    survey = {"speeds_rad_s": [0.7, 0.4], "longest_s": 60}  # enough for a supply, which sags at any speed
+    survey = {"speeds_rad_s": [0.7, 0.3], "longest_s": 60}  # enough for a supply, which sags at any speed
     path = written(tmp_path, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True}, survey=survey)
     outcome = json.loads(rig("run", path, "--out", tmp_path / "runs", "--json").stdout)
     assert any(note.startswith("thorough: the tests left") for note in outcome["notes"])

@@ -1,0 +1,82 @@
+"""Readings and holds on an emulated bench, and what happens if a device fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from rig.backends.registry import Bench, connect
+from rig.calibrate import bench as module
+from rig.calibrate.bench import HandBench
+from rig.calibrate.dialogue import Hold, Read
+from rig.calibrate.refusal import Refusal
+from rig.config import Experiment, load, ready
+from rig.config.yaml12 import parse
+from rig.faults import Fault
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Experiment:
+    return load(parse(ready.text("limit-cycle"), "config").data)
+
+
+def test_a_hold_lasts_with_the_motor_off_and_ends_with_it_on(simulated: Experiment, tmp_path: Path) -> None:
+    """A real motor that somebody left at the bridge turns by a few times ``motion_rad`` at most."""
+    hold = Hold(simulated, 1.2, 0.5)
+    with HandBench(simulated, tmp_path) as hand:
+        assert abs(hand.perform(hold)) < simulated.breakaway.motion_rad
+    forgotten = module._hold(simulated, hold)
+    assert simulated.breakaway.motion_rad < forgotten < 4.0 * simulated.breakaway.motion_rad
+
+
+def test_a_hand_turns_the_emulated_shaft(simulated: Experiment, tmp_path: Path) -> None:
+    with HandBench(simulated, tmp_path) as hand:
+        counts = [hand.perform(Read(simulated, pose)).y_counts for pose in (-1.0, 0.0, 1.0, "high stop")]
+    assert counts == pytest.approx([273, 517, 761, 1023], abs=2)
+
+
+def test_a_device_that_fails_is_opened_anew(
+    simulated: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fault becomes something to show; the next reading opens the bench again."""
+    opened: list[bool] = []
+
+    @contextmanager
+    def failing_once(e: Experiment) -> Iterator[Bench]:
+        opened.append(True)
+        if len(opened) == 1:
+            raise Fault("LINK_LOST", "unplugged")
+        with connect(e) as bench:
+            yield bench
+
+    monkeypatch.setattr(module, "connect", failing_once)
+    with HandBench(simulated, tmp_path) as hand:
+        with pytest.raises(Refusal, match="LINK_LOST"):
+            hand.perform(Read(simulated, 0.0))
+        assert hand.perform(Read(simulated, 0.0)).y_counts == pytest.approx(517, abs=2)
+    assert len(opened) == 2
+
+
+def test_a_real_bench_is_opened_once_for_all_readings(
+    simulated: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opening a board resets it; an encoder's counts would be gone."""
+    opened: list[bool] = []
+
+    @contextmanager
+    def once(e: Experiment) -> Iterator[Bench]:
+        opened.append(True)
+        with connect(e) as bench:
+            yield bench
+        opened.append(False)
+
+    monkeypatch.setattr(module, "connect", once)
+    with HandBench(simulated, tmp_path) as hand:
+        hand._is_emulated = False
+        for _ in range(3):
+            hand.perform(Read(simulated, 0.0))
+        assert opened == [True]
+    assert opened == [True, False]
