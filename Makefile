@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pages dist docs stopping campaign-real design emps tracking wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: compare pages dist docs stopping campaign-real design emps tracking wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -61,6 +61,10 @@ campaign-real: .venv/.ready  ## thousands of motors that are not what the plain 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
+
+compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and what it finds: docs/compare-table.md; it resumes
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m comparing \
+	    $(if $(SAME),--same $(SAME)) $(if $(DRIFTED),--drifted $(DRIFTED)) $(if $(LAWS),--laws $(LAWS)) $(if $(SEED),--seed $(SEED))
 
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
 	PYTHONPATH=tools .venv/bin/python -m emps

@@ -15,6 +15,8 @@ from rig.errors import RigError
 TYPE_CHECKING = False  # as of typing, which takes longer to load than all of this
 if TYPE_CHECKING:
     from rig.api import (
+        Compared,
+        CompareError,
         Fault,
         Found,
         Motor,
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
         Run,
         Sample,
         Sampling,
+        compare,
         coulomb,
         identify,
         predict,
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
     from rig.package import VERSION as __version__
 
 __all__ = [
+    "CompareError",
+    "Compared",
     "Fault",
     "Found",
     "Motor",
@@ -44,6 +49,7 @@ __all__ = [
     "Sample",
     "Sampling",
     "__version__",
+    "compare",
     "coulomb",
     "identify",
     "predict",
@@ -57,7 +63,7 @@ __all__ = [
 
 
 class _Package(ModuleType):
-    """`rig.identify` and `rig.replay` are functions, although rooms have these names, too.
+    """`rig.identify`, `rig.replay` and `rig.compare` are functions, although rooms have these names, too.
 
     Python sets a package's attribute when it loads the room. Here the function stays; `from rig.identify import ...`
     finds the room all the same.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 
 from rig import experiment, preflight, simulation
 from rig.backends.links.device_file import require_device_file
+from rig.compare.comparison import CompareError, Scatter
+from rig.compare.comparison import compare as compare_folders
 from rig.config import Experiment
 from rig.config import ready as ready_configs
 from rig.config.load import Given
@@ -28,9 +30,10 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.prediction import predict_cycle
 from rig.model.real_motor import RealMotor
-from rig.notebook import Found, Run
+from rig.notebook import Compared, Found, Run
 from rig.recording import reader
 from rig.recording.errors import RecordingError
+from rig.recording.path_kind import require_distinct
 from rig.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.replay import Replay
 from rig.replay import replay as replay_folder
@@ -40,6 +43,8 @@ from rig.signals import Sample
 from rig.simulation import Drive, Sampling
 
 __all__ = [
+    "CompareError",
+    "Compared",
     "Fault",
     "Found",
     "Motor",
@@ -47,6 +52,7 @@ __all__ = [
     "Run",
     "Sample",
     "Sampling",
+    "compare",
     "coulomb",
     "identify",
     "predict",
@@ -208,6 +214,27 @@ def replay(run: Run | AnyPath, law: OwnLaw | None = None) -> Replay:
     Raises RecordingError where the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
     return replay_folder(run.folder if isinstance(run, Run) else Path(run), own=law)
+
+
+def compare(
+    runs: Sequence[Run | AnyPath],
+    *,
+    scatter_percent: tuple[float, float, float] | None = None,
+    temperatures_C: Mapping[str, float] | None = None,
+) -> Compared:
+    """Compare runs: is it one motor?
+
+    runs             runs of ``rig.run`` or ``rig.read``, or paths of run folders; two or more
+    scatter_percent  standard deviation of tau, K and f_c from run to run of one motor, %; default: that of the other
+                     runs where there are five or more, else what 2.5 K do to copper and magnet
+    temperatures_C   in degrees Celsius, by the names of run folders, for the trend over temperature
+    Raises CompareError where fewer than two can be compared, RecordingError for a path that is no run, ValueError for a
+    scatter outside of 0 to 100 %.
+    """
+    folders = [one.folder if isinstance(one, Run) else Path(one) for one in runs]
+    require_distinct(folders)
+    scatter = None if scatter_percent is None else Scatter(scatter_percent, "given as scatter_percent")
+    return Compared.of(compare_folders(folders, scatter, temperatures_C))
 
 
 def ready(name: str) -> Path:

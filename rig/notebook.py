@@ -6,11 +6,14 @@ import html
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from matplotlib.figure import Figure
 
+from rig.compare.comparison import Comparison
+from rig.compare.page import write_page
 from rig.identify import Estimate, Identification
 from rig.optional import needed
 from rig.recording.columns import COLUMNS, UNITS
@@ -29,6 +32,7 @@ from rig.terminal import (
     LAW_HEADINGS,
     MOTOR_LAW_HEADINGS,
     budget_rows,
+    comparison_words,
     law_rows,
     motor_law_rows,
     plain_table,
@@ -102,6 +106,43 @@ class Run(Recording):
         said = [("rows", f"{len(self)} in {duration_s:.4g} s"), ("stages", " ".join(self.stages()))]
         said += [("backend", self.meta.backend), ("failure", self.failure), ("notes", "; ".join(self.notes))]
         return [(name, text) for name, text in said if text]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Compared(Comparison):
+    """Runs that were compared: both answers, and ``result``, which has all that `rig compare --json` prints."""
+
+    @classmethod
+    def of(cls, found: Comparison) -> Self:
+        """A comparison that shows itself."""
+        return cls(found.runs, found.result)
+
+    @property
+    def differs_measurably(self) -> bool:
+        """Whether the runs differ by more than their noise explains."""
+        return self.result.measurably.differs
+
+    @property
+    def differs_beyond_scatter(self) -> bool:
+        """Whether they differ by more than one motor does from run to run."""
+        return self.result.beyond_scatter.differs
+
+    @property
+    def odd(self) -> tuple[str, ...] | None:
+        """The runs without which the others agree within their noise; None if no majority agrees, and of two runs."""
+        return self.result.measurably.odd
+
+    def summary(self) -> str:
+        """Both answers, the scatter, the trends and the notes."""
+        return "\n".join(comparison_words(self.result))
+
+    def report(self, path: str | PathLike[str]) -> Path:
+        """Write the report, a page of HTML, and return its path. Raises CannotWriteError."""
+        write_page(self, Path(path))
+        return Path(path)
+
+    def __repr__(self) -> str:
+        return self.summary()
 
 
 @dataclass(frozen=True, repr=False)

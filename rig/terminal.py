@@ -28,7 +28,10 @@ from rig.results import (
     known,
 )
 from rig.results.budget_lines import budget_lines, that_matter
+from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
+from rig.results.listed import ListedRun
+from rig.signals import plain
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
@@ -38,11 +41,13 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.session import Outcome
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
+SHORT = ("tau", "K", "f_c")
 LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
 BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V", "only in")
 SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
+LIST_HEADINGS = ("run", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", "laws", "ended")
 RECORD_AGAIN = (
     "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
     "relay.gains; part of a recording: --rows FIRST:LAST"
@@ -221,6 +226,78 @@ def show_design(found: DesignResult) -> None:
 
 def _seconds(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"
+
+
+def show_runs(runs: Sequence[ListedRun], of: int) -> None:
+    """Show runs, one line each; ``of``: how many there are in the folder."""
+    rows = []
+    for run in runs:
+        numbers = [
+            "" if value is None else f"{value:.4f}" + ("" if percent is None else f" ±{percent:.2g} %")
+            for value, percent in (
+                (run.tau_s, run.tau_percent), (run.K_rad_s_V, run.K_percent), (run.fc_V, run.fc_percent)
+            )
+        ]  # fmt: skip
+        ended = run.fault or run.state
+        rows.append([plain(run.name), *numbers, run.verdict or "", run.laws.replace("_", " "), ended])
+    count = f"{len(runs)} of {of} runs" if len(runs) < of else f"{of} runs" if of != 1 else "1 run"
+    if rows:
+        show_table(count, LIST_HEADINGS, rows)
+    else:
+        click.echo(count)
+    for run in runs:
+        if run.problem is not None:
+            click.echo(f"{plain(run.name)}: {run.problem}")
+
+
+def show_comparison(found: ComparisonResult) -> None:
+    """Show a comparison: the runs, how far each is off the others, both answers, the trends."""
+    benches = len({run.bench for run in found.runs})
+    others = "the other" if len(found.runs) == 2 else "the others"
+    head = ("run", *(("bench",) if benches > 1 else ()), "tau, s", "K, (rad/s)/V", "f_c, V", "verdict")
+    rows = [[run.name, *([str(run.bench)] if benches > 1 else []), *_compared(run), run.verdict] for run in found.runs]
+    show_table(f"{len(found.runs)} runs, ±: noise alone (Type A, 95 %)", head, rows)
+    head = ("run", "tau, %", "K, %", "f_c, %", "chance")
+    rows = [
+        [
+            run.name,
+            *(_off_others(run.off_percent[key], run.off_ci95_percent[key]) for key in MAIN),
+            "< 0.01 %" if run.chance < 1e-4 else f"{100.0 * run.chance:.2g} %",
+        ]
+        for run in found.runs
+    ]
+    show_table(f"how far off {others}, ±: 95 %, with what the runs do not share", head, rows)
+    for line in comparison_words(found):
+        click.echo(line)
+
+
+def comparison_words(found: ComparisonResult) -> list[str]:
+    """Both answers, the scatter, the trends and the notes of a comparison, a line each."""
+    scatter = ", ".join(f"{name} {found.scatter.percent[key]:.2g} %" for key, name in zip(MAIN, SHORT, strict=True))
+    lines = [
+        f"differs measurably: {found.measurably.words}",
+        f"differs beyond the scatter from run to run: {found.beyond_scatter.words}",
+        f"scatter: {scatter} ({found.scatter.source}): {found.scatter.why}",
+    ]
+    for trend in found.trends:
+        half = 0.5 * (known(trend.ci95[1]) - known(trend.ci95[0]))
+        name = SHORT[MAIN.index(trend.parameter)]
+        sure = "" if trend.shows else " (none shows)"
+        lines.append(f"trend over {trend.over}: {name} {trend.slope:+.3g} ±{half:.2g} {trend.unit}{sure}")
+    lines += [f"left out: {one.folder}: {one.reason}" for one in found.left_out]
+    return lines + [f"note: {note}" for note in found.notes]
+
+
+def _compared(run: ComparedRunResult) -> list[str]:
+    values = (run.tau_s, run.K_rad_s_V, run.fc_V)
+    return [
+        f"{value:.4f} ±{0.5 * (known(run.ci95[key][1]) - known(run.ci95[key][0])):.4f}"
+        for key, value in zip(MAIN, values, strict=True)
+    ]
+
+
+def _off_others(percent: float, interval: tuple[float | None, float | None]) -> str:
+    return f"{percent:+.2f} ±{0.5 * (known(interval[1]) - known(interval[0])):.2f}"
 
 
 def show_estimates(

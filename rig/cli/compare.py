@@ -1,0 +1,97 @@
+"""`rig compare`: whether several runs are of one motor, and how it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.options import JSON
+from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
+from rig.terminal import patience, show_comparison
+
+
+class Percents(click.ParamType):  # type: ignore[type-arg]
+    """``TAU,K,FC``: three numbers, %."""
+
+    name = "percents"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The three numbers."""
+        try:
+            tau, gain, friction = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} must be TAU,K,FC: three numbers in %, such as 1,0.5,2", param, ctx)
+        if not all(0.0 <= one <= 100.0 for one in (tau, gain, friction)):
+            self.fail(f"{value!r} must be from 0 to 100 %", param, ctx)
+        return tau, gain, friction
+
+
+@click.command()
+@click.argument("folders", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
+@click.option(
+    "--scatter", "percent", type=Percents(), metavar="TAU,K,FC", default=None,
+    help="Scatter of tau, K and f_c from run to run of one motor: standard deviations, %. Default: that of the other "
+    "runs where there are five or more; else what 2.5 K do to copper and magnet: 2,0.5,1.5.",
+)  # fmt: skip
+@click.option(
+    "--temperature", "temperatures", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="CSV file with the columns run (name of the folder) and temperature_C, for the trend over temperature.",
+)  # fmt: skip
+@click.option(
+    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="Write the report, a page of HTML: cycles, residuals and tracking of the runs laid over each other.",
+)  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace FILE if it is there already.")
+@JSON
+def compare(
+    folders: Sequence[Path],
+    percent: tuple[float, float, float] | None,
+    temperatures: Path | None,
+    file: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Compare runs: is it one motor?
+
+    Two answers: do the runs differ by more than their noise explains, and by more than one motor does from run to run?
+    What is common to them, such as supply and calibration, cancels. Of three runs or more rig names the odd one, and
+    says how tau, K and f_c change over time. Each answer is wrong in 5 % of cases if it is one motor. Reads result.json
+    and meta.json; nothing is identified anew.
+    """
+    from rig.compare.comparison import CompareError, Scatter
+    from rig.compare.comparison import compare as compare_runs
+    from rig.compare.temperatures import read_temperatures
+    from rig.recording.path_kind import require_distinct
+
+    if file is not None and file.suffix.lower() not in (".html", ".htm"):
+        fail(EXIT_BAD_INPUT, f"{file}: the report is a page of HTML", "give a name that ends in .html")
+    if file is not None and file.exists() and not force:
+        fail(EXIT_BAD_INPUT, f"{file} is there already", "give another name, or --force")
+    try:
+        require_distinct(folders)
+        found = compare_runs(
+            folders,
+            None if percent is None else Scatter(percent, "given by --scatter"),
+            None if temperatures is None else read_temperatures(temperatures),
+        )
+        if file is not None:
+            from rig.compare.page import write_page
+
+            with patience("drawing the report"):
+                write_page(found, file)
+    except CompareError as error:
+        fail(EXIT_FAILED, error.cause, error.cure)
+    except RecordingError as error:
+        fail_input(error)
+    if as_json:
+        report = None if file is None else str(file)
+        click.echo(json_text({"ok": True, **found.result.as_json(), "report": report}), nl=False)
+        return
+    show_comparison(found.result)
+    if file is not None:
+        click.echo(f"report: {file}")

@@ -1,0 +1,1 @@
+"""Whether several runs are of one motor, and how it changes (docs/compare.md)."""

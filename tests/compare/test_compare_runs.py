@@ -1,0 +1,159 @@
+"""`rig compare` and `rig.compare` on run folders: both answers, benches, what is left out, the report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import rig
+from compared_runs import METHOD, Told, write_run, write_samples
+
+import rig as api
+
+DRIFTED = Told(fc_V=0.48 * 1.02)
+LAW = {"name": "dead_band", "value": 0.05, "unit": "V", "ci95": [0.04, 0.06], "bic": 30.0, "numbers": {}}
+
+
+def compared(*arguments: object) -> dict[str, Any]:
+    done = rig("compare", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_a_drift_within_one_bench_is_measurable_and_within_the_scatter_of_a_motor(tmp_path: Path) -> None:
+    first, second = write_run(tmp_path / "a", Told()), write_run(tmp_path / "b", DRIFTED, hour=1)
+    found = compared(second, first)
+    assert [run["name"] for run in found["runs"]] == ["a", "b"]  # by their start
+    assert [run["bench"] for run in found["runs"]] == [1, 1]
+    assert found["measurably"]["differs"]
+    assert found["measurably"]["odd"] is None
+    assert found["runs"][1]["off_percent"]["fc_V"] == pytest.approx(2.0, rel=0.02)
+    assert not found["beyond_scatter"]["differs"]
+    assert found["scatter"]["source"] == "default"
+    assert compared(first, second, "--scatter", "0.1,0.1,0.1")["beyond_scatter"]["differs"]
+    shown = rig("compare", first, second).stdout
+    assert "differs measurably: Yes" in shown
+    assert "differs beyond the scatter from run to run: No" in shown
+
+
+def test_supply_and_calibration_do_not_cancel_between_benches(tmp_path: Path) -> None:
+    runs = [
+        write_run(tmp_path / "a", Told(supply=0.02)),
+        write_run(tmp_path / "b", replace(DRIFTED, supply=0.02), supply_V=9.0),
+    ]
+    found = compared(*runs)
+    assert [run["bench"] for run in found["runs"]] == [1, 2]
+    assert not found["measurably"]["differs"]
+    assert any("differ in motor supply" in note for note in found["notes"])
+
+
+def test_what_tests_of_another_kind_could_explain_is_said(tmp_path: Path) -> None:
+    runs = [write_run(tmp_path / "a", Told(dead_band_V=0.02)), write_run(tmp_path / "b", DRIFTED)]
+    assert "dead band, which they do not exclude" in compared(*runs)["measurably"]["words"]
+
+
+def test_the_odd_one_of_several_is_named_and_judged_by_the_scatter_of_the_others(tmp_path: Path) -> None:
+    scattered = [0.4795, 0.4803, 0.4812, 0.4788, 0.4801]
+    runs = [write_run(tmp_path / f"r{k}", Told(fc_V=fc), hour=k) for k, fc in enumerate(scattered)]
+    runs.append(write_run(tmp_path / "worn", Told(fc_V=0.53), hour=6))
+    found = compared(*runs)
+    assert found["measurably"]["odd"] == ["worn"]
+    assert found["beyond_scatter"]["odd"] == ["worn"]
+    assert found["scatter"]["source"] == "runs"
+    assert found["runs"][-1]["off_percent"]["fc_V"] == pytest.approx(10.4, abs=0.3)
+    same = compared(*runs[:-1])
+    assert not same["measurably"]["differs"] or same["measurably"]["odd"] is None
+    assert not same["beyond_scatter"]["differs"]
+
+
+def test_a_trend_over_temperature_has_its_interval(tmp_path: Path) -> None:
+    degrees = [20.0, 25.0, 31.0, 36.0]
+    runs = [
+        write_run(tmp_path / f"r{k}", Told(fc_V=0.48 * (1.0 - 0.01 * (t - 20.0))), hour=k)
+        for k, t in enumerate(degrees)
+    ]
+    table = tmp_path / "degrees.csv"
+    table.write_text("run, temperature_C\n" + "".join(f"r{k},{t}\n" for k, t in enumerate(degrees)) + "other,3\n")
+    found = compared(*runs, "--temperature", table)
+    by = {(one["over"], one["parameter"]): one for one in found["trends"]}
+    friction = by["temperature", "fc_V"]
+    assert friction["shows"]
+    assert friction["ci95"][0] < -1.0 / 0.93 < friction["ci95"][1] or friction["slope"] == pytest.approx(
+        -1.09, abs=0.05
+    )
+    assert not by["temperature", "tau_s"]["shows"]
+    assert by["time", "fc_V"]["unit"] == "%/h"
+    assert any("other" in note for note in found["notes"])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name,T\na,3\n", "columns run and temperature_C"),
+        ("run,temperature_C\na,warm\n", "degrees.csv:2: 'warm' is no temperature"),
+        ("run,temperature_C\na,3\nruns/a,4\n", "degrees.csv:3: names a twice"),
+    ],
+)
+def test_a_bad_table_of_temperatures_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    runs = [write_run(tmp_path / name, Told()) for name in "ab"]
+    (tmp_path / "degrees.csv").write_text(text)
+    done = rig("compare", *runs, "--temperature", tmp_path / "degrees.csv")
+    assert done.exit_code == 2
+    assert said in done.output
+
+
+def test_what_cannot_be_compared_is_left_out_and_said(tmp_path: Path) -> None:
+    good = [write_run(tmp_path / "a", Told()), write_run(tmp_path / "b", Told(laws=(LAW,), verdict="doubtful"))]
+    killed, refused = write_run(tmp_path / "killed"), write_run(tmp_path / "refused", Told(verdict="refused"))
+    tracked, old = write_run(tmp_path / "tracked", Told()), write_run(tmp_path / "old", Told())
+    unknown = write_run(tmp_path / "unknown", Told())
+    for folder, change in (
+        (tracked, {"models_from": "runs/x"}),
+        (old, {"budget": None, "u95": None}),
+        (unknown, {"estimates": {}}),
+    ):
+        result = json.loads((folder / "result.json").read_text())
+        (folder / "result.json").write_text(json.dumps(result | change))
+    found = compared(*good, killed, refused, tracked, old, unknown)
+    assert sorted(run["name"] for run in found["runs"]) == ["a", "b", "old"]
+    why = {Path(one["folder"]).name: one["reason"] for one in found["left_out"]}
+    assert "no result.json" in why["killed"]
+    assert "refused: too few cycles" in why["refused"]
+    assert "runs/x" in why["tracked"]
+    assert f"no {METHOD} estimate" in why["unknown"]
+    notes = "\n".join(found["notes"])
+    assert "old: no budget" in notes
+    assert "not ok: b" in notes
+    assert "dead band shows in b only" in notes
+    alone = rig("compare", good[0], killed)
+    assert alone.exit_code == 1
+    assert "no result.json" in alone.output
+    assert rig("compare", good[0], good[0]).exit_code == 2
+    assert rig("compare", good[0], tmp_path).exit_code == 2
+    assert rig("compare", *good, "--scatter", "1,2").exit_code == 2
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_report_lays_the_runs_over_each_other(tmp_path: Path) -> None:
+    runs = [write_run(tmp_path / name, Told(), hour=k) for k, name in enumerate(("a", "b", "c"))]
+    for seed, run in enumerate(runs):
+        write_samples(run, seed)
+    found = api.compare([*runs[:2], str(runs[2])], temperatures_C={"a": 20.0, "b": 21.0, "c": 23.0})
+    assert (found.differs_measurably, found.differs_beyond_scatter, found.odd) == (False, False, ())
+    assert "differs measurably: No" in found.summary()
+    page = found.report(tmp_path / "page.html").read_text(encoding="utf-8")
+    for figure in ("values", "time", "temperature", "cycles", "residuals", "tracking"):
+        assert f'<figure id="{figure}">' in page
+    assert "http" not in page.replace("http://www.w3.org", "")  # nothing is loaded from elsewhere
+    again = rig("compare", *runs, "--to", tmp_path / "page.html")
+    assert again.exit_code == 2
+    assert "is there already" in again.output
+    assert rig("compare", *runs, "--to", tmp_path / "page.pdf").exit_code == 2
+    with pytest.raises(api.CompareError, match="two runs"):
+        api.compare(runs[:1])
+    with pytest.raises(ValueError, match="0 to 100"):
+        api.compare(runs, scatter_percent=(1.0, -1.0, 0.0))

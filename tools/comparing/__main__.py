@@ -1,0 +1,143 @@
+"""`make compare`: `rig compare` on thousands of simulated runs. It goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+from scipy.stats import beta, kstest
+
+from comparing.rows import CYCLES, DRIFT, DRIFTED, GAINS, LAWS, RUNS, SAME, WANTED_FC, Row, judged, row
+from rig.compare.comparison import LEVEL, WORDS
+from rig.config.campaign import Campaign
+from shared.cases import spread
+from shared.page import render, today, write
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "compare-table.md"
+TEMPLATE = Path(__file__).with_name("page.md.j2")
+MADE_BY = ("rig/identify", "rig/model", "rig/simulation.py", "tools/comparing/rows.py")
+
+
+def main() -> int:
+    """Run what is missing, and write the page."""
+    parser = argparse.ArgumentParser(prog="make compare", description=__doc__)
+    parser.add_argument("--same", type=int, default=1000, help="motors that stay as they are: two pairs of runs each")
+    parser.add_argument("--drifted", type=int, default=200, help="motors whose f_c drifts by 2 %%: one pair each")
+    parser.add_argument("--laws", type=int, default=100, help="motors whose laws are looked for, too: one pair each")
+    parser.add_argument("--seed", type=int, default=17)
+    parser.add_argument("--jobs", type=int, default=None, help="processes at a time; default: one a core")
+    parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
+    given = parser.parse_args()
+    counts = {SAME: given.same, DRIFTED: given.drifted, LAWS: given.laws}
+    campaign = Campaign(name="compare", experiments=max(*counts.values(), 1), seed=given.seed)
+    code = sha256(b"".join(_content(ROOT / part) for part in MADE_BY)).hexdigest()[:8]
+    file = ROOT / "runs" / f"compare-{given.seed}-{code}" / "rows.jsonl"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    told = _told(file)
+    jobs = [(campaign, g, k) for g, count in counts.items() for k in range(count) if (g, k) not in told]
+    with file.open("a", encoding="utf-8") as out:
+        done = spread(row, jobs, jobs=given.jobs, batch=4)
+        for _, one in track(done, "motors", total=len(jobs), disable=not sys.stderr.isatty()):
+            told[one.group, one.number] = one
+            out.write(json.dumps(asdict(one)) + "\n")
+            out.flush()
+    rows = {g: [told[g, k] for k in range(count) if (g, k) in told] for g, count in counts.items()}
+    text = page(rows, _git("rev-parse", "--short", "HEAD"))
+    write(given.page, text)
+    print(text)
+    return 0
+
+
+def _content(path: Path) -> bytes:
+    files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+    return b"".join(file.read_bytes() for file in files)
+
+
+def _told(file: Path) -> dict[tuple[str, int], Row]:
+    told = {}
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        try:
+            entry: dict[str, Any] = json.loads(line)
+        except ValueError:
+            continue  # torn by an interruption
+        told[entry["group"], entry["number"]] = Row(**entry)
+    return told
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def page(rows: dict[str, list[Row]], commit: str) -> str:
+    """The page as Markdown."""
+    there = {group: [judged(one) for one in some if not one.lost] for group, some in rows.items()}
+    same, drifted, laws = (there[group] for group in (SAME, DRIFTED, LAWS))
+    pairs = [chance for one in same for chance in one.chances]
+    lines = [_share("pairs of runs of one motor called different: false alarms", np.array(pairs) < LEVEL)]
+    if pairs:
+        lines.append(
+            (
+                "chances of these pairs: uniform? Kolmogorov and Smirnov",
+                f"p = {kstest(pairs, 'uniform').pvalue:.2f}",
+                "",
+            )
+        )
+    lines += [
+        _share(f"sets of {RUNS[SAME]} runs of one motor called different", [not one.agree for one in same]),
+        _share("such sets in which a run is named odd", [one.odd > 0 for one in same]),
+        _share("intervals of a trend that hold 0, which is true", [held for one in same for held in one.held]),
+        _share(
+            f"pairs called different after f_c has drifted by {100 * (DRIFT - 1):.0f} %",
+            [c < LEVEL for one in drifted for c in one.chances],
+        ),
+        _share("such pairs in which the interval of f_c's difference leaves 0 out", [one.fc_shows for one in drifted]),
+        _share(
+            "pairs of one motor, with laws looked for, called different",
+            [c < LEVEL for one in laws for c in one.chances],
+        ),
+    ]
+    spreads = []
+    for group, some in there.items():
+        if some and group != DRIFTED:
+            off = np.array([pair for one in some for pair in one.off])
+            spreads.append((group, *(f"{s:.3f}" for s in np.std(off, axis=0)), f"{1 / np.sqrt(2 * len(off)):.3f}"))
+    return render(
+        TEMPLATE,
+        date=today(),
+        commit=commit,
+        lines=[line for line in lines if line],
+        spreads=spreads,
+        names=list(WORDS.values()),
+        lost={group: len(some) - len(there[group]) for group, some in rows.items()},
+        motors={group: len(some) for group, some in rows.items()},
+        cycles=CYCLES,
+        gains=GAINS,
+        wanted=100 * WANTED_FC,
+        fc_half=[f"{100 * h:.2f}" for h in np.quantile([one.fc_half for one in drifted], (0.05, 0.5, 0.95))]
+        if drifted
+        else None,
+    )
+
+
+def _share(what: str, found: Sequence[bool] | np.ndarray[Any, Any]) -> tuple[str, str, str] | None:
+    """How often, and between which bounds that is with 95 % (Clopper and Pearson)."""
+    n, k = len(found), int(np.sum(found))
+    if not n:
+        return None
+    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
+    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    return what, f"{k} of {n}: {100 * k / n:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
