@@ -55,7 +55,9 @@ KEY = re.compile(rf"(?<![\w./`{{])(?:{SECTIONS})(?:\.[A-Za-z_][A-Za-z0-9_]*)+(?!
 
 def named_keys(text: str) -> list[str]:
     return [
-        key for key in KEY.findall(text) if not key.endswith((".yaml", ".py", ".json", ".md", ".html", ".mat", ".xml"))
+        key
+        for key in KEY.findall(text)
+        if not key.endswith((".yaml", ".py", ".json", ".md", ".html", ".mat", ".xml", ".j2"))
     ]
 
 
