@@ -13,10 +13,15 @@ VARIANT := $(if $(filter IN1_IN2,$(BRIDGE)),-in1_in2)$(if $(filter-out 115200,$(
 
 # make prebuilt    every variant for both boards, and the hash of each, in $(BUILD)/prebuilt: what a wheel of rig carries
 # bridge, baud rate, tachometer, supply, end switches, encoder
-VARIANTS := $(foreach b,PWM_DIR IN1_IN2,$(foreach r,115200 1000000,$(foreach t,0 1,$(foreach s,0 1,$(foreach e,0 1,$(foreach \
+EVERY_VARIANT := $(foreach b,PWM_DIR IN1_IN2,$(foreach r,115200 1000000,$(foreach t,0 1,$(foreach s,0 1,$(foreach e,0 1,$(foreach \
 	c,0 1,$b.$r.$t.$s.$e.$c))))))
+# a test's wheel has only some of them
+VARIANTS := $(or $(RIG_VARIANTS),$(EVERY_VARIANT))
 
-.PHONY: prebuilt $(VARIANTS)
+.PHONY: prebuilt every-variant $(VARIANTS)
+
+every-variant:
+	@echo $(EVERY_VARIANT)
 
 $(VARIANTS): | $(BUILD)/pico/uf2
 	@$(MAKE) --no-print-directory uno pico BRIDGE=$(word 1,$(subst ., ,$@)) BAUD=$(word 2,$(subst ., ,$@)) \

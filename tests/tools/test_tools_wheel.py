@@ -18,10 +18,21 @@ ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
 
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.timeout(900),
-]  # 64 variants of the firmware for two boards, on a busy machine
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
+# between them they have each side of every switch, so that a path in any line of any source would show
+EXTREMES = (Variant(), Variant("IN1_IN2", 1000000, True, True, True, True))
+# of the 64 of a wheel, for two boards: these two, and those with one switch of their own; `make dist` builds all
+BUILT = (
+    *EXTREMES,
+    Variant("IN1_IN2"),
+    Variant("IN1_IN2", 1000000),
+    *(Variant("PWM_DIR", 115200, *(at == switch for at in range(4))) for switch in range(4)),
+)
+
+
+def word(one: Variant) -> str:
+    """A variant as the Makefile lists it."""
+    return ".".join(str(int(part)) if isinstance(part, bool) else str(part) for part in one)
 
 
 @pytest.fixture(scope="module")
@@ -36,16 +47,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / name, tree / name)
     subprocess.run(
         [UV, "build", "--wheel", "--quiet", "--python", sys.executable, "-o", out],
-        cwd=tree, check=True, env=os.environ | {"RIG_FIRMWARE": "required"},
+        cwd=tree, check=True,
+        env=os.environ | {"RIG_FIRMWARE": "required", "RIG_VARIANTS": " ".join(word(one) for one in BUILT)},
     )  # fmt: skip
     return next(out.glob("*.whl"))
 
 
-# between them they have each side of every switch, so that a path in any line of any source would show
-EXTREMES = (Variant(), Variant("IN1_IN2", 1000000, True, True, True, True))
-
-
-def test_the_wheel_holds_every_variant_of_the_firmware_and_the_same_from_another_folder(
+def test_the_wheel_holds_the_listed_variants_of_the_firmware_and_the_same_from_another_folder(
     wheel: Path, tmp_path: Path
 ) -> None:
     with zipfile.ZipFile(wheel) as archive:
@@ -56,7 +64,12 @@ def test_the_wheel_holds_every_variant_of_the_firmware_and_the_same_from_another
         }
     wired = list(itertools.product((False, True), repeat=4))
     every = [Variant(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
-    files = {f"{one.name}.hex" for one in every} | {f"{one.name_for('pico')}.uf2" for one in every}
+    listed = subprocess.run(
+        ["make", "-s", "-C", ROOT / "firmware", "every-variant"], check=True, capture_output=True, text=True,
+        env={key: value for key, value in os.environ.items() if "MAKE" not in key},
+    ).stdout.split()  # fmt: skip
+    assert set(listed) == {word(one) for one in every} and len(listed) == len(every)
+    files = {f"{one.name}.hex" for one in BUILT} | {f"{one.name_for('pico')}.uf2" for one in BUILT}
     assert held.keys() == files | {"SHA256SUMS"}
 
     shutil.copytree(ROOT / "firmware", tmp_path / "elsewhere", ignore=shutil.ignore_patterns("node_modules"))
