@@ -12,11 +12,11 @@ from emps import record as published
 from emps.found import every_other, prediction, whole
 from emps.found import published as published_law
 
+pytestmark = pytest.mark.drawn
 FILE = os.environ.get("RIG_EMPS", "")
 PUBLISHED = published.PUBLISHED
 
 
-@pytest.mark.drawn
 @pytest.mark.timeout(900)  # two identifications of a long record
 @pytest.mark.skipif(not FILE, reason="RIG_EMPS names no file: the record is not part of the project")
 def test_a_real_drive_has_its_published_numbers_and_the_law_predicts_what_it_has_not_seen(
