@@ -1,8 +1,8 @@
 """The estimator at the statistical limit: random motors of each ready campaign, as `rig campaign` runs them.
 
 How many there are decides what a test can see. Intervals that hold the truth in 91 % of the motors instead of 95 % fail
-the wide band (93 to 97 %) with probability 0.987 at 1,000 motors, right ones with 0.003. The narrow band (94 to 96 %)
-needs more: `rig campaign` on the ready config has 10,000.
+the wide band (93 to 97 %) with probability 0.987 at 1,000 motors and 0.999 at 2,000, right ones with 0.003 and 0.00004.
+The narrow band (94 to 96 %) needs the 2,000.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from rig.config import load_campaign
 pytestmark = pytest.mark.long
 
 CONFIGS = Path(__file__).parents[2] / "config"
-MOTORS = 1000
-MOTORS_OF_THE_OTHERS = 600  # with coarse steps, with correlated noise
+MOTORS = 2000
+MOTORS_OF_THE_OTHERS = 1000  # with coarse steps, with correlated noise
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")
 
 
@@ -33,7 +33,7 @@ def summary_of(name: str, folder: Path, motors: int) -> Summary:
 
 @pytest.mark.timeout(900)
 def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path: Path) -> None:
-    """RMS at most 1.1 times the Cramer-Rao bound, medians 0.5 %, 95th percentiles 1.7 %, coverage 93 to 97 %."""
+    """RMS at most 1.1 times the Cramer-Rao bound, medians 0.5 %, 95th percentiles 1.7 %, coverage 94 to 96 %."""
     found = summary_of("campaign", tmp_path, MOTORS)
     for name in MAIN:
         sums = found["estimated"]["parameters"][name]
@@ -41,7 +41,7 @@ def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path: Path) 
         assert 0.9 < sums["rms_over_bound"] <= 1.1, (name, sums)
         assert 0.0005 < sums["relative_median"] <= 0.005, (name, sums)
         assert sums["relative_p95"] <= 0.017, (name, sums)
-        assert 0.93 <= sums["coverage"] <= 0.97, (name, sums)
+        assert 0.94 <= sums["coverage"] <= 0.96, (name, sums)
     assert found["verdicts"]["ok"] > 0.9 * MOTORS
     assert found["ok_but_off"] == []
     assert found["far"] == []
