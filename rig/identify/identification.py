@@ -20,7 +20,7 @@ from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
 from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.opinion import RecordingEstimate
-from rig.identify.plausibility import judge_motor, judge_records
+from rig.identify.plausibility import is_cut_off, judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
@@ -297,6 +297,10 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
     plain = _leading(data, found)
     if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
+    spoiled = _beyond_laws(plain, data.tests)
+    if spoiled is not None:
+        _doubt(found, spoiled)
+        return
     try:
         law = motor_law(data.tests, plain, data.periods_s, data.stated, data.further, data.recording_of)
     except IdentifyError as error:
@@ -366,6 +370,16 @@ def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
     judged = judge_with_laws(fine, data.tests, (0.0, 0.0))
     return _with_causes(judged, data.tests).verdict != "refused"
+
+
+def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:
+    """What is wrong in the tests that laws would only imitate; None if nothing is known to be."""
+    if any(is_cut_off(test) for test in tests):
+        return "the position was cut off, and laws would only imitate that"
+    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    if plain.verdict == "refused" and other_times_explain(slipped_rms_rad(plain, tests), plain.rms_rad, noise_rad):
+        return "the drive acted at other times than t_u_s says, and laws would only imitate that"
+    return None
 
 
 def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:

@@ -11,7 +11,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT
 from rig.recording.path_kind import no_run
 from rig.recording.reader import read_result
-from rig.results import EstimateResult, RunResult
+from rig.results import EstimateResult, IdentificationResult, RunResult
 
 
 def known_model(path: Path, largest_V: float) -> FramedMotor:
@@ -32,7 +32,7 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
         nothing = no_run(path)
         raise nothing
     try:
-        motor = _with_laws(result) or _plain(result.estimates.get(LEADING))
+        motor = model_of(result)
     except ValueError as error:
         raise RecordingError(
             folder / RESULT, f"holds a model that no motor has: {error}", "give another run"
@@ -53,6 +53,14 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     return motor
 
 
+def model_of(result: RunResult | IdentificationResult) -> FramedMotor | None:
+    """The leading estimate, with the laws that the tests show; None if there is none, or if it was refused.
+
+    Raises ValueError on numbers out of range.
+    """
+    return _with_laws(result) or _plain(result.estimates.get(LEADING))
+
+
 def _plain(estimate: EstimateResult | None) -> FramedMotor | None:
     """The plain motor of an estimate; None without a usable one. Raises ValueError on numbers out of range."""
     if estimate is None or estimate.verdict == "refused":
@@ -66,7 +74,7 @@ def _plain(estimate: EstimateResult | None) -> FramedMotor | None:
     return FramedMotor.of({name: value for name, value in numbers.items() if value is not None})
 
 
-def _with_laws(result: RunResult) -> FramedMotor | None:
+def _with_laws(result: RunResult | IdentificationResult) -> FramedMotor | None:
     """The motor with its laws; None if the run shows none. Raises ValueError on numbers out of range."""
     plain, frame = _plain(result.with_law), result.law_frame
     if plain is None or not result.law or frame is None:

@@ -30,7 +30,7 @@ from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
-from rig.identify.verdict import ASKED, beside, sizes_of
+from rig.identify.verdict import ASKED, PROMISE, RISK, beside, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
 from rig.recording.stage import StageKind
@@ -156,6 +156,7 @@ class MotorLaw:
         shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}
         name = max(shares, key=lambda key: shares[key])
         if shares[name] <= ASKED:
+            yield from self._may_be_off(sizes)
             return
         own = (entry for entry in self.budget.entries if not entry.absolute)
         largest = max(own, key=lambda entry: float(getattr(entry, name)))
@@ -173,6 +174,21 @@ class MotorLaw:
             yield f"{known}: most of it is {what}, which these tests do not exclude; record {cures}"
         elif estimate.verdict == "ok":  # else the sentence on its interval says it already
             yield f"{known}: record more cycles, or slower and larger ones"
+
+    def _may_be_off(self, sizes: Mapping[str, float]) -> Iterator[str]:
+        """u95 is small also where a law is improbable and large: then the promise can be broken all the same."""
+        likely = {name: self.budget.hidden.beyond(name, PROMISE * size) for name, size in sizes.items()}
+        name = max(likely, key=lambda key: likely[key][0])
+        probability, hidden = likely[name]
+        if probability <= RISK:
+            return
+        laws = [law for law in DEPARTURES if law.name in hidden]
+        risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
+        yield (
+            f"{name} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; ok bears {allowed} %: "
+            f"most of it is {' and '.join(law.title for law in laws)}, which these tests do not exclude; "
+            f"record {', and '.join(dict.fromkeys(law.told_by for law in laws))}"
+        )
 
     def as_result(self) -> MotorLawResult:
         """As in result.json."""

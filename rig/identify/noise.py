@@ -79,6 +79,7 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
     longest = float(max(t_s[a + n - 1] - t_s[a] for a, n in zip(starts.tolist(), lengths, strict=True)))
     low = np.log([0.5 * period, 1e-4])
     high = np.log([10.0 * longest, 1e8])
+    deviances = np.empty(GRID)
     best, centre = np.inf, 0.5 * (low + high)
     reach = 0.5 * (high - low)
     for _ in range(ROUNDS):
@@ -87,10 +88,10 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
             for c, r, a, b in zip(centre, reach, low, high, strict=True)
         )
         for memory in memories.tolist():
-            for ratio in ratios.tolist():
-                deviance = coloured_noise.deviance(t_s, starts, float(np.exp(memory)), float(np.exp(ratio)), scaled)
-                if deviance < best:
-                    best, centre = deviance, np.array([memory, ratio])
+            coloured_noise.deviances(t_s, starts, float(np.exp(memory)), np.exp(ratios), scaled, deviances)
+            least = int(np.argmin(deviances))
+            if deviances[least] < best:
+                best, centre = float(deviances[least]), np.array([memory, ratios[least]])
         reach = reach / (0.5 * GRID)
     if -best < NEEDED:
         return WHITE

@@ -62,6 +62,11 @@ def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
     return found
 
 
+def is_cut_off(test: TimeSeries) -> bool:
+    """Whether the position stays at one end of its travel, as beyond the end of a sensor's range."""
+    return bool(_rails(test))
+
+
 def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
     """Objections to a fitted motor: a time constant that points to another unit of time."""
     tau = estimate.tau_s

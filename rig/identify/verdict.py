@@ -18,6 +18,7 @@ from rig.recording.series import TimeSeries, joined_times_s
 PROMISE = 0.05  # verdict ok promises that no relative error of a parameter is larger,
 SURE = 2.0  # so a 95 % interval must be this many times narrower: then one recording in ten thousand breaks the promise
 ASKED = PROMISE / SURE  # so much of u95 is ok, and of a 95 % interval, relative to the parameter
+RISK = 0.01  # probability that laws which the tests do not exclude break the promise, that ok bears
 SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions

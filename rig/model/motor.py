@@ -209,3 +209,19 @@ class Motor:
         v, y, z = map(float, start)
         motion.response(tuple(self.plant), (v, y, z), (edges, drive, 0.0), t, states)
         return states
+
+
+class MovingPlainMotor:
+    """A motor without parts in motion, for simulators: from rest at ``y0_rad`` each ``advance`` takes it on."""
+
+    def __init__(self, motor: Motor, y0_rad: float) -> None:
+        self._motor, self._state = motor, State(y=y0_rad)
+
+    def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
+        """Let ``dt_s`` (>= 0) pass under the constant drive ``u_V``; the time ``t_s``, s, changes nothing."""
+        self._state = self._motor.advance(self._state, u_V, dt_s)
+
+    @property
+    def reading_rad(self) -> float:
+        """The position, rad."""
+        return self._state.y

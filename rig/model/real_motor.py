@@ -129,7 +129,7 @@ class Readings(NamedTuple):
     """Readings of the sensor, rad, and their derivatives in bordered form.
 
     y_rad      (n,)
-    by_number  (n, m), by the m free numbers, in the order in which they were asked for
+    by_number  (n, m), by the m free numbers, in the order in which they were asked for; behind them the waves
     by_start   (n, 2), by v0, rad/s, and y0, rad, of the piece that the row is in; 0 by those of other pieces
     """
 
@@ -169,14 +169,23 @@ def response(motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Ar
 
 
 def response_and_jacobian(
-    motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces, free: Sequence[int]
+    motor: RealMotor,
+    frame: Frame,
+    drive: tuple[Array, Array],
+    t_s: Array,
+    pieces: Pieces,
+    free: Sequence[int],
+    waves_per_rad: Sequence[float] = (),
 ) -> Readings:
     """``response``, with derivatives by the numbers at the places ``free`` (see ``index``), and by each piece's start.
 
+    waves_per_rad   orders, > 0, of forces over position: derivatives by the sine and the cosine of each, V, follow
+                    those by ``free``. All orders cost about as much as one. Of a motor without cogging only
     Derivatives are exact, except where a number decides *whether* the motor sticks. A part may be at 0 and free, except
     the bristles; the Stribeck effect and cogging then need their velocity and order.
+    Raises ValueError on numbers out of range, and on waves beside cogging.
     """
-    return _readings(motor, frame, drive, t_s, pieces, free)
+    return _readings(motor, frame, drive, t_s, pieces, free, waves_per_rad)
 
 
 class MovingMotor:
@@ -229,17 +238,27 @@ def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float
 
 
 def _readings(
-    motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces, free: Sequence[int] | None
+    motor: RealMotor,
+    frame: Frame,
+    drive: tuple[Array, Array],
+    t_s: Array,
+    pieces: Pieces,
+    free: Sequence[int] | None,
+    waves_per_rad: Sequence[float] = (),
 ) -> Readings:
     """Both; no derivatives where ``free`` is None."""
     from rig.model.compiled import real_motion
 
     if free is not None:
         traced = {name: TRACE for name in TRACED if index(name) in free and getattr(motor, name) == 0.0}
+        if waves_per_rad:
+            if motor.cogging_sin_V != 0.0 or motor.cogging_cos_V != 0.0:
+                raise ValueError("waves of the force are of a motor without cogging")
+            traced |= {"cogging_sin_V": TRACE, "cogging_per_rad": 0.25 * max(waves_per_rad)}
         motor = motor._replace(**traced)
     numbers = _checked(motor, frame)
     p, n = pieces.first_row.size, t_s.size
-    columns = 0 if free is None else len(free) + 2
+    columns = 0 if free is None else len(free) + 2 * len(waves_per_rad) + 2
     y, jacobian = np.empty(n), np.empty((n, columns))
     starts = np.zeros((p, 4))
     starts[:, 0], starts[:, 1] = pieces.v0_rad_per_s, pieces.y0_rad
@@ -247,7 +266,7 @@ def _readings(
         starts[:, 2] = pieces.side
     if pieces.bent is not None:
         starts[:, 3] = pieces.bent
-    which = np.array(free if free is not None else (), dtype=np.int64)
+    which = np.array(free if free is not None else (), dtype=np.int64), np.array(waves_per_rad, dtype=float)
     edges, drives = drive
     real_motion.readings(numbers, (edges, drives), t_s, (pieces.first_row, starts), which, (y, jacobian))
     return Readings(y, jacobian[:, : max(columns - 2, 0)], jacobian[:, max(columns - 2, 0) :])

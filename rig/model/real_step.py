@@ -295,6 +295,9 @@ def weights(c: float) -> Weights:
     return Weights(keep, half, 2.0 * p1 / (1.0 + half), p1 - 3.0 * p2 + 4.0 * p3, 2.0 * p2 - 4.0 * p3, 4.0 * p3 - p2)
 
 
+NO_FADING = Weights(1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0)  # of a step of no time constants
+
+
 def sliding(m: RealMotor, frame: Frame, sign: float, at: State, a1: float, when: tuple[float, float]) -> float:
     """Rate at which the friction of bristles nears its level in the middle of a step, 1/s; 0 without bristles.
 
@@ -323,7 +326,7 @@ def moved(
     near = 0.5 * c * k.mean
     a1 = target(m, frame, sign, at, t)
     slide = sliding(m, frame, sign, at, a1, when)
-    b = weights(h * slide)
+    b = weights(h * slide) if m.bristle_V_rad > 0.0 else NO_FADING
     near_f = 0.5 * h * b.mean
     n1 = bending(m, frame, sign, at, t) + slide * f
     v2 = k.half * v + near * a1

@@ -18,6 +18,7 @@ from rig.results.estimates import (
 from rig.results.live import StoppedResult
 from rig.results.meta import RealTimeReport, TrueMotor
 from rig.results.part import NOT_IN_EACH_FILE, VERSION, Count, Number, Part, Sometimes, Text
+from rig.results.tuned import TunedResult
 
 
 class FaultReport(Part):
@@ -118,6 +119,7 @@ class _Run(Part):
     jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
     stopped: Sometimes[StoppedResult] = Field(None, description="why the tests of `relay.until` ended, and when")
+    tuned: Sometimes[TunedResult] = Field(None, description="the loop that `rig tune --try` drove, and its prediction")
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")
 
 

@@ -36,6 +36,8 @@ from rig.report import write_report
 from rig.results import RunResult
 from rig.terminal import show_friction_law
 
+pytestmark = pytest.mark.long
+
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 

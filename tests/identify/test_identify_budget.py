@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from campaign_real.kinds import KINDS, case
 from rig.config.campaign import Campaign
 from rig.identify import identify, sampled_data
-from rig.identify.departures.budget import COVERAGE, PRESENT, Budget, Entry, Shifts, absolute, hidden, instead_of
+from rig.identify.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.drag import Drag
 from rig.identify.departures.in_place import InPlace
@@ -118,6 +119,9 @@ def test_errors_are_read_from_meta_and_an_older_one_has_the_defaults() -> None:
 # -- laws -------------------------------------------------------------------------------------------------------------
 
 
+TWO_SIDED = np.zeros(3, dtype=bool)
+
+
 def nuisance(law: Departure, first: int, starts: int = 1) -> Nuisance:
     return Nuisance(law, first, 1, starts)
 
@@ -127,19 +131,71 @@ def test_the_odds_of_laws_and_what_they_move_are_those_integrals() -> None:
     inside = np.array([[3.0, -2.2], [-2.2, 2.5]])
     pull = np.array([-0.7, 1.1])
     moves = np.array([[0.2, 0.1], [1.0, -0.3], [0.0, 0.5]])
-    odds, squares = Shifts(np.ones(3), moves, inside, pull).by(np.array([[0, 1]]))
+    odds, mean, variance = Shifts(np.ones(3), moves, inside, pull, TWO_SIDED[:2]).by(np.array([[0, 1]]))
     x = np.linspace(-8.0, 8.0, 801)
     a, b = np.meshgrid(x, x)
     size = np.stack((a.ravel(), b.ravel()))
     weight = np.exp(-0.5 * np.sum(size * (inside @ size), axis=0) - pull @ size - 0.5 * np.sum(size**2, axis=0))
     total = weight.sum()
     assert odds[0] == pytest.approx(total * (x[1] - x[0]) ** 2 / (2.0 * math.pi), rel=1e-6)
-    assert squares[0] == pytest.approx((moves @ size) ** 2 @ weight / total, rel=1e-6)
+    assert mean[0] == pytest.approx((moves @ size) @ weight / total, rel=1e-6)
+    assert mean[0] ** 2 + variance[0] == pytest.approx((moves @ size) ** 2 @ weight / total, rel=1e-6)
+
+
+@pytest.mark.parametrize("pull", [-3.0, 0.0, 4.0])
+def test_a_law_that_is_never_below_0_is_weighed_above_it(pull: float) -> None:
+    """Against a sum over a grid of its sizes from 0 on, where it is twice as dense beforehand."""
+    moves = np.array([[0.2], [-1.0], [0.5]])
+    shifts = Shifts(np.ones(3), moves, np.array([[3.0]]), np.array([pull]), np.array([True]))
+    odds, mean, variance = shifts.by(np.array([[0]]))
+    size = np.linspace(0.0, 9.0, 200_001)
+    weight = 2.0 * np.exp(-0.5 * 3.0 * size**2 - pull * size) * norm.pdf(size)
+    total = weight.sum()
+    assert odds[0] == pytest.approx(total * size[1], rel=1e-3)
+    assert mean[0] == pytest.approx((moves * size) @ weight / total, rel=1e-3)
+    assert variance[0] == pytest.approx((moves * size) ** 2 @ weight / total - mean[0] ** 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("coupling", [-2.5, 0.0, 2.5])
+@pytest.mark.parametrize("pull", [(-0.7, 1.1), (-2.0, -2.0), (2.0, 0.5)])
+def test_two_laws_that_are_never_below_0_are_weighed_there(coupling: float, pull: tuple[float, float]) -> None:
+    """Against a sum over a grid: what is left of the first counts as normal for the second."""
+    inside, moves = np.array([[3.0, coupling], [coupling, 3.0]]), np.array([[0.2, 0.1], [1.0, 0.3], [0.0, 0.5]])
+    shifts = Shifts(np.ones(3), moves, inside, np.array(pull), np.array([True, True]))
+    odds, mean, variance = shifts.by(np.array([[0, 1]]))
+    x = np.linspace(0.0, 6.0, 601) + 0.005
+    size = np.stack([axis.ravel() for axis in np.meshgrid(x, x)])
+    weight = 4.0 * np.exp(-0.5 * np.sum(size * (inside @ size), axis=0) - np.array(pull) @ size)
+    weight *= norm.pdf(size).prod(axis=0)
+    assert odds[0] == pytest.approx(weight.sum() * 1e-4, rel=0.02)
+    moved = moves @ size
+    assert mean[0] == pytest.approx(moved @ weight / weight.sum(), rel=0.08)
+    assert np.sqrt(mean[0] ** 2 + variance[0]) == pytest.approx(np.sqrt(moved**2 @ weight / weight.sum()), rel=0.1)
+
+
+def test_an_improbable_law_that_would_break_the_promise_is_counted_by_its_probability() -> None:
+    laws = [nuisance(Drag(), 0)]
+    shifts = Shifts(np.ones(3), np.array([[0.0], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), np.array([True]))
+    probability, named = Hidden.of(shifts, laws).beyond("K_rad_s_V", 0.1)
+    assert named == ("drag",)
+    assert probability == pytest.approx(PRESENT * 2.0 * norm.sf(1.0), rel=0.2)  # of a half normal distribution
+    assert Hidden.of(shifts, laws).beyond("tau_s", 0.1)[0] == 0.0
+
+
+@pytest.mark.parametrize("pull", [2e3, 3e4, 1e6])
+def test_a_law_far_below_0_leaves_numbers_that_are_numbers(pull: float) -> None:
+    laws = [nuisance(Drag(), 0), nuisance(Sag(), 1)]
+    one_sided = np.array([True, False])
+    shifts = Shifts(np.ones(3), np.full((3, 2), 0.1), 3.0 * np.eye(2), np.array([pull, 0.0]), one_sided)
+    hidden = Hidden.of(shifts, laws)
+    assert np.all(hidden.variance >= 0.0)
+    for name in OF:
+        assert 0.0 < hidden.beyond(name, 0.1)[0] < 0.1
 
 
 def test_a_law_that_the_record_cannot_see_keeps_its_whole_range_and_its_odds() -> None:
-    shifts = Shifts(np.ones(3), np.array([[0.3], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1))
-    [entry] = hidden(shifts, [nuisance(Drag(), 0)])
+    shifts = Shifts(np.ones(3), np.array([[0.3], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), np.array([True]))
+    [entry] = Hidden.of(shifts, [nuisance(Drag(), 0)]).lines()
     assert (entry.source, entry.laws) == ("drag", ("drag",))
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.3)
 
@@ -148,16 +204,16 @@ def test_three_laws_that_hide_each_other_count_though_each_alone_is_excluded() -
     """Their sum acts as nothing on the record: it says much of each, and nothing of all three."""
     laws = [nuisance(law, k) for k, law in enumerate((Drag(), Sag(), Stribeck()))]
     away = np.eye(3) - np.ones((3, 3)) / 3.0
-    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), 1e8 * away, np.zeros(3))
-    entries = {entry.source: entry for entry in hidden(shifts, laws)}
+    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), 1e8 * away, np.zeros(3), TWO_SIDED)
+    entries = {entry.source: entry for entry in Hidden.of(shifts, laws).lines()}
     together = entries.pop("laws that hide each other")
     assert set(together.laws) == {"drag", "sag", "stribeck"}
     assert all(together.tau_s > 10.0 * entry.tau_s for entry in entries.values())
 
 
 def test_a_law_with_several_starts_has_its_odds_once() -> None:
-    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), np.zeros((3, 3)), np.zeros(3))
-    [entry] = hidden(shifts, [nuisance(Stribeck(), k, 3) for k in range(3)])
+    shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), np.zeros((3, 3)), np.zeros(3), np.ones(3, dtype=bool))
+    [entry] = Hidden.of(shifts, [nuisance(Stribeck(), k, 3) for k in range(3)]).lines()
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.1)
 
 

@@ -246,6 +246,23 @@ def test_columns_that_are_not_what_they_say(
         not_believed(plain_csv(tmp_path / "a.csv", spoiled), words)
 
 
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda c: {"y_rad": np.clip(c["y_rad"], -1.0, np.quantile(c["y_rad"], 0.9))}, "the position was cut off"),
+        (lambda c: {"u_V": np.roll(c["u_V"], 1)}, "at other times than t_u_s says"),
+    ],
+)
+def test_no_law_of_the_motor_imitates_what_is_wrong_in_the_columns(
+    tmp_path: Path, relay_test: Columns, spoil: Callable[[Columns], Columns], words: str
+) -> None:
+    found = identify([read(plain_csv(tmp_path / "a.csv", relay_test | spoil(relay_test), WITH_DRIVE_TIMES))])
+    assert found.motor_law is None
+    assert "laws would only imitate that" in found.estimates["sampled-data"].reasons[-1]
+    assert words in found.estimates["sampled-data"].reasons[-1]
+    assert all(estimate.verdict != "ok" for estimate in found.estimates.values())
+
+
 @pytest.mark.parametrize("rows", [-3, -2, -1, 1, 2, 3])
 @pytest.mark.parametrize("drive", ["relay", "square", "chirp"])
 def test_a_drive_some_rows_off_without_its_times_is_right_or_not_believed(

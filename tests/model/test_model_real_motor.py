@@ -237,6 +237,24 @@ def test_derivatives_are_those_of_differences(names: tuple[str, ...]) -> None:
         assert slope == pytest.approx(numeric, abs=1e-4 * np.abs(slope).max()), key
 
 
+@pytest.mark.parametrize(
+    "names", [("dead_band",), ("bristle", "lag"), ("stribeck", "force_over_position")], ids="-".join
+)
+def test_waves_of_the_force_are_the_cogging_of_each_order(names: tuple[str, ...]) -> None:
+    motor, drive, orders = with_parts(*names), relay(3.0), (3.0, 7.5, 12.0)
+    t_s = np.arange(0.0, 3.0, 0.01)
+    pieces = three_pieces(t_s.size)
+    fc, *parts = map(RealMotor._fields.index, ("fc_V", "cogging_sin_V", "cogging_cos_V"))
+    found = response_and_jacobian(motor, FRAME, drive, t_s, pieces, [fc], orders)
+    for k, order in enumerate(orders):
+        alone = response_and_jacobian(motor._replace(cogging_per_rad=order), FRAME, drive, t_s, pieces, [fc, *parts])
+        columns = found.by_number[:, [0, 1 + 2 * k, 2 + 2 * k]]
+        assert columns == pytest.approx(alone.by_number, abs=1e-4 * float(np.abs(alone.by_number).max()))
+        assert found.by_start == pytest.approx(alone.by_start, abs=1e-4)
+    with pytest.raises(ValueError, match="without cogging"):
+        response_and_jacobian(with_parts("cogging"), FRAME, drive, t_s, pieces, [fc], orders)
+
+
 def test_a_piece_is_the_record_from_its_start_on() -> None:
     motor = with_parts("lag", "sag", "drift", "force_over_position")
     drive = relay(4.0)

@@ -17,6 +17,8 @@ from campaign_real.rows import Row, kinds_of, row
 from campaign_real.shown import expected_gains
 from rig.config.campaign import Campaign
 
+pytestmark = pytest.mark.long
+
 CAMPAIGN = Campaign(name="real", experiments=4, seed=1)
 
 

@@ -28,7 +28,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulated.yaml"
 REACH_RAD, FASTEST_RAD_S, LARGEST_V = 0.55, 4.9, 3.0  # room of every motor
 HARD_RAD = 1.95  # as in the ready configs: the stops are farther
 FAST = 1.05  # no-load speed of the data sheet over the motor's
-BREAKAWAY_V: Sequence[float] = (1.2, 1.0, 0.9, 0.8, 0.75)  # the first for which unseen travel has a bound
+BREAKAWAY_V: Sequence[float] = (1.2, 1.0, 0.9, 0.8, 0.75, 0.65, 0.6, 0.55, 0.5)  # the first with a bounded check
 FORCE_MEMORY_S = 0.1  # of the random force
 
 

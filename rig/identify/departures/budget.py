@@ -14,11 +14,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from rig.identify.departures.in_place import InPlace
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
@@ -52,11 +53,15 @@ class Entry:
     laws: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Budget:
-    """The lines, the largest first, and their root sums of squares by parameter."""
+    """The lines, the largest first, and their root sums of squares by parameter.
+
+    hidden   the laws that the tests neither show nor exclude; ``entries`` has them as lines
+    """
 
     entries: tuple[Entry, ...]
+    hidden: Hidden = field(default_factory=lambda: Hidden())
 
     @property
     def u95(self) -> dict[str, float]:
@@ -77,15 +82,16 @@ def budget(nuisances: Nuisances, instead: Sequence[InPlace], scales: ScaleErrors
     scales      how well the bench's volt, radian and second are known
     """
     shifts = Shifts.of(nuisances)
+    hidden = Hidden.of(shifts, nuisances.each)
     motor = nuisances.fit.motor
     entries = [
         Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter)).tolist()),
-        *hidden(shifts, nuisances.each),
+        *hidden.lines(),
         *instead_of(instead),
         *absolute(motor, scales),
     ]
     sizes = {name: max(abs(getattr(motor, name)), 1e-12) for name in OF}
-    return Budget(tuple(sorted(entries, key=lambda e: -max(getattr(e, name) / sizes[name] for name in OF))))
+    return Budget(tuple(sorted(entries, key=lambda e: -max(getattr(e, name) / sizes[name] for name in OF))), hidden)
 
 
 def absolute(motor: RealMotor, scales: ScaleErrors) -> tuple[Entry, ...]:
@@ -110,12 +116,14 @@ class Shifts:
     moves      (3, n) of tau, K and friction by each
     inside     (n, n) what the record says of them when the fit's own numbers are free
     pull       (n,) and its gradient
+    one_sided  (n,) whether it is never below 0
     """
 
     scatter: Array
     moves: Array
     inside: Array
     pull: Array
+    one_sided: NDArray[np.bool_]
 
     @classmethod
     def of(cls, nuisances: Nuisances) -> Shifts:
@@ -129,47 +137,101 @@ class Shifts:
             -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
             (matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread),
             (gradient[core:] - border @ inverse @ gradient[:core]) * spread,
+            np.array([one.law.one_sided for one in nuisances.each for _ in one.columns], dtype=bool),
         )
 
-    def by(self, at: NDArray[np.int64]) -> tuple[Array, Array]:
+    def by(self, at: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """Of m sets of nuisances, ``at`` (m, d): odds against none, but for those before the record; what they move.
 
-        The second is (m, 3): the mean squares that each set moves tau, K and friction by.
+        The second and third are (m, 3): mean and variance of what each set moves tau, K and friction by.
         """
         precision = np.eye(at.shape[1]) + self.inside[at[:, :, None], at[:, None, :]]
-        covariance = np.linalg.inv(precision)
+        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
         mean = -np.einsum("mij,mj->mi", covariance, self.pull[at])
         gain = np.minimum(-np.einsum("mi,mi->m", self.pull[at], mean), LARGEST_GAIN)
         odds = np.exp(0.5 * (gain - np.linalg.slogdet(precision)[1]))
+        order = np.argsort(mean / np.sqrt(np.einsum("mii->mi", covariance)), axis=1)  # the farthest below 0 first
+        for k in order.T:
+            odds = _cut_off(odds, mean, covariance, k, self.one_sided[np.take_along_axis(at, k[:, None], 1)[:, 0]])
         by = self.moves[:, at]
-        squares = np.einsum("imd,mde,ime->mi", by, covariance, by) + np.einsum("imd,md->mi", by, mean) ** 2
-        return odds, squares
+        return odds, np.einsum("imd,md->mi", by, mean), np.einsum("imd,mde,ime->mi", by, covariance, by)
 
 
-def hidden(shifts: Shifts, nuisances: Sequence[Nuisance]) -> Iterator[Entry]:
-    """A line for each law, and one for all sets of more."""
-    before = PRESENT / (1.0 - PRESENT)
-    weights: list[Array] = []
-    squares: list[Array] = []
-    names: list[tuple[str, ...]] = []
-    for sets in _sets(nuisances):
-        odds, moved = shifts.by(np.array([[k for one in chosen for k in one.columns] for chosen in sets]))
-        prior = [math.prod(before / one.starts for one in chosen) for chosen in sets]
-        weights.append(odds * prior)
-        squares.append(moved)
-        names += [tuple(one.law.name for one in chosen) for chosen in sets]
-    if not names:
-        return
-    weight = np.concatenate(weights)
-    share = (weight / (1.0 + weight.sum()))[:, None] * np.concatenate(squares)
-    lines: dict[str, list[int]] = defaultdict(list)
-    for k, chosen in enumerate(names):
-        lines[chosen[0] if len(chosen) == 1 else TOGETHER].append(k)
-    for source, rows in lines.items():
-        line = share[rows]
-        most = names[rows[int(np.argmax((line / np.maximum(line.sum(axis=0), 1e-300)).sum(axis=1)))]]
-        tau, gain, friction = (COVERAGE * np.sqrt(line.sum(axis=0))).tolist()
-        yield Entry(source, tau, gain, friction, laws=most)
+def _cut_off(odds: Array, mean: Array, covariance: Array, k: NDArray[np.int64], here: NDArray[np.bool_]) -> Array:
+    """Cut normal distributions off where one nuisance is below 0, in place, and make them twice as high; their odds.
+
+    mean, covariance   (m, d) and (m, d, d): of what is left
+    k, here            (m,) which nuisance of each, and whether it is cut off
+    Exact for one nuisance; of several each is cut off in turn, and what is left counts as normal (Mendell and Elston,
+    Biometrics 30, 1974).
+    """
+    row = np.arange(k.size)
+    spread = np.sqrt(np.maximum(covariance[row, k, k], 1e-300))
+    above = mean[row, k] / spread
+    hazard = np.where(here, np.exp(norm.logpdf(above) - norm.logcdf(above)), 0.0)
+    along = covariance[row, :, k] / spread[:, None]
+    mean += along * hazard[:, None]
+    # between 0 and 1, however far below 0 it is cut off: there the difference is all rounding
+    less = np.clip(hazard * (hazard + above), 0.0, 1.0)
+    covariance -= along[:, :, None] * along[:, None, :] * less[:, None, None]
+    return np.asarray(np.where(here, 2.0 * norm.cdf(above) * odds, odds))
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """Sets of laws that a bench may have beside those of a fit, each with what it would move tau, K and friction by.
+
+    laws           (k) names of each set's laws
+    probability    (k,) of each set
+    mean, variance (k, 3)
+    """
+
+    laws: tuple[tuple[str, ...], ...] = ()
+    probability: Array = field(default_factory=lambda: np.zeros(0))
+    mean: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    variance: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @classmethod
+    def of(cls, shifts: Shifts, nuisances: Sequence[Nuisance]) -> Hidden:
+        """All sets of one, two and three of the laws."""
+        before = PRESENT / (1.0 - PRESENT)
+        weights: list[Array] = []
+        means: list[Array] = []
+        variances: list[Array] = []
+        names: list[tuple[str, ...]] = []
+        for sets in _sets(nuisances):
+            at = np.array([[k for one in chosen for k in one.columns] for chosen in sets])
+            odds, mean, variance = shifts.by(at)
+            weights.append(odds * [math.prod(before / one.starts for one in chosen) for chosen in sets])
+            means.append(mean)
+            variances.append(variance)
+            names += [tuple(one.law.name for one in chosen) for chosen in sets]
+        if not names:
+            return cls()
+        weight = np.concatenate(weights)
+        return cls(tuple(names), weight / (1.0 + weight.sum()), np.concatenate(means), np.concatenate(variances))
+
+    def lines(self) -> Iterator[Entry]:
+        """A line of the budget for each law, and one for all sets of more."""
+        share = self.probability[:, None] * (self.variance + self.mean**2)
+        rows_of: dict[str, list[int]] = defaultdict(list)
+        for k, chosen in enumerate(self.laws):
+            rows_of[chosen[0] if len(chosen) == 1 else TOGETHER].append(k)
+        for source, rows in rows_of.items():
+            line = share[rows]
+            most = self.laws[rows[int(np.argmax((line / np.maximum(line.sum(axis=0), 1e-300)).sum(axis=1)))]]
+            tau, gain, friction = (COVERAGE * np.sqrt(line.sum(axis=0))).tolist()
+            yield Entry(source, tau, gain, friction, laws=most)
+
+    def beyond(self, name: str, size: float) -> tuple[float, tuple[str, ...]]:
+        """Probability that a set moves a number, one of ``OF``, by more than ``size``; and the set most likely to."""
+        if not self.laws:
+            return 0.0, ()
+        k = OF.index(name)
+        spread = np.maximum(np.sqrt(self.variance[:, k]), 1e-300)
+        outside = norm.sf((size - self.mean[:, k]) / spread) + norm.cdf((-size - self.mean[:, k]) / spread)
+        each = self.probability * outside
+        return float(each.sum()), self.laws[int(np.argmax(each))]
 
 
 def instead_of(instead: Sequence[InPlace]) -> Iterator[Entry]:

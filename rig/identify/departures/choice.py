@@ -8,7 +8,7 @@ dropped again. Then the pieces grow, and the choice is made again where it start
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from rig.model.real_motor import RealMotor, index
 
 Array = NDArray[np.float64]
 
+ORDER = "cogging_per_rad"  # of a wave over the angle: without its size it has no effect on the motion
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
@@ -263,8 +264,8 @@ class Chooser:
     def _starts(self, law: Departure, columns: Columns) -> list[Promise]:
         """What each start of an absent law would gain, as a fall of the whitened sum of squares, the best first."""
         found = []
-        for trial in law.trials(self.bench):
-            added, scale = columns.of(law, trial)
+        trials = law.trials(self.bench)
+        for trial, (added, scale) in zip(trials, columns.of_all(law, trials), strict=True):
             gain, sizes = columns.gain(added)
             if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
                 continue
@@ -328,6 +329,16 @@ class Columns:
             names = [name for law in smooth for name in law.numbers]
             found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
             self._known = dict(zip(names, self._white(found.by_number).T, strict=True))
+
+    def of_all(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[Array, float]]:
+        """``of`` for each of the trials; those of a wave over the angle in one go."""
+        if law.shape != (ORDER,):
+            yield from (self.of(law, trial) for trial in trials)
+            return
+        fit = self._fit
+        found = fit.problem.cut.derivatives(fit.motor, fit.starts, (), [trial[ORDER] for trial in trials])
+        white = self._white(found.by_number)
+        yield from ((white[:, 2 * k : 2 * k + 2], 1.0) for k in range(len(trials)))
 
     def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
         """Derivatives by the law's numbers at 0, (n, k), whitened as the residual, and 1.0.

@@ -190,15 +190,20 @@ class Cut:
             found.append(response(motor, frame, window.steps, window.t_s, pieces))
         return np.concatenate(found)
 
-    def derivatives(self, motor: RealMotor, starts: Array, free: Sequence[int]) -> Readings:
-        """Predicted readings of all rows, rad, with their derivatives by the numbers ``free`` and the starts."""
-        if is_plain(motor) and set(free) <= set(PLAIN):
+    def derivatives(
+        self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
+    ) -> Readings:
+        """Predicted readings of all rows, rad, with their derivatives by the numbers ``free`` and the starts.
+
+        waves_per_rad   as ``response_and_jacobian``
+        """
+        if is_plain(motor) and set(free) <= set(PLAIN) and not waves_per_rad:
             y_rad, columns = zip(*(plain_derivatives(*piece) for piece in self._plainly(motor, starts)), strict=True)
             jacobian = np.concatenate(columns)
             by_number = np.ascontiguousarray(jacobian[:, [PLAIN.index(k) for k in free]])
             return Readings(np.concatenate(y_rad), by_number, np.ascontiguousarray(jacobian[:, len(PLAIN) :]))
         found = [
-            response_and_jacobian(motor, frame, window.steps, window.t_s, pieces, free)
+            response_and_jacobian(motor, frame, window.steps, window.t_s, pieces, free, waves_per_rad)
             for window, frame, pieces in self._with(starts)
         ]
         return Readings(*(np.concatenate(columns) for columns in zip(*found, strict=True)))

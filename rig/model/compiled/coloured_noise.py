@@ -52,29 +52,35 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
 
 
 @kernel
-def deviance(t_s: Array, starts: Rows, memory_s: float, ratio: float, residual: Array) -> float:
-    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant; the rest as ``innovations``.
+def deviances(t_s: Array, starts: Rows, memory_s: float, ratios: Array, residual: Array, out: Array) -> None:
+    """Fill ``out`` (k,) with -2 log likelihood of the residual (n,) for each ratio, up to a constant.
 
-    ratio   variance of the coloured noise over the variance of the white noise
+    The scale is profiled out; the rest as ``innovations``.
+    ratios   variance of the coloured noise over the variance of the white noise, (k,), at most 1e18
     """
-    n = residual.size
-    total = logs = state = 0.0
-    variance = ratio
+    n, m = residual.size, ratios.size
+    state, total, logs = np.zeros(m), np.zeros(m), np.zeros(m)
+    variance, product = ratios.copy(), np.ones(m)
     piece = 0
     for k in range(n):
         if piece < starts.size and k == starts[piece]:
-            state = 0.0
-            variance = ratio
+            keep = 0.0
             piece += 1
         else:
             keep = math.exp(-(t_s[k] - t_s[k - 1]) / memory_s)
-            state *= keep
-            variance = ratio + (variance - ratio) * keep * keep
-        spread = variance + 1.0
-        surprise = residual[k] - state
-        total += surprise * surprise / spread
-        logs += math.log(spread)
-        gain = variance / spread
-        state += gain * surprise
-        variance *= 1.0 - gain
-    return n * math.log(total / n) + logs
+        y = residual[k]
+        for i in range(m):
+            v = ratios[i] + (variance[i] - ratios[i]) * keep * keep
+            x = state[i] * keep
+            inverse = 1.0 / (v + 1.0)
+            surprise = y - x
+            total[i] += surprise * surprise * inverse
+            product[i] *= v + 1.0
+            state[i] = x + v * inverse * surprise
+            variance[i] = v * inverse
+        if k % 16 == 15:  # one logarithm for many rows
+            for i in range(m):
+                logs[i] += math.log(product[i])
+                product[i] = 1.0
+    for i in range(m):
+        out[i] = n * math.log(total[i] / n) + logs[i] + math.log(product[i])

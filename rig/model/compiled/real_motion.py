@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rig.model.compiled.kernel import kernel
 from rig.model.real_step import (
+    NO_FADING,
     Frame,
     Numbers,
     RealMotor,
@@ -37,6 +38,7 @@ Rows = NDArray[np.int64]
 
 NUMBERS = len(RealMotor._fields)
 V0, Y0 = NUMBERS, NUMBERS + 1  # columns of a piece's start, behind the numbers of the motor
+WAVES = NUMBERS + 2  # columns of waves of the force, behind them
 TAU, K, FC, BIAS, DELAY = (RealMotor._fields.index(n) for n in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))
 DEAD_BAND, GAIN, SAG = (RealMotor._fields.index(n) for n in ("dead_band_V", "gain_by_sign", "sag_per_V"))
 LAG, VISCOUS = (RealMotor._fields.index(n) for n in ("lag_s", "viscous_by_direction_V_s_rad"))
@@ -58,15 +60,17 @@ W, STAGED, LEVEL, STAGE = range(4)
 class Slopes(NamedTuple):
     """Derivatives of a state by the columns of a Jacobian, and room to work in; few arrays, as each costs at a call.
 
-    which   number of the motor of each column, or ``V0`` or ``Y0``, (c,)
+    which   number of the motor of each column, ``V0`` or ``Y0``, or from ``WAVES`` on a wave of the force, (c,)
     state   (4, c), of v, y, f and x
     room    (11, n), by every number of the motor: of the drive behind the lag and before it, of a level of friction,
             and from ``STAGE`` on of the right sides at the four stages of a step: target velocity and bristles' rate
+    orders  of the waves of the force over position that the motor has not, 1/rad: a sine and a cosine each, (k,)
     """
 
     which: Rows
     state: Array
     room: Array
+    orders: Array
 
 
 @kernel
@@ -98,14 +102,15 @@ def _level_slopes(
 
 @kernel
 def _slopes(
-    motor: RealMotor, frame: Frame, used: Used, sign: float, at: State, when: tuple[float, float], room: Array, row: int
+    motor: RealMotor, frame: Frame, used: Used, sign: float, at: State, when: tuple[float, float], d: Slopes, row: int
 ) -> tuple[float, float, float, float, float]:
-    """Fill two rows of ``room`` with derivatives of the target velocity and of the bristles' rate.
+    """Fill two rows of its room with derivatives of the target velocity and of the bristles' rate.
 
     when   time, s, and the target velocity there, rad/s
     Returns the derivatives of the target velocity by v and y, and of the rate by v, y, f.
     """
     t, aim = when
+    room, orders = d.room, d.orders
     gain, v, y = motor.K_rad_s_V, at.v, at.y
     speed = sign * v
     room[row, K] = aim / gain
@@ -126,6 +131,9 @@ def _slopes(
         slope = motor.cogging_sin_V * cosine - motor.cogging_cos_V * sine
         room[row, COGGING], room[row, COGGING + 1], room[row, ORDER] = -gain * sine, -gain * cosine, -gain * y * slope
         by_y -= gain * motor.cogging_per_rad * slope
+    for k in range(orders.size):
+        q = orders[k] * y
+        room[row, WAVES + 2 * k], room[row, WAVES + 2 * k + 1] = -gain * math.sin(q), -gain * math.cos(q)
     by_speed, by_place = _level_slopes(motor, frame, used, (speed, y, t), room, row + 1)
     if motor.bristle_V_rad <= 0.0:
         for k in (FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT):
@@ -229,7 +237,7 @@ def _begin(motor: RealMotor, frame: Frame, used: Used, d: Slopes, start: Array, 
     if columns:
         gain = motor.K_rad_s_V
         aim = target(motor, frame, 1.0, at, t)
-        _, by_y, _, _, _ = _slopes(motor, frame, used, 1.0, at, (t, aim), room, STAGE)
+        _, by_y, _, _, _ = _slopes(motor, frame, used, 1.0, at, (t, aim), d, STAGE)
         room[LEVEL, :] = 0.0
         by_speed, by_place = _level_slopes(motor, frame, used, (abs(v0), at.y, t), room, LEVEL)
         by_v = by_speed if v0 > 0.0 else -by_speed
@@ -238,7 +246,7 @@ def _begin(motor: RealMotor, frame: Frame, used: Used, d: Slopes, start: Array, 
             if bend != 0.0:
                 state[F, i] = bend * (room[LEVEL, p] + by_v * state[V, i] + by_place * state[Y, i])
             else:
-                known = p == BIAS or FORCE <= p <= FORCE + 1 or COGGING <= p <= ORDER
+                known = p == BIAS or FORCE <= p <= FORCE + 1 or COGGING <= p <= ORDER or p >= WAVES
                 state[F, i] = by_y * state[Y, i] / gain + room[W, p] + (room[STAGE, p] / gain if known else 0.0)
     return at
 
@@ -267,16 +275,16 @@ def _through(motor: RealMotor, frame: Frame, used: Used, d: Slopes, at: State, n
     b4_tau = rate * (b4 / c - c * (4.0 * q3 - q2))
     # those of the bristles; how they change shows only in what the step leaves off
     slide = s.slide
-    g, g2, mean, g_b1, g_b2, g_b4 = weights(h * slide)
+    g, g2, mean, g_b1, g_b2, g_b4 = weights(h * slide) if motor.bristle_V_rad > 0.0 else NO_FADING
     near = 0.5 * h * mean
     middle = staged_V + faded * half
     at2, at3 = State(s.v2, s.y2, s.f2, middle, 0.0), State(s.v3, s.y3, s.f3, middle, 0.0)
     at4 = State(s.v4, s.y4, s.f4, step.end.w, 0.0)
     which, state, room = d.which, d.state, d.room
-    av1, ay1, rv1, ry1, rf1 = _slopes(motor, frame, used, step.sign, at, (t, s.a1), room, STAGE)
-    av2, ay2, rv2, ry2, rf2 = _slopes(motor, frame, used, step.sign, at2, (t + 0.5 * h, s.a2), room, STAGE + 2)
-    av3, ay3, rv3, ry3, rf3 = _slopes(motor, frame, used, step.sign, at3, (t + 0.5 * h, s.a3), room, STAGE + 4)
-    av4, ay4, rv4, ry4, rf4 = _slopes(motor, frame, used, step.sign, at4, (t + h, s.a4), room, STAGE + 6)
+    av1, ay1, rv1, ry1, rf1 = _slopes(motor, frame, used, step.sign, at, (t, s.a1), d, STAGE)
+    av2, ay2, rv2, ry2, rf2 = _slopes(motor, frame, used, step.sign, at2, (t + 0.5 * h, s.a2), d, STAGE + 2)
+    av3, ay3, rv3, ry3, rf3 = _slopes(motor, frame, used, step.sign, at3, (t + 0.5 * h, s.a3), d, STAGE + 4)
+    av4, ay4, rv4, ry4, rf4 = _slopes(motor, frame, used, step.sign, at4, (t + h, s.a4), d, STAGE + 6)
     bristles = motor.bristle_V_rad > 0.0
     af = -gain if bristles else 0.0
     for i in range(which.size):
@@ -334,7 +342,7 @@ def _release(motor: RealMotor, frame: Frame, used: Used, d: Slopes, at: State, n
     aim = target(motor, frame, sign, at, t)
     rate = (staged_V - at.w) / motor.lag_s if motor.lag_s > 0.0 else 0.0
     rate -= sign * motor.fc_V * motor.drift / frame.duration_s  # of the pull beyond the level
-    _, by_y, _, _, _ = _slopes(motor, frame, used, sign, at, (t, aim), room, STAGE)
+    _, by_y, _, _, _ = _slopes(motor, frame, used, sign, at, (t, aim), d, STAGE)
     room[STAGE, STATIC] = -gain * sign
     for i in range(which.size):
         p = which[i]
@@ -378,7 +386,7 @@ def readings(
     drive: tuple[Array, Array],
     t_s: Array,
     pieces: tuple[Rows, Array],
-    free: Rows,
+    free: tuple[Rows, Array],
     out: tuple[Array, Array],
 ) -> None:
     """Fill the readings (n,) and their Jacobian (n, c): by the c - 2 numbers ``free``, and by the own piece's start.
@@ -387,6 +395,8 @@ def readings(
     drive     edges, s, and drives that act from them on, V; before the first edge the drive is that edge's
     pieces    first rows (p,), increasing from 0 on, and starts (p, 4): v0, rad/s, y0, rad, side of the play, -1 to 1,
               and how far the bristles are bent, -1 to 1; 0: they balance the drive
+    free      numbers (m,), and orders (k,), 1/rad, of waves of the force that the motor has not: the sine and the
+              cosine of each are further numbers, c = m + 2 k + 2
     out       readings, rad, and Jacobian. One of no columns: it is left out
     """
     motor, frame = RealMotor(*numbers[0]), Frame(*numbers[1])
@@ -402,9 +412,14 @@ def readings(
         motor.cogging_sin_V != 0.0 or motor.cogging_cos_V != 0.0,
         motor.stribeck_V != 0.0,
     )
-    d = Slopes(np.empty(columns, dtype=np.int64), np.zeros((4, columns)), np.zeros((11, NUMBERS + 2)))
+    which, orders = free
+    room = np.zeros((11, WAVES + 2 * orders.size))
+    d = Slopes(np.empty(columns, dtype=np.int64), np.zeros((4, columns)), room, orders)
     for i in range(columns):
-        d.which[i] = free[i] if i < columns - 2 else V0 + i - (columns - 2)
+        if i < which.size:
+            d.which[i] = which[i]
+        else:
+            d.which[i] = WAVES + i - which.size if i < columns - 2 else V0 + i - (columns - 2)
     j = 0
     staged_V = staged(motor, u_V[0])
     _staged_slopes(motor, u_V[0], d.room[STAGED])
