@@ -71,6 +71,7 @@ Ending = Literal["its end", "a fault", "no end"]
 
 _P = TypeVar("_P", bound=Part)
 
+_WITHOUT_FURTHER_PAIRS = "balanced pairs"  # a breakaway law
 _RECORD_AGAIN = "record the run again with this version"
 
 
@@ -296,7 +297,7 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
 class RecordedAdvice:
     """The decisions of a run's advisers, as its events tell them, each after the row at which it took effect."""
 
-    trouble = ""
+    trouble = last_words = ""
 
     def __init__(self, decisions: Mapping[int, Advice]) -> None:
         self._decisions = decisions
@@ -379,6 +380,8 @@ def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> Bre
     """The breakaway law that ran, if an older version's; None: this version's."""
     if what.breakaway == BREAKAWAY_LAW:
         return None
+    if what.breakaway == _WITHOUT_FURTHER_PAIRS:
+        return stages.breakaway_check(e, further=False)
     if what.breakaway is None:
         b = e.breakaway
         return OneWayCheck(b.ramp_V_s, b.max_V, b.motion_rad, b.rest_s)

@@ -174,7 +174,7 @@ def _begin(
     meta = run_meta(experiment, bench, what, started)
     write_meta(folder, meta)
     guard = Guard(guard_settings_of(experiment))
-    recorder = Recorder(folder, _stages(experiment))
+    recorder = Recorder(folder, _stages(experiment), waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
     _tell_time(stop, loop, bench.clock)
     first_notes = [*no_flag, *bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.law import OwnLaw
-from rig.model.motor import Motor, State
+from rig.model.motor import Motor, MovingPlainMotor
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
 from rig.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.signals import Sample
@@ -92,24 +92,10 @@ def simulate(
     return from_columns(SOURCE, t, u, y, t_u_s=t + s.delay_s)
 
 
-class _PlainMotor:
-    """A motor without parts in motion, as ``MovingMotor`` is one with parts."""
-
-    def __init__(self, motor: Motor, y0_rad: float) -> None:
-        self._motor, self._state = motor, State(y=y0_rad)
-
-    def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
-        self._state = self._motor.advance(self._state, u_V, dt_s)
-
-    @property
-    def reading_rad(self) -> float:
-        return self._state.y
-
-
-def _shaft(motor: Motor | RealMotor, s: Sampling, frame: Frame) -> _PlainMotor | MovingMotor:
+def _shaft(motor: Motor | RealMotor, s: Sampling, frame: Frame) -> MovingPlainMotor | MovingMotor:
     """The motor at its start, at rest."""
     if isinstance(motor, Motor):
-        return _PlainMotor(motor, s.start_rad)
+        return MovingPlainMotor(motor, s.start_rad)
     if motor.delay_s != 0.0:
         raise ValueError("a simulated motor's delay_s must be 0: sampling.delay_s says how late its drive acts")
     return MovingMotor(motor, frame, s.start_rad)

@@ -31,6 +31,7 @@ from rig.results.budget_lines import budget_lines, that_matter
 from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
 from rig.results.listed import ListedRun
+from rig.results.tuned import TunedResult
 from rig.signals import plain
 
 if TYPE_CHECKING:  # each loads slowly
@@ -172,6 +173,44 @@ def show_replay(done: Replay) -> None:
         click.echo("the recording has no end: the run was killed, or its last rows are lost")
 
 
+def show_tuned(found: TunedResult) -> None:
+    """Show a tuned loop: gains, margins, what is predicted, and what a bench did."""
+    pid, forward = found.pid, found.feedforward
+    named = zip(("Kp", "Ki", "Kd"), (pid.Kp, pid.Ki, pid.Kd), pid.units, strict=True)
+    gains = ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in named if value or name != "Kd")
+    click.echo(f"{found.loop} loop, {found.bandwidth_rad_s:.4g} rad/s (3 dB down, from the set-point)")
+    click.echo(f"feedback, of the observed state: {gains}")
+    click.echo(
+        f"feed-forward: kS {forward.kS_V:.4g} V, kV {forward.kV_V_s_rad:.4g} V s/rad, "
+        f"kA {forward.kA_V_s2_rad:.4g} V s2/rad"
+    )
+    click.echo(
+        f"the largest bandwidth: {found.largest_bandwidth_rad_s:.4g} rad/s; more is forbidden: {found.bounded_by}"
+    )
+    margins = [
+        (words, f"{one.phase_deg:.1f} degrees", f"{known(one.gain_dB):.1f} dB", f"{one.modulus:.2f}")
+        for words, one in (
+            ("the identified motor", found.margins["nominal"]),
+            ("the worst of the intervals", found.margins["worst"]),
+        )
+    ]
+    click.echo("\n".join(["", "margins", *plain_table(("motor", "phase", "gain", "modulus"), margins)]))
+    click.echo(f"the sensor's noise shakes the drive by {found.drive_noise_V:.3g} V (standard deviation)")
+    tried = any(one.says("inside") for one in found.prediction.values())
+    rows = []
+    for one in found.prediction.values():
+        low, high = map(known, one.interval95)
+        cells = [f"{one.meaning}, {one.unit}", _or_never(known(one.median)), f"{_or_never(low)} to {_or_never(high)}"]
+        rows.append(cells + ([_or_never(known(one.bench)), "inside" if one.inside else "OUTSIDE"] if tried else []))
+    heads = ["measure", "predicted", "95 % interval", *(["bench", ""] if tried else [])]
+    title = f"a step of {found.step:.3g} {found.curves['step'].unit}, and tracking, on {found.draws} motors"
+    click.echo("\n".join(["", title, *plain_table(heads, rows)]))
+
+
+def _or_never(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "never"
+
+
 def show_finding(finding: Finding) -> None:
     """Show a finding of `rig doctor`, and what to type."""
     click.echo(f"{finding.state:>5}  {finding.topic}: {finding.words}")
@@ -262,7 +301,7 @@ def show_comparison(found: ComparisonResult) -> None:
         [
             run.name,
             *(_off_others(run.off_percent[key], run.off_ci95_percent[key]) for key in MAIN),
-            "< 0.01 %" if run.chance < 1e-4 else f"{100.0 * run.chance:.2g} %",
+            "< 0.01 %" if run.chance < 1e-4 else f"{100.0 * run.chance:.{1 if run.chance < 0.1 else 0}f} %",
         ]
         for run in found.runs
     ]
@@ -283,7 +322,9 @@ def comparison_words(found: ComparisonResult) -> list[str]:
         half = 0.5 * (known(trend.ci95[1]) - known(trend.ci95[0]))
         name = SHORT[MAIN.index(trend.parameter)]
         sure = "" if trend.shows else " (none shows)"
-        lines.append(f"trend over {trend.over}: {name} {trend.slope:+.3g} ±{half:.2g} {trend.unit}{sure}")
+        places = max(0, 1 - math.floor(math.log10(half))) if 0.0 < half < math.inf else 3  # two digits of its interval
+        slope = f"{round(trend.slope, places) + 0.0:+.{places}f} ±{half:.{places}f}"
+        lines.append(f"trend over {trend.over}: {name} {slope} {trend.unit}{sure}")
     lines += [f"left out: {one.folder}: {one.reason}" for one in found.left_out]
     return lines + [f"note: {note}" for note in found.notes]
 

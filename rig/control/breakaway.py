@@ -14,6 +14,7 @@ from rig.signals import Sample
 _QUEUED = 1.5  # periods; a device that acts later keeps drives waiting, and its reports may leave one out
 _SEEN_PERIODS = 4  # that a stroke and the report of its end have, at least, before the next one
 _LONGEST_WAIT_S = 0.3  # for the report of the first stroke, before it counts as lost
+_ROUNDING = 1e-9
 _LEFT_OVER = 0.55  # periods; a stroke lasts whole periods, so one that takes back another is off by up to half of one
 
 
@@ -113,6 +114,7 @@ class StrokePlan:
     """Lengths of the strokes of a breakaway check.
 
     strokes_s   length for each pair, weakest pair first, at least one period; further pairs use the last length
+    further     pairs at the largest level that may follow a motion that was seen
     pause_s     pause after each stroke, at least four periods; it lasts longer if the shaft still coasts
     late_s      how much longer than planned all strokes together may be; less than half a period does not count
     """
@@ -120,6 +122,7 @@ class StrokePlan:
     strokes_s: Sequence[float]
     pause_s: float
     late_s: float
+    further: int = 0
 
 
 class BreakawayCheck(RestingCheck):
@@ -134,8 +137,12 @@ class BreakawayCheck(RestingCheck):
     is itself too long, one more stroke in each direction makes them equal again. All strokes together may be longer
     than planned by ``plan.late_s``.
 
+    The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
+    sensor shows its motion. After the planned pairs the check then goes on at ``max_V``, by ``plan.further`` pairs at
+    most, and no more than these since such a motion was last seen: planned pairs count by the lengths of their strokes.
+
     step_V      how much the level rises from pair to pair; a stroke rises from the last pair's level to its own
-    max_V       largest level; Fault NO_MOTION if a pair at this level has not moved the shaft in both directions
+    max_V       largest level; Fault NO_MOTION if the pairs up to it have not moved the shaft in both directions
     motion_rad  displacement that counts as motion, added up over the strokes in one direction
     rest_s      rest before and after; the first rest measures the sensor's noise
     plan        lengths of strokes and pauses
@@ -187,6 +194,9 @@ class BreakawayCheck(RestingCheck):
         self._pause_y: list[float] = []
         self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
         self._against = {1: 0.0, -1: 0.0}
+        self._further = plan.further
+        self._shown_rad = 0.0  # displacement along the strokes of both directions since the last proof
+        self._proven: int | None = None  # pair after which the sensor had shown motion_rad
         self._still_V = {1: 0.0, -1: 0.0}  # last level without displacement beyond the noise
         self._found_V: dict[int, float] = {}
 
@@ -252,7 +262,7 @@ class BreakawayCheck(RestingCheck):
     def _next_stroke(self, sample: Sample, from_rad: float) -> float:
         """Begin the next stroke of the pair, or the first one of a stronger pair; its drive, V."""
         if not self._needed:
-            if self._level_V >= self.max_V:
+            if self._level_V >= self.max_V and not self._may_go_on():
                 missing = [word for way, word in ((1, "rising"), (-1, "falling")) if way not in self._found_V]
                 raise Fault("NO_MOTION", f"up to {self.max_V:.2f} V towards {' and '.join(missing)} positions")
             self._pair += 1
@@ -269,6 +279,16 @@ class BreakawayCheck(RestingCheck):
         self._begin("stroke", sample)
         self._asked = []
         return self._ask(sample, 0.0)
+
+    def _may_go_on(self) -> bool:
+        """Whether one more pair at ``max_V`` keeps what could be unseen within the bound."""
+        planned, last_s = len(self._strokes_s), self._strokes_s[-1]
+        further = self._pair - planned
+        if further < 0 or self._proven is None:
+            return further < 0
+        # a pair at a lower level drifts no faster than one at max_V, but for as long as its stroke lasts
+        unseen_s = sum(self._strokes_s[self._proven :]) + (self._pair - max(self._proven, planned)) * last_s
+        return max(further * last_s, unseen_s) + last_s <= self._further * last_s * (1.0 + _ROUNDING)
 
     def _ask(self, sample: Sample, elapsed_s: float) -> float:
         """The stroke's drive at this sample, V; noted."""
@@ -343,6 +363,9 @@ class BreakawayCheck(RestingCheck):
         way, along, against = self._way, self._along, self._against
         moved_rad = (stood_rad - self._before_rad) * way
         along[way] = max(along[way] + moved_rad - off_rad, 0.0)
+        self._shown_rad = max(self._shown_rad + moved_rad - off_rad, 0.0)
+        if self._shown_rad > self.motion_rad:
+            self._shown_rad, self._proven = 0.0, self._pair
         against[way] = max(against[way] - moved_rad - off_rad, 0.0)
         if against[way] > self.motion_rad:
             raise Fault(

@@ -1,4 +1,4 @@
-"""Laws of other packages, which a config names in its section `law`.
+"""Laws that a config names in its section `law`: rig's own, and those of other packages.
 
 A package offers one in its pyproject.toml:
 
@@ -18,6 +18,8 @@ from rig.control.law import OwnLaw
 from rig.plug_ins import PlugInError, described, in_words, offered
 
 GROUP = "rig.laws"
+TUNED = "tuned"
+OWN = {TUNED: EntryPoint(TUNED, "rig.control.tuned:tuned", GROUP)}  # of rig itself
 
 
 class OptionError(ValueError):
@@ -32,8 +34,8 @@ class OptionError(ValueError):
 
 
 def registered() -> dict[str, EntryPoint]:
-    """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
-    return offered(GROUP, "law", entry_points)
+    """What rig and installed packages offer, by name. Raises PlugInError if two packages offer the same name."""
+    return offered(GROUP, "law", entry_points) | OWN
 
 
 def construct(name: str, options: Mapping[str, object]) -> OwnLaw:

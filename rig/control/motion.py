@@ -70,6 +70,7 @@ class Swings:
     least_rad      a way back shorter than this is no turn
 
     count          turning points so far
+    last_turn_rad  the last turning point, rad; nan before the first
     half_way_rad   half of the way between the last two turning points, rad; nan before the second
     """
 
@@ -79,7 +80,7 @@ class Swings:
         self.half_way_rad = math.nan
         self._low_rad, self._high_rad = math.inf, -math.inf  # since the last turning point
         self._way = 0
-        self._last_turn_rad = math.nan
+        self.last_turn_rad = math.nan
 
     def step(self, y_rad: float) -> bool:
         """Take a reading. Returns whether it shows that the shaft has turned."""
@@ -92,8 +93,8 @@ class Swings:
         turned = (fallen if self._way > 0 else risen) >= self.least_rad
         if turned:
             turn_rad = self._high_rad if self._way > 0 else self._low_rad
-            self.half_way_rad = 0.5 * abs(turn_rad - self._last_turn_rad)
-            self._last_turn_rad = turn_rad
+            self.half_way_rad = 0.5 * abs(turn_rad - self.last_turn_rad)
+            self.last_turn_rad = turn_rad
             self._low_rad = self._high_rad = y_rad
             self._way = -self._way
             self.count += 1

@@ -27,7 +27,6 @@ LEAST_S = 1.2  # of a test before another one takes its place
 LEAST_TURNS = 2  # turning points in that test
 TOO_SLOW_S = 5.0  # a test that has not swung by then tells too little
 BETTER = 0.8  # another test must need less than this share of the time that the present one still needs
-SLOPE_ROWS = 6
 LESS_ROOM = 0.85  # after the guard had to brake
 
 
@@ -79,7 +78,7 @@ class Advisor:
         self._stage_s = math.nan  # its first row
         self._last_s = math.nan
         self._swings = Swings(settings.turn_rad)  # of the stage
-        self._state = State()  # of the shaft at the last row
+        self._y_rad = 0.0  # at the last row
         self._given: Design | None = None  # the design given last
         self._given_in = ""  # the stage at that time: rows of another one are of the test given
         self._must_change = False
@@ -98,7 +97,7 @@ class Advisor:
                 self._swings = Swings(self._settings.turn_rad)
             self._swings.step(y_rad)
         self._last_s = float(recording.t_s[new.stop - 1])
-        self._state = _state_of(recording)
+        self._y_rad = float(recording.y_rad[new.stop - 1])
         self._fit.take(
             LiveRows(
                 row=np.arange(new.start, new.stop),
@@ -147,12 +146,17 @@ class Advisor:
             wanted_percent = LESS_ROOM * estimate.worst_percent
             kinds = tuple(kind for kind in s.kinds if kind != kind_of(self._given.test)) or s.kinds
         belief = belief_of(estimate)
-        task = Task(belief, information_of(belief), self._room, s.reading, wanted_percent, self._state)
+        task = Task(belief, information_of(belief), self._room, s.reading, wanted_percent, self._start())
         design = best_test(task, kinds)
         if design is None or (kinds == s.kinds and not self._is_better(design, task)):
             return None
         self._given, self._given_in, self._must_change = design, self._stage, False
         return design
+
+    def _start(self) -> State:
+        """Where a test would begin: at rest, where the shaft stands, or about where it turns next."""
+        turn_rad = self._swings.last_turn_rad
+        return State(y=self._y_rad if math.isnan(turn_rad) else -turn_rad)
 
     def _has_run(self) -> bool:
         """Whether the test given last runs, and has run for a while."""
@@ -167,14 +171,6 @@ class Advisor:
         test = self._given.test
         law = law_of(test if isinstance(test, RelayGains) else test.strokes)
         return design.seconds <= BETTER * told(task, law).seconds
-
-
-def _state_of(recording: Recording) -> State:
-    """Position and velocity at the last row, by a line through the last few: a test begins about there."""
-    last = slice(max(len(recording) - SLOPE_ROWS, 0), len(recording))
-    t, y = recording.t_s[last] - recording.t_s[-1], recording.y_rad[last]
-    v_rad_s, y_rad = np.polyfit(t, y, 1) if t.size > 1 else (0.0, float(y[-1]))
-    return State(float(v_rad_s), float(y_rad))
 
 
 def kind_of(test: PlannedTest) -> Kind:

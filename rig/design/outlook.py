@@ -24,7 +24,6 @@ AT_REST = State()
 LOOKED_S = 0.1  # between two looks at the information
 LONGEST_S = 8.0  # of a test; beyond it information is taken to grow as it did until then
 CORNER_S = 12.0  # of the simulation of a possible motor
-FAR_OUT = 0.85  # of the room
 PASSES = 2  # of all strokes, by which a motor shows how far it goes
 LEAST_SWING = 16.0  # standard deviations of the reading: tiny swings agree with any law, and tell of none
 KNOWN = 1e12  # information on a delay that is known, 1/s^2
@@ -184,22 +183,30 @@ class Outcome(NamedTuple):
 
 
 def outcome(
-    task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], strokes: int, *, anywhere: bool = False
+    task: Task,
+    law: compiled.Law,
+    motors: Sequence[tuple[float, ...]],
+    strokes: int,
+    *,
+    anywhere: bool = False,
+    enough: float = math.inf,
 ) -> Outcome:
     """Simulate a test on each of the motors it may be, with a drive that acts up to one period later.
 
     strokes   number of strokes; 0 for a relay
-    anywhere  whether the test may also begin far out, where another test turned that gives way to it
+    anywhere  whether the test may also begin at the edge of the room, where another test turned that gives way to it
+    enough    excess beyond which no further motor is simulated: the rest of the outcome is of those before
     """
     starts = [task.start]
     if anywhere:
-        starts += [State(y=FAR_OUT * task.room.low_rad), State(y=FAR_OUT * task.room.high_rad)]
+        starts += [State(y=task.room.low_rad), State(y=task.room.high_rad)]
     room, period_s = task.room, task.reading.period_s
     late_s = period_s + min(task.belief.delay_doubt_s, period_s)
     timing = period_s, task.delay_s + late_s
     # a shaft that starts farther out is not the test's fault
     low_rad, high_rad = min(room.low_rad, task.start.y), max(room.high_rad, task.start.y)
     low = high = speed = excess = longest_s = 0.0
+    least_swing_rad = task.least_swing_rad
     n = round(CORNER_S / period_s)
     u_V, states = np.empty(n), np.empty((n, 2))
     for motor, start in product(motors, starts):
@@ -208,8 +215,10 @@ def outcome(
         low, high, speed = min(low, lowest), max(high, highest), max(speed, fastest)
         longest_s = max(longest_s, longest * period_s)
         used = (lowest / low_rad, highest / high_rad, fastest / room.max_speed_rad_s)
-        too_small = task.least_swing_rad / max(highest - lowest, 1e-9)
+        too_small = least_swing_rad / max(highest - lowest, 1e-9)
         predicted = (stop / limit for stop, limit in zip(stops, room.stop_rad, strict=True))
         never_ends = 2.0 if strokes and rows == n else 0.0
         excess = max(excess, max(*used, *predicted, too_small, never_ends) - 1.0)
+        if excess > enough:
+            break
     return Outcome(Reach(low, high, speed), excess, longest_s)

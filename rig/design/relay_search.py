@@ -51,8 +51,8 @@ class GainGrid:
         return [one for row in self.tried for one in row if one is not None and one.is_inside]
 
 
-def gain_grid(task: Task, size: int = GRID) -> GainGrid:
-    """Simulate ``size`` by ``size`` pairs of gains."""
+def gain_grid(task: Task, size: int = GRID, *, anywhere: bool = False) -> GainGrid:
+    """Simulate ``size`` by ``size`` pairs of gains; ``anywhere`` as ``rig.design.outlook.outcome`` takes it."""
     belief, room = task.belief, task.room
     hard_V = room.max_speed_rad_s / belief.K_rad_s_V
     corners = belief.fast((0.2 * hard_V, hard_V))
@@ -70,7 +70,7 @@ def gain_grid(task: Task, size: int = GRID) -> GainGrid:
         law = law_of(gains)
         far = outcome(task, law, nominal, 0)
         if far.excess <= 0.0:
-            far = outcome(task, law, corners, 0)
+            far = outcome(task, law, corners, 0, anywhere=anywhere)
         return TriedGains(gains, information_of(task, law, WINDOW_S) / WINDOW_S, far)
 
     return GainGrid(h1_V, h2_V, tuple(tuple(tried(h1, h2) for h2 in h2_V) for h1 in h1_V))
@@ -146,9 +146,10 @@ def _soonest_alone(task: Task, gains: Sequence[TriedGains]) -> tuple[TriedGains,
 def best_gains(task: Task) -> Design | None:
     """The relay test to drive next: the best one alone, or the first of two if these tell enough sooner; None if none.
 
-    The seconds are those of the whole: of both in turn, where that is better. Deterministic.
+    The seconds are those of the whole: of both in turn, where that is better. It may begin wherever another test turns.
+    Deterministic.
     """
-    found = best_of(task, gain_grid(task))
+    found = best_of(task, gain_grid(task, anywhere=True))
     if found is None or not math.isfinite(min(found.single_s, found.pair_s)):
         return None
     one, seconds = found.single, found.single_s

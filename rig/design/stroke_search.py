@@ -104,7 +104,9 @@ class _Search:
         seconds = told_either_way(self.task, law, min(LONGEST_S, best + 0.2)).seconds
         if seconds >= best:
             return seconds
-        far = outcome(self.task, law, self.corners, STROKES, anywhere=True)
+        # beside a plan that keeps within the room it does not matter by how much this one leaves it
+        enough = math.inf if best >= TOO_FAR_S else 0.0
+        far = outcome(self.task, law, self.corners, STROKES, anywhere=True, enough=enough)
         return TOO_FAR_S * (1.0 + far.excess) if far.excess > 0.0 else seconds
 
     def local_best(self) -> tuple[_Plan, float]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Protocol
 
 from rig.backends.clock import MonotonicClock
+from rig.control.guard import Guard
 from rig.design.advisor import Advice, Advisor, AdvisorSettings
+from rig.design.planned_test import Design
 from rig.experiment.live_process import LiveProcess
 from rig.identify.live import NORMAL_95, LiveSettings
 from rig.identify.noise import noise_at_rest
@@ -23,8 +26,13 @@ SMALLEST_TURN_LSB = 20.0  # as a relay test's smallest cycle
 class Advisers(Protocol):
     """Who advises: in virtual time the loop's own process, in real time another one, in a replay the recording."""
 
-    trouble: str
-    """What is wrong with it, in words; empty if nothing is."""
+    @property
+    def trouble(self) -> str:
+        """What is wrong with it, in words; empty if nothing is."""
+
+    @property
+    def last_words(self) -> str:
+        """What it wrote last before it failed; empty without that."""
 
     def begin(self, settings: AdvisorSettings) -> None:
         """The breakaway check of a run is over: this is what it showed. A replay does not say it."""
@@ -42,7 +50,7 @@ class InTheLoop:
     session  whose rows it reads
     """
 
-    trouble = ""
+    trouble = last_words = ""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -69,14 +77,62 @@ class InTheLoop:
             self._advisor.braked()
 
 
+class AtTurns:
+    """The advice of another, whose tests begin where the shaft turns or stands.
+
+    A test is designed for a shaft that begins at rest, anywhere in the room. In its own process the design takes a
+    while. Meanwhile the shaft moves on, and a test that begins in full motion may swing farther than designed.
+
+    of     who advises
+    guard  of the loop: it knows the velocity
+    """
+
+    def __init__(self, of: Advisers, guard: Guard) -> None:
+        self._of, self._guard = of, guard
+        self._design: Design | None = None  # it waits for a turn
+        self._before_rad_s = math.nan  # velocity at the row before
+
+    @property
+    def trouble(self) -> str:
+        """As ``Advisers``."""
+        return self._of.trouble
+
+    @property
+    def last_words(self) -> str:
+        """As ``Advisers``."""
+        return self._of.last_words
+
+    def begin(self, settings: AdvisorSettings) -> None:
+        """As ``Advisers``."""
+        self._of.begin(settings)
+
+    def advice(self, row: int, t_s: float) -> Advice | None:
+        """As ``Advisers``: the estimate and the end at once, a test once the shaft turns."""
+        new = self._of.advice(row, t_s)
+        if new is not None and (new.stop is not None or new.design is not None):
+            self._design = new.design
+        v_rad_s, before_rad_s = self._guard.velocity_rad_s, self._before_rad_s
+        self._before_rad_s = v_rad_s
+        if self._design is None or not v_rad_s * before_rad_s <= 0.0:
+            return new if new is None else replace(new, design=None)
+        design, self._design = self._design, None
+        return Advice(None, design) if new is None else replace(new, design=design)
+
+    def braked(self) -> None:
+        """As ``Advisers``: a test that waits was designed for more room."""
+        self._design = None
+        self._of.braked()
+
+
 @contextmanager
 def advisers_of(session: Session) -> Iterator[Advisers]:
     """Who advises in a run: in real time another process, which ends with the block."""
+    guard = session.loop.guard
     if isinstance(session.bench.clock, MonotonicClock):
         with LiveProcess(session.folder) as process:
-            yield process
+            yield AtTurns(process, guard)
     else:
-        yield InTheLoop(session)
+        yield AtTurns(InTheLoop(session), guard)
 
 
 def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSettings:

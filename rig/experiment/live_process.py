@@ -3,7 +3,8 @@
 ``python -m rig.experiment.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row
 goes from the loop to it. It gets the settings by its standard input, a word when the guard had to brake, and ends at
 the end of that input. Its advice comes by its standard output, which the loop looks at without ever waiting. With each
-advice it says how often it was told that the guard had to brake: a test designed before that has too much room.
+advice it says how often it was told that the guard had to brake: a test designed before that has too much room. What it
+writes on its standard error says why it ended, if it did.
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ SILENT_S = 5.0  # without advice: it hangs, or the machine has no time for it
 NICE = 10  # the loop, and the process that writes the rows, go first
 BRAKED = b"braked"
 _CLOSES_S = 5.0
+_LAST_BYTES = 2000  # of its standard error, which are kept: the end of a traceback
 _HEAD = struct.Struct("=I")
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+_NO_WARNING = {"PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"}  # that its package has imported this module already
 
 
 class LiveProcess:
@@ -41,11 +44,13 @@ class LiveProcess:
 
     folder   the run folder
 
-    trouble  what is wrong with the process, in words; empty if nothing is
+    trouble     what is wrong with the process, in words; empty if nothing is
+    last_words  the end of what it wrote on its standard error, once it has ended
     """
 
     def __init__(self, folder: Path) -> None:
-        self.trouble = ""
+        self.trouble = self.last_words = ""
+        self._errors = bytearray()
         self._said: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._braked = 0  # how often it was told that the guard had to brake
         self._heard_s: float | None = None  # when it was told to begin, or last gave advice
@@ -55,17 +60,19 @@ class LiveProcess:
                 [sys.executable, "-P", "-m", "rig.experiment.live_process", str(folder)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
                 bufsize=0,
-                env={**os.environ, **_ONE_THREAD},
+                env={**os.environ, **_ONE_THREAD, **_NO_WARNING},
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )
         except OSError as error:
             self.trouble = f"its process did not start: {error.strerror}"
             return
-        # a thread waits for its words, because not every system can poll a pipe
+        # threads wait for its words, because not every system can poll a pipe
         self._thread = threading.Thread(target=_listen, args=(self._said, self._process.stdout), daemon=True)
+        self._last_thread = threading.Thread(target=_keep_end, args=(self._errors, self._process.stderr), daemon=True)
         self._thread.start()
+        self._last_thread.start()
 
     def begin(self, settings: AdvisorSettings) -> None:
         """Tell it what the breakaway check showed."""
@@ -98,9 +105,10 @@ class LiveProcess:
         if process.stdin is not None:
             with contextlib.suppress(OSError):
                 process.stdin.close()
-        process.kill()  # its words end, and with them the thread, which closes the pipe
+        process.kill()  # its words end, and with them the threads, which close the pipes
         process.wait()
         self._thread.join(_CLOSES_S)
+        self._last_thread.join(_CLOSES_S)
 
     def __enter__(self) -> LiveProcess:
         return self
@@ -121,8 +129,15 @@ class LiveProcess:
     def _look_after(self) -> None:
         status = None if self._process is None else self._process.poll()
         if status is not None:
-            how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
-            self.trouble = f"its process {how}"
+            if self._last_thread.is_alive():
+                return  # its last words are on their way
+            self.last_words = self._errors.decode(errors="replace").strip()
+            if status < 0:
+                self.trouble = f"its process was killed by signal {-status}"
+            else:
+                self.trouble = ": ".join(
+                    [f"its process ended with status {status}", *self.last_words.splitlines()[-1:]]
+                )
         elif self._heard_s is not None and time.monotonic() - self._heard_s > SILENT_S:
             self.trouble = f"its process has said nothing for {SILENT_S:g} s"
 
@@ -186,6 +201,15 @@ def _listen(heard: queue.SimpleQueue[bytes | None], pipe: IO[bytes] | None) -> N
         with contextlib.suppress(OSError):
             pipe.close()
     heard.put(None)
+
+
+def _keep_end(kept: bytearray, pipe: IO[bytes] | None) -> None:
+    """Keep the last bytes of a pipe, until its end."""
+    if pipe is not None:
+        with contextlib.suppress(OSError, ValueError), pipe:
+            while data := pipe.read(_LAST_BYTES):
+                kept += data
+                del kept[:-_LAST_BYTES]
 
 
 def _whole(pipe: IO[bytes], size: int) -> bytes | None:

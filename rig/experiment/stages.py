@@ -251,9 +251,12 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
 
 
-def breakaway_check(e: Experiment) -> BreakawayCheck:
-    """The breakaway check of a config. Raises Fault CONFIG_MISMATCH if its unseen travel has no bound."""
-    strokes = None if e.motor is None else breakaway_strokes(e)
+def breakaway_check(e: Experiment, *, further: bool = True) -> BreakawayCheck:
+    """The breakaway check of a config; ``further`` as ``breakaway_strokes`` takes it.
+
+    Raises Fault CONFIG_MISMATCH if its unseen travel has no bound.
+    """
+    strokes = None if e.motor is None else breakaway_strokes(e, further=further)
     if strokes is None:
         raise Fault(
             "CONFIG_MISMATCH",
@@ -266,7 +269,7 @@ def breakaway_check(e: Experiment) -> BreakawayCheck:
         b.max_V,
         b.motion_rad,
         b.rest_s,
-        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s),
+        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s, strokes.further),
         e.period_s,
     )
 

@@ -94,6 +94,7 @@ class _Tests:
         self._last: LiveEstimate | None = None
         self._next = _Next(rests=is_known)
         self._live: list[LiveResult] = []
+        self._trouble = ""  # of the advisers, as noted last
 
     def run(self) -> None:
         """Drive until the end."""
@@ -157,6 +158,7 @@ class _Tests:
             on_counts = RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
             self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
             return
+        self._relay.restart()  # as designed, and as in a device: its integral begins at 0
         law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
@@ -165,7 +167,6 @@ class _Tests:
     def _stroke_test(self, test: Strokes) -> None:
         session, e = self._session, self._session.experiment
         stage, timing = self._numbered(StageKind.STROKES), StrokeTiming(LONG_S, test.longest_stroke_s)
-        self._relay.restart()  # its integral means nothing after strokes
         if e.relay.where == "device":
             command, on_counts = strokes_in_device(session, test.strokes, timing)
             self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
@@ -198,8 +199,15 @@ class _Tests:
         def after(t_s: float) -> None:
             if watch is not None:
                 watch()
-            if self._next != _Next() or (law.finished and not law.failed):
-                return  # it is decided already: of a law in the device some more rows come
+            if law.finished and not law.failed:
+                return  # of a law in the device some more rows come
+            if self._next == _Next():
+                decide(t_s)
+            # a rest follows the last test: the shaft coasts
+            ends = self._next.test is not None or self._next.rests or (self._next.stop != "" and self._may_coast())
+            law.finished = ends or law.failed != ""
+
+        def decide(t_s: float) -> None:
             row = session.loop.rows - 1
             if law.failed:
                 self._give_up(row, law.failed)
@@ -211,12 +219,18 @@ class _Tests:
                 self._end(row, self._bounds.reached, known=False)
             else:
                 self._take(self._who.advice(row, t_s), row)
-            law.finished = self._next != _Next()
+                self._note_trouble()
 
         if command is None:
             session.loop.run(law, stage, after)
         else:
             session.loop.run_in_device(law, command, stage, after, guard_ends_run=False)
+
+    def _may_coast(self) -> bool:
+        """Whether the shaft, if the drive ends now, stops within the soft limits, as the guard predicts it."""
+        guard = self._session.loop.guard
+        low_rad, high_rad = guard.settings.limits.soft_rad
+        return low_rad <= guard.predicted_stop_rad <= high_rad
 
     def _give_up(self, row: int, why: str) -> None:
         """Break a designed test off: rest, and let the next one be designed for less room."""
@@ -265,6 +279,13 @@ class _Tests:
                 expected_s=design.seconds, expected_percent=design.percent,
             )  # fmt: skip
             self._next = _Next(test)
+
+    def _note_trouble(self) -> None:
+        """Note what is wrong with the advisers, once."""
+        trouble = self._who.trouble
+        if trouble not in ("", self._trouble):
+            self._session.note("no_advice", why=trouble, last_words=self._who.last_words)
+        self._trouble = trouble
 
 
 def live_result(estimate: LiveEstimate) -> LiveResult:

@@ -22,6 +22,7 @@ _CHECK_WATCHDOG_S = 0.04  # of the device in the breakaway check, unless that is
 _SHORTER_S = 0.005  # step to the next shorter watchdog time to try, where no stroke is short enough
 _LEAST_WATCHDOG_PERIODS = 2
 _CLEARLY = 2.0  # times breakaway.motion_rad
+_MOST_FURTHER = 20  # pairs at max_V
 _FRICTION_STEPS = 24  # frictions at which the bound is computed
 _FINEST = 12  # halvings
 _ROUNDING = 1e-9
@@ -36,6 +37,7 @@ class BreakawayStrokes(NamedTuple):
     watchdog_s  watchdog time of the device in the check; where the device has none, or one that arming does not set,
                 the longest delay of a tick that the bound allows
     unseen_rad  farthest that the shaft turns in the check if the sensor shows nothing
+    further     pairs at breakaway.max_V that may follow a motion that was seen: the same bound holds for them alone
     """
 
     strokes_s: tuple[float, ...]
@@ -43,6 +45,7 @@ class BreakawayStrokes(NamedTuple):
     step_V: float
     watchdog_s: float
     unseen_rad: float
+    further: int = 0
 
     @property
     def pairs(self) -> int:
@@ -50,10 +53,11 @@ class BreakawayStrokes(NamedTuple):
         return len(self.strokes_s)
 
 
-def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStrokes | None:
+def breakaway_strokes(e: Experiment, max_V: float | None = None, *, further: bool = True) -> BreakawayStrokes | None:
     """Strokes whose unseen travel is within ``UNSEEN_RAD``; None where those of one period exceed it.
 
-    max_V  instead of the config's
+    max_V    instead of the config's
+    further  whether pairs may follow that need a motion that was seen; older versions had none
     Raises ValueError where the config does not tell the motor's speed.
 
     A stroke of level u and length s moves a shaft of gain K from rest by at most K (u - f) s, whatever its time
@@ -66,24 +70,33 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     travels farther than a given distance. Of the possible longest strokes, the function takes the one that moves a
     reference motor farthest: friction half of max_V, time constant limits.coast_tau_s. A longer watchdog time tolerates
     a busier host; a shorter one allows longer strokes. The function takes the longest watchdog time with which the
-    reference motor clearly moves, else the shortest.
+    reference motor clearly moves, else the shortest. Where it does not clearly move, noise counts in that choice, and
+    further pairs may follow.
     """
     if e.motor is None:
         raise ValueError("the config does not say motor.no_load_speed_rad_s")
     max_V = e.breakaway.max_V if max_V is None else max_V
     best: BreakawayStrokes | None = None
-    farthest_rad = 0.0
+    tried: list[BreakawayStrokes] = []
     for watchdog_s in _check_watchdogs_s(e):
-        for periods in _lengths(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)):
-            strokes = _strokes_up_to(periods, e, max_V, watchdog_s)
-            if strokes is None:
-                continue
-            moved_rad = _moved_rad(e, strokes, max_V)
-            if best is None or moved_rad > farthest_rad:
-                best, farthest_rad = strokes, moved_rad
-        if farthest_rad > _CLEARLY * e.breakaway.motion_rad:
-            break
-    return best
+        lengths = _lengths(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1))
+        found = [_strokes_up_to(periods, e, max_V, watchdog_s) for periods in lengths]
+        tried += (strokes for strokes in found if strokes is not None)
+        best = max(tried, key=lambda one: _moved_rad(e, one, max_V), default=None)
+        if best is not None and _moved_rad(e, best, max_V) > _CLEARLY * e.breakaway.motion_rad:
+            return best
+    if best is None or not further:
+        return best
+    best = max(tried, key=lambda one: _moved_rad(e, one, max_V, beyond_noise=True))
+    return best._replace(further=_further(e, best, max_V))
+
+
+def _further(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> int:
+    """How many pairs at max_V are within the bound by themselves."""
+    for pairs in range(1, _MOST_FURTHER + 1):
+        if _unseen_rad(e, max_V, [1.0] * pairs, pairs * strokes.strokes_s[-1:], strokes.watchdog_s) > UNSEEN_RAD:
+            return pairs - 1
+    return _MOST_FURTHER
 
 
 def _lengths(longest: int) -> Iterator[int]:
@@ -94,19 +107,24 @@ def _lengths(longest: int) -> Iterator[int]:
         periods = min(periods - 1, int(0.8 * periods) if periods > 10 else periods)
 
 
-def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> float:
+def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float, *, beyond_noise: bool = False) -> float:
     """Rough travel of the slow reference motor by all strokes of one way, rad.
 
     From rest it speeds up evenly by K (u - f) / tau, and slows down by K f / tau after the stroke.
+
+    beyond_noise  less what the check takes off each stroke for a noise of a sixth of breakaway.motion_rad
     """
     assert e.motor is not None
     levels = _levels(strokes.pairs, strokes.step_V, max_V)
-    driven = sum(
-        2.0 * (level - 0.5) * level * stroke_s**2
+    by_driven_rad = 0.5 * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s
+    samples = max(2.0 * strokes.pause_s / e.period_s / 3.0, 1.0)  # that the check takes the mean of
+    noise_rad = e.breakaway.motion_rad / 6.0
+    off_rad = 12.0 * noise_rad**2 / samples / e.breakaway.motion_rad if beyond_noise else 0.0
+    return sum(
+        max(by_driven_rad * 2.0 * (level - 0.5) * level * stroke_s**2 - off_rad, 0.0)
         for level, stroke_s in zip(levels, strokes.strokes_s, strict=True)
         if level > 0.5
     )
-    return 0.5 * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s * driven
 
 
 def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
+from rig.control.laws import OWN
 from rig.control.sweep_plan import TooShortError
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.differences import differences
@@ -98,7 +99,8 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
     if e.law is not None:
         yield from _breakaway(e).lines
         yield (
-            f"stage law: {e.law.name}, a law of your own, for at most {e.law.duration_s:g} s, within the limits; "
+            f"stage law: {e.law.name}{'' if e.law.name in OWN else ', a law of your own'}, for at most "
+            f"{e.law.duration_s:g} s, within the limits; "
             "no relay test, nothing is identified"
         )
         return
@@ -131,6 +133,7 @@ def _breakaway(e: Experiment) -> _Stage:
     strokes = None if e.motor is None else breakaway_strokes(e)
     if strokes is None:
         return _Stage((), longest_s)
+    longest_s *= 1.0 + strokes.further / strokes.pairs
     longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
     lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
     lines = (

@@ -40,7 +40,7 @@ def following(folder: Path) -> Iterator[None]:
         yield
         return
     viewer = subprocess.Popen(
-        [sys.executable, "-m", "rig.recording.follow", str(folder)], stdin=subprocess.PIPE, start_new_session=True
+        [sys.executable, "-P", "-m", "rig.recording.follow", str(folder)], stdin=subprocess.PIPE, start_new_session=True
     )
     try:
         yield
@@ -191,13 +191,15 @@ def decided_words(event: dict[str, Any]) -> str:
 
 
 def stage_line(event: dict[str, Any]) -> str | None:
-    """One plain line for the begin of a stage, a live estimate, why tests end, a fault; None for other events."""
+    """One plain line for a stage, a live estimate or why there is none, the end of tests, a fault; else None."""
     if event.get("kind") == "stage" and event["name"] != "rest":
         words = event["name"]
     elif event.get("kind") == "live":
         words = f"  {live_words(event)}"
     elif event.get("kind") == "decided" and event.get("what") in ("stop", "rest"):
         words = f"  {decided_words(event)}"
+    elif event.get("kind") == "no_advice":
+        words = f"  no live estimate: {event['why']}"
     elif event.get("kind") == "fault":
         words = f"{event['code']}: {event['cause']}"
     else:

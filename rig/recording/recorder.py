@@ -2,7 +2,7 @@
 
 ``sample``, ``complete`` and ``event`` only write memory, and never wait. If the memory is full they drop the row and
 count it. ``check`` raises long before that: when the writer has ended, when it has written nothing for some seconds
-although rows wait, or when the memory is nearly full.
+although rows wait, or when the memory is nearly full. Virtual time can stand still: there ``check`` waits for the disk.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +32,7 @@ from rig.recording.writer import SAMPLES
 __all__ = ["Recorder", "RecordingError"]
 
 START_TIMEOUT_S: Final = 20.0
+PATIENCE_S: Final = 60.0  # in virtual time, for a disk that takes nothing
 _PASSES_DESCRIPTORS: Final = sys.platform != "win32"
 EVENT_BYTES: Final = 512  # room for one event in the ring, on average
 _STAGE_NAME: Final = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
@@ -48,6 +49,7 @@ class Recorder:
     stages           names of every stage that will be recorded: 1 to 64 of letters, digits and ``_.:-``
     capacity_rows    rows that the memory holds while the writer is busy; at 100 Hz the default is eleven minutes
     capacity_events  events that it holds, of 512 bytes on average
+    waits            whether the run may wait for the disk: in virtual time nothing moves meanwhile
 
     Returns once the writer process has opened the files and written the header. Raises RecordingError where the
     folder cannot be written, Fault RECORDER_DEAD where the disk is full, ValueError for bad stages or capacities.
@@ -55,9 +57,16 @@ class Recorder:
 
     close_timeout_s = 10.0  # longest wait for the writer in ``close``
     stall_timeout_s = 10.0  # longest time without a written row although rows wait: a busy disk can take seconds
+    writer: tuple[str, ...] = ("-m", "rig.recording.writer")  # what Python runs as the writer
 
     def __init__(
-        self, folder: Path, stages: Sequence[str], capacity_rows: int = 65536, capacity_events: int = 2048
+        self,
+        folder: Path,
+        stages: Sequence[str],
+        capacity_rows: int = 65536,
+        capacity_events: int = 2048,
+        *,
+        waits: bool = False,
     ) -> None:
         if capacity_rows < 8 or capacity_events < 8:
             raise ValueError("capacity_rows and capacity_events must be at least 8")
@@ -79,6 +88,9 @@ class Recorder:
         self._taken = 0  # rows on disk at the last ``check``
         self._stalled_since_s: float | None = None  # when ``check`` first saw rows wait with none written since
         self._closed = False
+        self._waits = waits
+        if waits:
+            self.stall_timeout_s = self.close_timeout_s = PATIENCE_S
 
         size = layout.size_of(capacity_rows, self._capacity_event_bytes)
         self._memory_name: Path | None = None  # path of the file behind the memory, if the system needs one
@@ -192,22 +204,32 @@ class Recorder:
         self._counters[layout.EVENT_BYTES] = written + len(line)
 
     def check(self) -> None:
-        """Raise Fault RECORDER_DEAD if the writer has ended, failed, lost rows, or does not keep up. It is quick."""
+        """Raise Fault RECORDER_DEAD if the writer has ended, failed, lost rows, or does not keep up. It is quick.
+
+        A recorder that ``waits`` lets the writer catch up instead.
+        """
+        if self._waits:
+            self._await(lambda: not self._far_behind())
         reason = self._ended() or self._lost() or self._far_behind() or self._stalled()
+        self._raise(reason)
+
+    def drain(self) -> None:
+        """Wait until every completed row is in the file, however slow the disk is.
+
+        Call it between stages, while the drive is at rest. Raises Fault RECORDER_DEAD only if the writer has
+        ended, failed or lost rows, or has written nothing for ``stall_timeout_s``.
+        """
+        self._await(lambda: self._counters[layout.ROWS_TAKEN] >= self._finished_rows())
+
+    def _await(self, is_enough: Callable[[], bool]) -> None:
+        """Wait while the writer writes. Raises Fault RECORDER_DEAD if it does not."""
+        while not is_enough():
+            self._raise(self._ended() or self._lost() or self._stalled())
+            time.sleep(0.002)
+
+    def _raise(self, reason: str) -> None:
         if reason:
             raise Fault("RECORDER_DEAD", reason)
-
-    def drain(self, timeout_s: float = 5.0) -> None:
-        """Wait until every completed row is in the file. Call it between stages, while the drive is at rest.
-
-        Raises Fault RECORDER_DEAD as ``check`` does, and if the writer takes longer than ``timeout_s``.
-        """
-        deadline_s = time.monotonic() + timeout_s
-        while self._counters[layout.ROWS_TAKEN] < self._finished_rows():
-            self.check()
-            if time.monotonic() > deadline_s:
-                raise Fault("RECORDER_DEAD", f"rows not on disk after {timeout_s:.0f} s")
-            time.sleep(0.002)
 
     # -- the end --------------------------------------------------------------------------------------------------
 
@@ -318,10 +340,9 @@ class Recorder:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, root])}
         memory = self._descriptor if self._memory_name is None else self._memory_name
         numbers = (memory, os.getpid(), self._capacity_rows, self._capacity_event_bytes)
-        module = (sys.executable, "-S", "-P", "-m", "rig.recording.writer")
         try:
             return subprocess.Popen(
-                [*module, *map(str, numbers), str(self.folder), *self._stages],
+                [sys.executable, "-S", "-P", *self.writer, *map(str, numbers), str(self.folder), *self._stages],
                 bufsize=0,
                 stdin=stdin,
                 stdout=subprocess.DEVNULL,

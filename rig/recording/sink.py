@@ -37,7 +37,7 @@ class RowSink(Protocol):
     def check(self) -> None:
         """Raise Fault RECORDER_DEAD if rows are not taken."""
 
-    def drain(self, timeout_s: float = 5.0) -> None:
+    def drain(self) -> None:
         """Wait until every completed row can be read."""
 
 
@@ -56,5 +56,5 @@ class NullSink:
     def check(self) -> None:
         """Do nothing."""
 
-    def drain(self, timeout_s: float = 5.0) -> None:
+    def drain(self) -> None:
         """Do nothing."""

@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,10 @@ from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
-from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, _unseen_rad, breakaway_strokes
 from rig.recording.reader import read_run
 from rig.signals import Limits, Sample
-from unseen_travel import check, trials, with_late_tick
+from unseen_travel import check, suited, trials, with_late_tick
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -264,6 +265,63 @@ def test_random_motors_turn_little_unseen_and_are_seen_both_ways() -> None:
     assert set(ends) <= {"moves", "NO_MOTION", "refused"}
     assert ends["refused"] <= 10  # fast ones: half a radian is too little for a host that dies in a stroke of theirs
     assert ends["NO_MOTION"] <= 3  # of the others; one way after the other moved fewer
+
+
+@pytest.fixture(scope="module")
+def fast() -> tuple[Motor, config.Experiment]:
+    """Fast, with much friction: no stroke of the bound moves it by 3 mrad."""
+    demo = config.load(ROOT / "config/demo.yaml")
+    e = suited(demo, 189.0, 0.42)
+    breakaway = demo.breakaway.model_copy(update={"max_V": 0.95})
+    limits = demo.limits.model_copy(update={"coast_tau_s": 0.264})
+    e = e.model_copy(update={"breakaway": breakaway, "limits": limits})
+    return Motor(0.264, 15.0, Friction(0.38, 0.4, 0.38, 0.4)), e
+
+
+def test_a_fast_motor_with_much_friction_is_seen_by_further_pairs(fast: tuple[Motor, config.Experiment]) -> None:
+    motor, e = fast
+    strokes = breakaway_strokes(e)
+    assert strokes is not None and strokes.further > 5 and strokes.unseen_rad <= UNSEEN_RAD
+    moved = dict.fromkeys((True, False), 0)
+    for further in moved:
+        for seed in range(10):
+            seen = check(motor, check_of(e, further=further), e.period_s, seed, stuck=False)
+            moved[further] += seen.end == "moves"
+    assert moved[True] >= 8 and moved[False] <= 1  # not always: the steps of the sensor may hide it
+
+
+def test_further_pairs_need_a_sensor_that_shows_motion_and_shows_it_again(
+    fast: tuple[Motor, config.Experiment],
+) -> None:
+    motor, e = fast
+    strokes = breakaway_strokes(e)
+    assert strokes is not None
+    assert len(check(motor, check_of(e), e.period_s, 1, stuck=True).strokes) == 2 * strokes.pairs
+    light = replace(motor, tau_s=0.005)  # it turns farther
+    for motor_ in (motor, light):
+        ends_s = check(motor_, check_of(e), e.period_s, 1, stuck=False).time_s
+        for share in (0.5, 0.7, 0.9):
+            frozen = check(motor_, check_of(e), e.period_s, 1, stuck=False, freezes_s=share * ends_s)
+            assert frozen.travel_rad < UNSEEN_RAD
+            assert len(frozen.strokes) <= 2 * (strokes.pairs + strokes.further)
+
+
+def test_planned_pairs_with_longer_strokes_count_as_more_further_ones() -> None:
+    """The sensor freezes once it has shown a motion; friction is what it may be, and differs as the bound says."""
+    e = suited(config.load(ROOT / "config/demo.yaml"), 260.0, 0.42)
+    limits = e.limits.model_copy(update={"coast_tau_s": 0.264})
+    e = e.model_copy(update={"breakaway": e.breakaway.model_copy(update={"max_V": 0.63}), "limits": limits})
+    strokes = breakaway_strokes(e)
+    assert strokes is not None and strokes.further > 5 and strokes.strokes_s[0] > strokes.strokes_s[-1]
+    for proven in range(1, strokes.pairs + 1):
+        law = check_of(e)
+        law._proven, law._pair = proven, strokes.pairs
+        while law._may_go_on():
+            law._pair += 1
+        levels = [min((k + 1) * strokes.step_V / 0.63, 1.0) for k in range(proven, law._pair)]
+        lengths_s = (*strokes.strokes_s, *strokes.strokes_s[-1:] * strokes.further)[proven : law._pair]
+        assert _unseen_rad(e, 0.63, levels, lengths_s, strokes.watchdog_s) <= UNSEEN_RAD
+        assert law._pair == strokes.pairs + strokes.further or proven < strokes.pairs
 
 
 def test_for_the_check_the_device_is_armed_with_the_watchdog_that_its_bound_counts(

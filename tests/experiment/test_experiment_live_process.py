@@ -91,6 +91,13 @@ def test_a_process_that_was_killed_is_trouble_and_nothing_else(process: LiveProc
     process.braked()
 
 
+def test_a_process_that_fails_says_why_as_the_end_of_its_traceback_does(process: LiveProcess) -> None:
+    process._tell(b"no settings")
+    heard(process, lambda _: process.trouble != "")
+    assert process.trouble == "its process ended with status 1: _pickle.UnpicklingError: invalid load key, 'n'."
+    assert process.last_words.startswith("Traceback") and "live_process.py" in process.last_words
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no such signal")
 def test_a_process_that_hangs_is_trouble_and_can_be_closed(
     process: LiveProcess, monkeypatch: pytest.MonkeyPatch

@@ -85,6 +85,7 @@ def test_a_seed_gives_the_same_run(known: tuple[Path, RunResult], tmp_path: Path
         assert (again / name).read_text() == (known[0] / name).read_text()
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult], tmp_path: Path) -> None:
     for model in (known[0], known[0] / "result.json"):
         folder, result = run(written(tmp_path), tmp_path, "--model", model)
@@ -93,6 +94,7 @@ def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult]
         assert replay(folder).is_same
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
     known: tuple[Path, RunResult], tmp_path: Path
 ) -> None:
@@ -108,6 +110,7 @@ def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
     assert replay(folder).is_same
 
 
+@pytest.mark.usefixtures("plain_motor")
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"), ({"most_cycles": 3}, "most_cycles, 3, are driven")],
@@ -122,6 +125,7 @@ def test_what_is_not_known_in_time_ends_at_its_bound_and_is_identified(
     assert replay(folder).is_same
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_a_sensor_that_sticks_in_a_test_ends_the_run_and_what_was_recorded_is_identified(tmp_path: Path) -> None:
     # the check takes 5.4 s
     config = written(tmp_path, {"interval_percent": 0.1}, wiring={"sensor": "stuck", "fault_after_s": 8.5})
@@ -131,6 +135,7 @@ def test_a_sensor_that_sticks_in_a_test_ends_the_run_and_what_was_recorded_is_id
     assert replay(folder).is_same
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_advice_that_never_comes_ends_at_the_bound_with_two_sizes_of_drive(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -117,6 +117,16 @@ def test_the_viewer_ends_when_the_one_who_started_it_is_gone(tmp_path: Path) -> 
     assert "POLARITY" in error.decode()
 
 
+def test_files_of_the_folder_that_rig_is_called_in_are_not_its_modules(tmp_path: Path) -> None:
+    (tmp_path / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in EVENTS))
+    (tmp_path / "samples.csv").write_text(HEADER)
+    (tmp_path / "queue.py").write_text("raise SystemExit(7)\n")
+    (tmp_path / "rich.py").write_text("raise SystemExit(7)\n")
+    follow = "from pathlib import Path; from rig.recording.follow import following\nwith following(Path('.')): pass"
+    done = subprocess.run([sys.executable, "-P", "-c", follow], cwd=tmp_path, capture_output=True, timeout=30)
+    assert done.returncode == 0 and "POLARITY" in done.stderr.decode()
+
+
 def test_on_a_terminal_it_draws_what_there_is(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in EVENTS))
     (tmp_path / "samples.csv").write_text(HEADER)

@@ -16,6 +16,7 @@ import signal
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -163,8 +164,9 @@ def test_drained_rows_can_be_read_while_the_run_goes_on(recorder: Recorder, tmp_
     assert len(read_run(tmp_path)) == 500
     os.kill(recorder.writer_pid, signal.SIGSTOP)
     record(recorder, range(501, 502))
-    with pytest.raises(Fault, match="rows not on disk"):
-        recorder.drain(timeout_s=0.02)
+    recorder.stall_timeout_s = 0.02
+    with pytest.raises(Fault, match=r"has written nothing for 0\.02 s, 2 rows wait"):
+        recorder.drain()
     os.kill(recorder.writer_pid, signal.SIGCONT)
 
 
@@ -472,6 +474,30 @@ def test_a_stopped_writer_is_reported_long_before_the_memory_is_full_and_no_row_
     recorder.close()  # tells it to go on
     assert opened < 10_000
     assert list(read_run(tmp_path).tick) == list(range(opened))
+
+
+def test_a_run_in_virtual_time_waits_for_the_disk_and_loses_no_row(tmp_path: Path) -> None:
+    """A third of a second without a written row, and many times more rows than the memory holds."""
+    recorder = Recorder(tmp_path, STAGES, capacity_rows=64, waits=True)
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    goes_on = threading.Timer(0.3, os.kill, (recorder.writer_pid, signal.SIGCONT))
+    goes_on.start()
+    for k in range(100):
+        record(recorder, range(5 * k, 5 * k + 5))
+        recorder.check()
+    goes_on.join()
+    recorder.close()
+    assert list(read_run(tmp_path).tick) == list(range(500))
+
+
+def test_a_disk_that_hangs_ends_a_run_in_virtual_time_too(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, STAGES, capacity_rows=64, waits=True)
+    recorder.stall_timeout_s = 0.1
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    record(recorder, range(60))
+    with pytest.raises(Fault, match=r"RECORDER_DEAD.*has written nothing for 0\.1 s, 60 rows wait"):
+        recorder.check()
+    recorder.close()
 
 
 def test_a_pause_without_rows_or_checks_is_no_stall(recorder: Recorder) -> None:
