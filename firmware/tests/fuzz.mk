@@ -31,7 +31,7 @@ $(FUZZ)/fuzz_%: tests/fuzz_%.c $(FUZZ_SOURCES) | $(FUZZ)
 	$(CLANG) $(CPPFLAGS) -Itests $(CFLAGS) $(SANITIZE) -fsanitize=fuzzer -o $@ $< $(CORE)
 
 $(FUZZ)/replay_%: tests/fuzz_%.c tests/replay.c $(FUZZ_SOURCES) | $(FUZZ)
-	$(CC) $(CPPFLAGS) -Itests $(CFLAGS) -g -O1 -o $@ $< tests/replay.c $(CORE) $(LDFLAGS)
+	$(CC) $(CPPFLAGS) -Itests -g -O1 $(CFLAGS) -o $@ $< tests/replay.c $(CORE) $(LDFLAGS)
 
 $(FUZZ):
 	mkdir -p $@

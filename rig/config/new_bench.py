@@ -73,7 +73,7 @@ class Board:
 
 BOARDS: Final = {
     "uno": Board("Arduino Uno or Nano", "uno", 1023, 39_000.0, "D2 and D3"),
-    "pico": Board("Raspberry Pi Pico", "pico", 4095, 240_000.0, "GP2 and GP3, at most 3.3 V", flash=" --board pico"),
+    "pico": Board("Raspberry Pi Pico", "pico", 4095, 1_900_000.0, "GP2 and GP3, at most 3.3 V", flash=" --board pico"),
 }
 SENSORS: Final = {
     "potentiometer": "potentiometer on the shaft",
@@ -186,7 +186,7 @@ class Answers:
             raise AnswerError(
                 f"at {self.no_load_rpm:g} rpm the encoder makes {edges_s:.0f} edges a second: the {board.words} counts "
                 f"{board.edges_s:.0f}",
-                "an encoder with fewer lines, a slower motor, or --board pico",
+                "an encoder with fewer lines, or a slower motor" + (", or --board pico" if self.board == "uno" else ""),
             )
 
 

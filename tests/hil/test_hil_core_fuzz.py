@@ -13,6 +13,8 @@ import pytest
 import fuzz_corpus
 from rig.backends.serial.emulated.firmware_build import source_folder
 
+pytestmark = pytest.mark.long
+
 # What the device promises (rig_core.h), each taken out of the source at one place: file, text, and what stands there
 # instead.
 DEFECTS = {

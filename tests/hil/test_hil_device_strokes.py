@@ -427,7 +427,7 @@ def board_of(experiment: Experiment) -> VirtualBoard:
 class Scripted:
     """An adviser that gives designs at fixed times of the tests, whatever the rows say."""
 
-    trouble = ""
+    trouble = last_words = ""
 
     def __init__(self, script: Sequence[tuple[float, PlannedTest | str]]) -> None:
         self._script = list(script)

@@ -20,6 +20,8 @@ from rig.faults import Fault
 from rig.recording.reader import read_run
 from rig.replay import replay
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config/encoder.yaml"
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")

@@ -31,7 +31,7 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 
 OPTIONS = Variant(baud=1_000_000, encoder=True)
-LARGEST_RATE = 250_000  # edges a second: firmware/boards/pico/encoder.h
+LARGEST_RATE = 2_000_000  # edges a second: firmware/boards/pico/encoder.h
 FAR = LIMITED._replace(hard_lo=-(10**9), hard_hi=10**9, max_drive=PICO_FULL // 2)
 DRIVE = 600  # units, 1.15 V
 
@@ -71,7 +71,7 @@ def off_within(host: PicoHost, longest_s: float) -> None:
     assert host.pin_V() == 0.0
 
 
-@pytest.mark.parametrize(("rate", "way"), [(12_500, -1.0), (100_000, 1.0), (240_000, -1.0)])
+@pytest.mark.parametrize(("rate", "way"), [(12_500, -1.0), (240_000, 1.0), (1_900_000, -1.0)])
 def test_no_count_is_lost_up_to_the_bound(rate: int, way: float) -> None:
     """While the host asks for everything as fast as it may."""
     bench = turning(rate)
@@ -80,7 +80,7 @@ def test_no_count_is_lost_up_to_the_bound(rate: int, way: float) -> None:
         host.setup(ENDLESS)
         zero(host)
         host.board.place(0.0, way)
-        until_s = host.board.now_s() + (0.3 if rate < 100_000 else 0.1)
+        until_s = host.board.now_s() + (0.1 if rate < 1_000_000 else 0.03)
         while host.board.now_s() < until_s:
             state, true = host.state(), host.truth().y_rad * rate
             host.hello()
@@ -93,7 +93,7 @@ def test_no_count_is_lost_up_to_the_bound(rate: int, way: float) -> None:
         assert host.truth().overruns == 0 and host.board.broken_rule() == ""
 
 
-@pytest.mark.parametrize("rate", [1.2 * LARGEST_RATE, 10 * LARGEST_RATE])
+@pytest.mark.parametrize("rate", [1.2 * LARGEST_RATE, 5 * LARGEST_RATE])
 def test_edges_too_fast_to_count_are_a_fault_within_three_ticks(rate: float) -> None:
     with armed(turning(rate)) as host:
         host.drive(DRIVE)
@@ -143,7 +143,7 @@ def test_a_channel_that_stands_still_ends_the_drive_after_its_bound(units: int) 
         assert host.arm_anew() == Code.NO_ZERO
 
 
-@pytest.mark.parametrize("hang", ["tick", "main loop", "everything"])
+@pytest.mark.parametrize("hang", ["tick", "main loop", "everything", "counter"])
 def test_a_hung_program_loses_its_zero_and_the_drive(hang: Any) -> None:
     with armed(setup=FAR._replace(watchdog_ms=1000)) as host:
         host.drive(DRIVE)

@@ -20,6 +20,8 @@ from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.preflight import check
 
+pytestmark = pytest.mark.long
+
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 

@@ -22,6 +22,8 @@ from rig.backends.serial.emulated.firmware_build import ChipFirmware, Variant
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import Code
 
+pytestmark = pytest.mark.long
+
 BRIDGES = [Variant(), Variant(bridge="IN1_IN2")]
 EVERYTHING = Variant("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)
 UNIT_V = 12.0 / 400

@@ -1,6 +1,6 @@
-"""The stop flag, set by another process at any instant: the drive at the pin of the compiled firmware and of the chip.
+"""What stops a drive from outside, at any instant: the drive at the pin of the compiled firmware and of the chip.
 
-In virtual time. The bound is the one of docs/panel.md: two periods of the loop and a frame.
+In virtual time. The bound for the stop flag is the one of docs/panel.md: two periods of the loop and a frame.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING,
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.control.bounded import Bounded, Bounds
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
-from rig.control.law import Constant
+from rig.control.law import Constant, Law
 from rig.control.leased import LeasedDrive
-from rig.control.relay import RelayOnCounts
+from rig.control.relay import DualChannelRelay, RelayOnCounts
+from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.faults import Fault
 from rig.live.lease import LONGEST_NS, HeldLease, Leaser
 from rig.live.stop_flag import StopFlag, request_stop
@@ -96,6 +98,35 @@ def test_a_stop_is_0_V_at_the_pin_within_two_periods_and_a_frame(
     assert 0.0 < truth.pin_changed_s - asked[0] <= 2 * PERIOD_S + FRAME_S
     assert any(row["u_V"] != 0.0 for row in bench.record.rows)
     assert bench.record.events[-1]["confirmed"] is True
+
+
+@pytest.mark.parametrize("phase", [0.03, 0.41, 0.97])
+@pytest.mark.parametrize("test", ["strokes", "relay"])
+def test_an_e_stop_in_a_designed_test_of_the_host_is_0_V_at_the_pin_within_a_tick_of_the_device(
+    test: str, phase: float
+) -> None:
+    """In the middle of a swing; the firmware's interrupt does it, whatever the host asks for."""
+    chip = VirtualChip(DEMO, 3)
+    bench = bench_of(chip, StopFlag())
+    law: Law
+    if test == "strokes":
+        law = StrokeTest((Stroke(1.2, 0.3), Stroke(-0.9, -0.4)), StrokeTiming(3600.0, 1.0), 0.02)
+    else:
+        detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
+        law = RelayTest(DualChannelRelay(*GAINS_V, 0.7), detector, GAINS_V, 10**9, 3600.0)
+    opened = at(chip, (60 + phase) * PERIOD_S, lambda: chip.contact("e_stop", is_open=True))
+    driven_V: list[float] = []
+
+    def watch(t_s: float) -> None:
+        driven_V.append(chip.truth().pin_V)
+
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(Bounded(law, Bounds(60.0, 60, 0.08)), f"{test}-1", watch)
+    assert caught.value.code == "DEVICE_ESTOP"
+    assert driven_V[58] != 0.0
+    assert 0.0 < chip.truth().pin_changed_s - opened[0] <= 0.001
+    assert chip.truth().pin_V == 0.0
+    assert bench.record.rows[-1]["stage"] == f"{test}-1"
 
 
 @pytest.mark.parametrize("device", [VirtualBoard, VirtualChip])

@@ -57,6 +57,7 @@ _BOARD_UNITS = 799
 _MODBUS_UNITS = 10000
 _STOP_BYTES = 8  # of FC06
 _BYTE_BITS = 11
+_BITS_PER_BYTE = 10
 _BROWN_OUT, _BOOT_S = 4, 0.05
 _LOOKS_APART = 25  # ticks between two looks at the recorder
 _STEP_S = 0.002  # of the model
@@ -336,6 +337,10 @@ def _over_tcp(injector: FaultInjector) -> Line:
     return Line(injector.connected(), injector, "modbus:tcp://192.168.0.5")
 
 
+def _frames_language(experiment: Experiment, units: int) -> SerialLanguage:
+    return SerialLanguage(experiment.drive.supply_V / units, _BITS_PER_BYTE / experiment.daq.baud)
+
+
 def _block_language(experiment: Experiment) -> ModbusLanguage:
     modbus = experiment.daq.modbus
     separate = modbus is not None and modbus.requests == "separate"
@@ -356,7 +361,7 @@ CHIP = Backend(
     _serial_stop_s,
     0.150,
     _chip,
-    lambda e: SerialLanguage(e.drive.supply_V / _CHIP_UNITS),
+    lambda e: _frames_language(e, _CHIP_UNITS),
     _through_injector("emulated-chip"),
 )
 BOARD = Backend(
@@ -367,7 +372,7 @@ BOARD = Backend(
     _serial_stop_s,
     0.121,
     _board,
-    lambda e: SerialLanguage(e.drive.supply_V / _BOARD_UNITS),
+    lambda e: _frames_language(e, _BOARD_UNITS),
     _through_injector("emulated-chip"),
 )
 MODBUS = Backend(

@@ -269,6 +269,8 @@ class FaultInjector:
                 self._take(self.device.read(0.0))
                 return self._arrived(now_s)
             next_s = self._step(now_s, min([until_s, *(due_s for due_s, _, _ in self._held)]))
+            if (whole_s := now_s + self._language.to_come_s()) > now_s:  # one look for many bytes
+                now_s = self.device.sleep_until(min(next_s, whole_s))
             self._take(self.device.read(next_s - now_s))
             self._look()
 

@@ -7,9 +7,12 @@ from typing import NamedTuple, Protocol
 
 from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.serial import frames
-from rig.backends.serial.frames import Block, DeviceState, FrameReader, Kind
+from rig.backends.serial.frames import BODY_LENGTH, Block, DeviceState, FrameReader, Kind
 
 _STARTS = (Kind.RELAY, Kind.STROKES)  # of a law in the device
+_TO_KIND = 3  # bytes of a frame from which its kind is known
+_BESIDE_BODY = 8  # bytes of a frame: head, check sum, what COBS adds, delimiter
+_FASTER = 0.97  # a device's bytes may take so much of the nominal time: an Uno's at 115,200 baud take 0.98
 
 ASKED = -1
 
@@ -34,6 +37,10 @@ class Language(Protocol):
 
     def replies(self, data: bytes) -> list[bytes]:
         """Whole replies, as they are completed by ``data``."""
+        ...
+
+    def to_come_s(self) -> float:
+        """Time from now until shortly before the last byte of the reply that is arriving, at least, s."""
         ...
 
     def asked(self, request: bytes) -> int | None:
@@ -62,10 +69,15 @@ class Language(Protocol):
 
 
 class SerialLanguage:
-    """Frames of rig's firmware; ``unit_V`` is what one unit of its drive is."""
+    """Frames of rig's firmware.
 
-    def __init__(self, unit_V: float) -> None:
+    unit_V  what one unit of its drive is
+    byte_s  that a byte takes on the wire; 0: a device in whose time a reply is not waited for
+    """
+
+    def __init__(self, unit_V: float, byte_s: float = 0.0) -> None:
         self._unit_V = unit_V
+        self._byte_s = _FASTER * byte_s
         self._pending = b""
         self._next_block: float = 0  # that is due; inf where one is missing
 
@@ -73,6 +85,16 @@ class SerialLanguage:
         """Whole frames, delimiter included."""
         *whole, self._pending = (self._pending + data).split(b"\0")
         return [frame + b"\0" for frame in whole]
+
+    def to_come_s(self) -> float:
+        """As far as the frame says; a first byte is waited for as ever."""
+        have = len(self._pending)
+        if have == 0:
+            return 0.0
+        whole = _TO_KIND + 1
+        if have >= _TO_KIND and self._pending[0] >= _TO_KIND:  # what COBS has not changed
+            whole = _BESIDE_BODY + BODY_LENGTH.get(self._pending[2], 0)
+        return max(whole - have - 1, 0) * self._byte_s
 
     def asked(self, request: bytes) -> int | None:
         """READ."""
@@ -157,6 +179,10 @@ class ModbusLanguage:
             whole.append(self._pending[:length])
             self._pending = self._pending[length:]
         return whole
+
+    def to_come_s(self) -> float:
+        """None: what arrives is whole, or a segment."""
+        return 0.0
 
     def asked(self, request: bytes) -> int | None:
         """What asks for the position in a tick; the number that went with the drive must come back."""

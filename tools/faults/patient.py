@@ -14,6 +14,12 @@ from rig.recording.sink import JsonScalar
 
 _WAIT_S = 60.0
 _MOMENT_S = 0.0005
+_PROMPT_WRITER = f"""
+import sys
+import rig.recording.writer as writer
+writer.POLL_S = {_MOMENT_S}
+sys.exit(writer.main(sys.argv[1:]))
+"""
 
 
 class PatientRecorder(Recorder):
@@ -24,6 +30,7 @@ class PatientRecorder(Recorder):
 
     close_timeout_s = _WAIT_S
     stall_timeout_s = _WAIT_S
+    writer = ("-c", _PROMPT_WRITER)  # it looks at the rows more often
 
     def __init__(self, injector: FaultInjector, folder: Path, stages: Sequence[str], **capacities: Any) -> None:
         super().__init__(folder, stages, **capacities)
@@ -34,10 +41,6 @@ class PatientRecorder(Recorder):
         """As that of ``Recorder``, after the writer has written everything."""
         self.await_writer()
         super().check()
-
-    def drain(self, timeout_s: float = _WAIT_S) -> None:
-        """As that of ``Recorder``, with a longer time-out."""
-        super().drain(timeout_s)
 
     def event(self, t_s: float, kind: str, **fields: JsonScalar) -> None:
         """As that of ``Recorder``."""

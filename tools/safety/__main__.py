@@ -8,19 +8,20 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
 from rig.backends.serial.emulated.firmware_build import build_chip, build_pico, source_folder
 from safety import garbage
 from safety.driven_chip import PICO
 from safety.page import Found, is_kept, render, render_pico, row
-from safety.promises import PICO_PROMISES, PROMISES, Measured, Promise, measure
+from safety.promises import PICO_PROMISES, PROMISES, Measured, measure
 from shared import page
+from shared.cases import in_order
 
 OUT = {"uno": Path("docs/safety-table.md"), "pico": Path("docs/safety-table-pico.md")}
 PHASES = {"uno": 200, "pico": 20}  # the Pico's emulator takes longer
 BAUDS = (115200, 1_000_000)
+_PROMISES = {"uno": PROMISES, "pico": PICO_PROMISES}
 
 
 def chip_load(baud: int) -> tuple[bool, str]:
@@ -53,17 +54,20 @@ def _made(path: Path) -> str:
     return f"{page.today()}, `{path.name}` with SHA-256 {digest}..."
 
 
-def _measured(promises: Iterable[Promise], phases: int) -> list[Measured]:
-    rows = []
-    for promise in promises:
-        rows.append(measure(promise, phases))
-        print(*row(rows[-1]), sep=" | ", flush=True)
-    return rows
+def _measured(board: str, phases: int) -> list[Measured]:
+    """Every promise of a board, spread over the cores."""
+    return in_order(_one, [(board, k, phases) for k in range(len(_PROMISES[board]))])
+
+
+def _one(board: str, k: int, phases: int) -> Measured:
+    found = measure(_PROMISES[board][k], phases)
+    print(*row(found), sep=" | ", flush=True)
+    return found
 
 
 def _uno(phases: int) -> tuple[str, bool]:
     """The page, and whether no bound is broken."""
-    rows = _measured(PROMISES, phases)
+    rows = _measured("uno", phases)
     thrown = [garbage.throw(baud, 100 * phases) for baud in BAUDS]
     errors, guesses = garbage.errors(10 * phases), garbage.guesses(1311 * phases)
     loads = {baud: chip_load(baud) for baud in BAUDS}
@@ -74,7 +78,7 @@ def _uno(phases: int) -> tuple[str, bool]:
 
 def _pico(phases: int) -> tuple[str, bool]:
     """As ``_uno``."""
-    rows = _measured(PICO_PROMISES, phases)
+    rows = _measured("pico", phases)
     thrown = [garbage.throw(baud, 100 * phases, stand=PICO) for baud in BAUDS]
     kept = all(one.late == 0 for one in rows) and all(one.moves == 0 for one in thrown)
     return render_pico(_made(build_pico()), rows, thrown), kept

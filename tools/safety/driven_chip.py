@@ -109,7 +109,7 @@ def _with_encoder(stand: Stand) -> Stand:
 
 UNO = _stand("uno", "demo.yaml", 400)
 PICO = _stand("pico", "demo-pico.yaml", 6250)
-UNO_ENCODER = _with_encoder(UNO)
+UNO_ENCODER, PICO_ENCODER = _with_encoder(UNO), _with_encoder(PICO)
 PERIOD_S = UNO.experiment.period_s
 WATCHDOG_S = UNO.experiment.device_limits.watchdog_s
 

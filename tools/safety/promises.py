@@ -8,17 +8,20 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rig.backends.serial.emulated.virtual_chip import Hang, VirtualChip
+from rig.backends.serial.emulated.virtual_pico import PicoHang
 from rig.backends.serial.frames import Kind, encode
 from rig.model.motor import State
 from safety.driven_chip import (
     COUNTS_PER_TURN,
     PERIOD_S,
     PICO,
+    PICO_ENCODER,
     TICK_S,
     UNO,
     UNO_ENCODER,
     WATCHDOG_S,
     DrivenChip,
+    Stand,
     Voice,
     Way,
 )
@@ -26,6 +29,7 @@ from safety.driven_chip import (
 HANG_S = 0.150
 _REST_S = 0.6  # from 10 rad/s; the host goes on meanwhile, to no avail
 _GIVE_UP_S = 1.0
+_BEGIN = 1  # of LOOPBACK
 _LOOK_S = 50e-6  # longer than an interrupt may wait
 _BEYOND_RAD = 6 * abs(UNO.bench.rad_per_count)  # eight times the noise
 
@@ -88,9 +92,17 @@ def _silence(driven: DrivenChip, rng: random.Random) -> float:
     return heard_s
 
 
-def _hang(what: Hang) -> Event:
+def _loopback(driven: DrivenChip, rng: random.Random) -> float:
+    """The last word that counts, and then a request that takes a bare board for its subject."""
+    heard_s = _last_frame(driven, rng)
+    driven.send(Kind.LOOPBACK, bytes((_BEGIN,)))
+    return heard_s
+
+
+def _hang(what: Hang | PicoHang) -> Event:
     def event(driven: DrivenChip, rng: random.Random) -> float:
         if isinstance(driven.chip, VirtualChip):
+            assert what != "counter"  # the Uno's is an interrupt
             driven.chip.hang(what)
         else:
             assert what != "clock"  # the Pico's is its tick's
@@ -160,14 +172,12 @@ FAST_DEVICE = Way("device", baud=1_000_000)
 FLOOD = Way(baud=1_000_000, floods=True)
 OTHER_BRIDGE = Way(bridge="IN1_IN2")
 IN_TURN = (HOST, DEVICE, STROKES)
-COUNTED, DEVICE_COUNTED, STROKES_COUNTED = (way._replace(stand=UNO_ENCODER) for way in IN_TURN)
-FLOOD_COUNTED = FLOOD._replace(stand=UNO_ENCODER)
 _STILL_COUNTS = 66  # of travel: 33 edges of the channel that still changes
 STILL_S = _STILL_COUNTS * math.tau / COUNTS_PER_TURN / min(abs(UNO.steady(way)[1]) for way in (1, -1)) + 2 * TICK_S
 SILENT_S = WATCHDOG_S + TICK_S
 RUN_UP_S = (0.005, 0.025)
 
-PROMISES = (
+OF_POTENTIOMETER = (
     *(
         Promise("host silent", _silence, SILENT_S, way, "none")
         for way in (HOST, DEVICE, STROKES, FAST, FAST_DEVICE, OTHER_BRIDGE)
@@ -190,32 +200,46 @@ PROMISES = (
     ),
     Promise("runs over a hard limit, noise may hide a reading", _crossing, 3 * TICK_S, HOST, run_up_s=RUN_UP_S),
     *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (*IN_TURN, FLOOD)),
-    *(
-        Promise("runs over a hard limit, counted by an encoder", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
-        for way in (COUNTED, DEVICE_COUNTED, FLOOD_COUNTED)
-    ),
-    *(
-        Promise("encoder: both channels change at once", _lost_edge, 2 * TICK_S, way)
-        for way in (COUNTED, DEVICE_COUNTED, STROKES_COUNTED, FLOOD_COUNTED)
-    ),
-    *(
-        Promise("encoder: one channel stands still", _still_channel, STILL_S, way)
-        for way in (COUNTED, DEVICE_COUNTED, STROKES_COUNTED)
-    ),
-    Promise("host silent, encoder", _silence, SILENT_S, COUNTED, "none"),
-    Promise("e-stop opens, encoder", _e_stop, TICK_S, COUNTED),
-    Promise("hang: everything, encoder", _hang("everything"), HANG_S, COUNTED),
     *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (*IN_TURN, FLOOD, OTHER_BRIDGE)),
     *(Promise("end switch opens", _end_switch, 2 * TICK_S, way._replace(end_switches=True)) for way in IN_TURN),
     *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (*IN_TURN, OTHER_BRIDGE)),
+    Promise("asked for a loop-back, then silent", _loopback, SILENT_S, HOST, "none"),
 )
 
-# A Pico has one interrupt for clock and tick. Its encoder is measured in test_hil_pico_encoder.
-PICO_PROMISES = tuple(
-    promise._replace(way=promise.way._replace(stand=PICO))
-    for promise in PROMISES
-    if promise.what != "hang: clock" and not promise.way.encoder
+# Where what drives makes no difference to the encoder, the host drives.
+OF_ENCODER = (
+    *(
+        Promise("runs over a hard limit, counted by an encoder", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
+        for way in (HOST, DEVICE, FLOOD)
+    ),
+    *(Promise("encoder: both channels change at once", _lost_edge, 2 * TICK_S, way) for way in (*IN_TURN, FLOOD)),
+    *(Promise("encoder: one channel stands still", _still_channel, STILL_S, way) for way in IN_TURN),
+    *(Promise("host silent, encoder", _silence, SILENT_S, way, "none") for way in IN_TURN),
+    Promise("host reads on, but drives no more, encoder", _last_frame, SILENT_S, HOST, "reads"),
+    Promise("nothing but garbage from the host, encoder", _last_frame, SILENT_S, FLOOD, "garbage"),
+    *(
+        Promise(f"hang: {what}, encoder", _hang(what), HANG_S, HOST)
+        for what in ("main loop", "everything", "clock", "tick", "counter")
+    ),
+    *(Promise("e-stop opens, encoder", _e_stop, TICK_S, way) for way in (HOST, FLOOD)),
+    Promise("end switch opens, encoder", _end_switch, 2 * TICK_S, HOST._replace(end_switches=True)),
+    Promise("reset: power-on, external, brown-out, encoder", _reset, TICK_S, HOST),
+    Promise("asked for a loop-back, then silent, encoder", _loopback, SILENT_S, HOST, "none"),
 )
+
+
+def _on(stand: Stand, promises: tuple[Promise, ...], lacks: str) -> tuple[Promise, ...]:
+    """Of a stand: all but the hang of what its chip does not have."""
+    return tuple(
+        promise._replace(way=promise.way._replace(stand=stand))
+        for promise in promises
+        if not promise.what.startswith(f"hang: {lacks}")
+    )
+
+
+# An Uno's encoder is counted by an interrupt; a Pico has one interrupt for clock and tick.
+PROMISES = OF_POTENTIOMETER + _on(UNO_ENCODER, OF_ENCODER, "counter")
+PICO_PROMISES = _on(PICO, OF_POTENTIOMETER, "clock") + _on(PICO_ENCODER, OF_ENCODER, "clock")
 
 
 # ---------------------------------------------------------------------- measuring
@@ -269,7 +293,7 @@ def _phase(promise: Promise, driven: DrivenChip, rng: random.Random) -> _Phase:
 
 def measure(promise: Promise, phases: int, seed: int = 1) -> Measured:
     """One row; the same seed gives the same phases."""
-    way = promise.way._replace(stand=UNO)._asdict()
+    way = promise.way._replace(stand=UNO)._asdict()  # the same phases on each
     del way["stand"]
     rng = random.Random(f"{seed} {promise.what} {way}")
     driven = DrivenChip(promise.way, rng)

@@ -1,23 +1,22 @@
-/* A quadrature encoder at GP2 and GP3, four counts for each period of a channel, by the interrupt of both pins.
+/* A quadrature encoder at GP2 and GP3, four counts for each period of a channel, counted by three state machines of the
+ * chip: one the position, and one the edges of each channel. They look at the pins at least each 80 ns, and take no time of
+ * the processor.
  *
- * The tick's interrupt takes its sample first of all. At most ENCODER_EDGES_MAX edges are counted in a millisecond: more
- * are a trouble, and whatever is on the wires, the chip keeps three quarters of its time.
+ * The tick's interrupt takes its sample first of all.
  */
 #ifndef RIG_PICO_ENCODER_H
 #define RIG_PICO_ENCODER_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
-#define ENCODER_EDGES_MAX 250u /* in a millisecond */
-#define ENCODER_ALONE_MAX 32u  /* edges of one channel in a row */
+#define ENCODER_EDGES_MAX 2000u /* in a millisecond: even a lopsided encoder leaves two looks for each */
+#define ENCODER_ALONE_MAX 32u   /* edges of one channel in a row */
 
 void encoder_init(void);
 
-/* An edge of either channel, from the pins' interrupt. */
-void encoder_take_edge(void);
-
-/* First thing in the tick. */
-void encoder_begin_tick(void);
+/* First thing in the tick. False if what counts does not answer. */
+bool encoder_begin_tick(void);
 
 typedef struct {
     int32_t counts;
@@ -31,7 +30,7 @@ encoder_sample encoder_newest_sample(void);
 /* From now on the present position reads so. */
 void encoder_set(int32_t counts);
 
-/* Bits of rig_encoder_trouble since the last call. */
+/* Bits of rig_encoder_trouble since the last call. For the tick. */
 uint8_t encoder_take_troubles(void);
 
 #endif

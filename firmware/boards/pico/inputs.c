@@ -2,7 +2,6 @@
 
 #include "bridge.h"
 #include "cpu.h"
-#include "encoder.h"
 #include "loopback.h"
 #include "rig_core.h"
 #include "wiring.h"
@@ -36,9 +35,6 @@ void io_bank0_interrupt(void)
         REG(IO_INTR1) = EDGE_HIGH(PIN_ESTOP);
         bridge_drive(0);
         stopped = true;
-    }
-    if (RIG_ENCODER && (REG(IO_PROC0_INTS0) & EDGES_OF_ENCODER) != 0u) {
-        encoder_take_edge();
     }
     if (REG(IO_PROC0_INTS2) != 0u) {
         loopback_take_edge();

@@ -3,7 +3,7 @@
  * The control tick (sample, checks, relay, drive) is an interrupt of the timer; all others come between, and are short.
  * The main loop takes requests, answers them, sends what the tick has collected, and sleeps when there is nothing to do.
  * The hardware watchdog is fed by a tick with a fresh sample after a round of the main loop: that takes the timer, its
- * interrupt, the converter where it converts anything, and the main loop.
+ * interrupt, what counts the encoder, the converter where it converts anything, and the main loop.
  */
 #include <stddef.h>
 
@@ -162,12 +162,10 @@ static void show(void)
 
 void timer_0_interrupt(void)
 {
-    if (RIG_ENCODER) {
-        encoder_begin_tick();
-    }
+    const bool is_sampled = !RIG_ENCODER || encoder_begin_tick();
     clock_begin_tick();
-    if (!adc_take_all()) {
-        return; /* nothing to decide on; the next row's time tells, and a dead converter the hardware watchdog */
+    if (!is_sampled || !adc_take_all()) {
+        return; /* nothing to decide on; the next row's time tells, and the hardware watchdog a dead counter or converter */
     }
     if (has_been_round) {
         has_been_round = false;

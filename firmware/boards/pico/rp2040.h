@@ -27,6 +27,8 @@
 #define RESETS_ADC BIT(0)
 #define RESETS_IO_BANK0 BIT(5)
 #define RESETS_PADS_BANK0 BIT(8)
+#define RESETS_PIO0 BIT(10)
+#define RESETS_PIO1 BIT(11)
 #define RESETS_PLL_SYS BIT(12)
 #define RESETS_PLL_USB BIT(13)
 #define RESETS_PWM BIT(14)
@@ -69,9 +71,6 @@
 #define FUNCTION_PWM 4u
 #define FUNCTION_SIO 5u
 #define OUTPUT_INVERTED BIT(8)
-#define IO_INTR0 0x400140F0u        /* pins 0 to 7 */
-#define IO_PROC0_INTE0 0x40014100u
-#define IO_PROC0_INTS0 0x40014120u
 #define BOTH_EDGES(pin) ((uint32_t)0xCu << (4u * (pin)))
 #define IO_INTR1 0x400140F4u        /* pins 8 to 15, four bits each */
 #define IO_PROC0_INTE1 0x40014104u
@@ -109,6 +108,27 @@
 #define IRQS 26u
 #define PRIORITY_LOWEST 0xC0u
 #define SECOND_OF_IO_BANK0 0x4000u /* of four, in NVIC_IPR3 */
+
+/* 3.7 PIO: two blocks, of four state machines each */
+#define PIO0 0x50200000u
+#define PIO1 0x50300000u
+#define PIO_CTRL 0x000u
+#define PIO_FSTAT 0x004u
+#define PIO_RXEMPTY(machine) BIT(8u + (machine))
+#define PIO_FLEVEL 0x00Cu
+#define PIO_RX_LEVEL(machine) (4u + 8u * (machine))
+#define PIO_RXF(machine) (0x020u + 4u * (machine))
+#define PIO_IRQ_FLAGS 0x030u
+#define PIO_INSTR_MEM(at) (0x048u + 4u * (at))
+#define PIO_SM_CLKDIV(machine) (0x0C8u + 0x18u * (machine))
+#define PIO_SM_EXECCTRL(machine) (0x0CCu + 0x18u * (machine))
+#define PIO_SM_SHIFTCTRL(machine) (0x0D0u + 0x18u * (machine))
+#define PIO_SM_PINCTRL(machine) (0x0DCu + 0x18u * (machine))
+#define PIO_FULL_SPEED BIT(16) /* divider 1 */
+#define PIO_JMP_PIN_IS(pin) ((pin) << 24)
+#define PIO_WRAP(first, last) (((last) << 12) | ((first) << 7))
+#define PIO_SHIFT_LEFT 0u /* whole words, and only when the program says so */
+#define PIO_IN_BASE(pin) ((pin) << 15)
 
 /* 4.2 UART */
 #define UART0_DR 0x40034000u

@@ -9,7 +9,7 @@
 #define TICK_CYCLES 12u /* of the crystal: 1 us */
 #define WATCHDOG_LOAD_120_MS 240000u /* it counts down by 2 each microsecond: erratum RP2040-E1 */
 #define OURS 0x52494721u /* in a register that outlives all resets but a hard one */
-#define USED (RESETS_IO_BANK0 | RESETS_PADS_BANK0 | RESETS_PWM | RESETS_TIMER | RESETS_UART0)
+#define USED (RESETS_IO_BANK0 | RESETS_PADS_BANK0 | RESETS_PWM | RESETS_TIMER | RESETS_UART0 | RESETS_PIO0 | RESETS_PIO1)
 
 static void bring_up(uint32_t peripherals)
 {

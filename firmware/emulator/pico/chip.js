@@ -14,11 +14,13 @@
 //   - CHIP_RESET cannot be read, and all peripherals are out of reset from the start;
 //   - its timer counts on through a reset: what the program reads and sets of it is from the reset on;
 //   - its watchdog calls back, for ever, and its reset() erases the flash: a reset is a new chip on the same clock;
+//   - its PIO runs outside its time, and steps machines that are off: pio.js steps it;
 //   - its peripherals take no note of what the data sheet forbids: the first rule that the program breaks is kept.
 // Flash takes it no time: the program runs from memory, which takes the chip none, either. There is one core.
 const { RP2040 } = require("rp2040js");
 const { Adc } = require("./adc.js");
 const { Peripheral } = require("./peripheral.js");
+const { connectPio } = require("./pio.js");
 const { Pwm } = require("./pwm.js");
 const { Uart } = require("./uart.js");
 const { readUf2, boot2Fits, BOOT2_BYTES } = require("./flash.js");
@@ -28,7 +30,8 @@ const SimulationClock = new RP2040().clock.constructor; // not exported
 const [BOOT2_AT, RAM, RAM_END] = [0x20041f00, 0x20000000, 0x20042000];
 const [UART0, ADC, PWM, WATCHDOG, CHIP_RESET] = [0x40034, 0x4004c, 0x40050, 0x40058, 0x40064];
 const [IO_BANK0, PADS_BANK0, RESETS] = [0x40014, 0x4001c, 0x4000c];
-const IN_RESET = { [IO_BANK0]: 5, [PADS_BANK0]: 8, [PWM]: 14, 0x40054: 21, [UART0]: 22, [ADC]: 0 }; // bits of RESETS
+const PIOS = [0x50200, 0x50300];
+const IN_RESET = { [PIOS[0]]: 10, [PIOS[1]]: 11, [IO_BANK0]: 5, [PADS_BANK0]: 8, [PWM]: 14, 0x40054: 21, [UART0]: 22, [ADC]: 0 }; // bits of RESETS
 const [RESET, RESET_DONE, ALL_RESETS] = [0x0, 0x8, 0x1ffffff];
 const [TIMER_IRQ, UART_IRQ] = [0, 20];
 const TIMER = 0x40054;
@@ -184,6 +187,7 @@ class Chip {
       },
     });
     this.conductsFrom = 0;
+    this.pios = PIOS.map((at) => connectPio(mcu.peripherals[at], { hold, now: () => this.#cycle }));
     const watchdog = mcu.peripherals[WATCHDOG];
     watchdog.reason = watchdogReason;
     if (watchdogReason !== 0) watchdog.scratchData.set(this.scratch);
@@ -420,7 +424,9 @@ class Chip {
 
   #setInput(pin, isHigh) {
     const gpio = this.mcu.gpio[pin];
-    if (isHigh !== gpio.rawInputValue) gpio.setInputValue(isHigh);
+    if (isHigh === gpio.rawInputValue) return;
+    for (const pio of this.pios) pio.advance();
+    gpio.setInputValue(isHigh);
   }
 
   // Turns the encoder's pins by one edge, if the shaft has, and comes again when the next one is due.
@@ -542,7 +548,8 @@ class Chip {
     throw new Error("the firmware has no endless loop to hang it in");
   }
 
-  // The main loop stops, with interrupts ("everything") or without, or what it lives by: the tick's interrupt, the converter.
+  // The main loop stops, with interrupts ("everything") or without, or what it lives by: the tick's interrupt, the converter,
+  // what counts the encoder.
   hang(what) {
     const { core } = this.mcu;
     if (what === "tick") {
@@ -552,6 +559,8 @@ class Chip {
       this.adc.is_dead = true;
       this.adc.ready = false;
       this.adc.done.cancel();
+    } else if (what === "counter") {
+      for (const pio of this.pios) pio.stop();
     } else {
       for (let i = 0; i < 100000 && (core.IPSR !== 0 || core.PM) && !core.waiting; i++) this.#step(Infinity);
       core.PC = this.#trap();

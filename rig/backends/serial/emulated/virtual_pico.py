@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # it loads slowly
 _END_S = 10.0
 
 PicoContact = Literal["e_stop", "end_low", "end_high"]
-PicoHang = Literal["main loop", "everything", "tick", "converter"]
+PicoHang = Literal["main loop", "everything", "tick", "converter", "counter"]
 PicoStall = Literal["main loop", "tick"]
 
 
@@ -122,7 +122,7 @@ class VirtualPico(Plug):
         self._call("contact", which, is_open)
 
     def hang(self, what: PicoHang = "main loop") -> None:
-        """Stop the main loop, that and all interrupts, the tick's interrupt, or the converter."""
+        """Stop the main loop, that and all interrupts, the tick's interrupt, the converter, or an encoder's counter."""
         self._call("hang", what)
 
     def stall(self, what: PicoStall, duration_s: float) -> None:
