@@ -7,4 +7,5 @@ draft      the config with what has been found so far
 wiring     drawings: which wires to check, and which two to swap
 bench      does readings and strokes, on a real or an emulated bench
 save       puts the result into the config file
+session    from the config to the changed config, for a terminal and for a page
 """

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from rig.backends.registry import Bench, backend_of, connect
-from rig.calibrate.dialogue import Hold, Pose, Read, Reading, SetZero, Strokes, StrokesSeen
+from rig.calibrate.dialogue import Hold, Motion, Pose, Read, Reading, SetZero, Strokes, StrokesSeen
 from rig.calibrate.refusal import Refusal
 from rig.config.schema import Experiment
 from rig.control.guard import Guard
@@ -54,21 +54,21 @@ class HandBench:
     ) -> None:
         self._close()
 
-    def perform(self, request: Read | SetZero | Strokes | Hold) -> Any:
+    def perform(self, request: Motion) -> Any:
         """What the request wants.
 
-        Raises Refusal for a fault of link, device or guard, for the dialogue: the bench is opened anew for the next
-        request. Raises Fault INTERRUPTED for a signal.
+        Raises Refusal for a fault of link, device or guard, and for a Stop, for the dialogue: the bench is opened anew
+        for the next request.
         """
         try:
             return self._perform(request)
         except Fault as fault:
             self._close()
             if fault.code == "INTERRUPTED":
-                raise
+                raise Refusal("stopped: the drive is at 0 V", "measure again, or leave this step out") from fault
             raise Refusal(str(fault), fault.cure) from fault
 
-    def _perform(self, request: Read | SetZero | Strokes | Hold) -> Any:
+    def _perform(self, request: Motion) -> Any:
         match request:
             case Read():
                 return self._read(request)

@@ -1,6 +1,7 @@
 """What a calibration asks for, as data: questions, readings, strokes. A terminal or a page brings the answers.
 
-A step is a generator: it yields one of these requests, and is sent what the request says that it wants.
+A step is a generator: it yields one of these requests, and is sent what the request says that it wants. ``session``
+goes through them.
 
     dialogue = calibration(draft, steps)
     request = next(dialogue)
@@ -47,14 +48,20 @@ class Say:
 class Ask:
     """A question. Wants the answer as text, as it was typed; "" takes the default.
 
-    kind     what a page should show: `enter` (nothing to type), `angle` (degrees, or `0.5 rad`), `number`, `choice`
-    choices  of `choice`: answer and meaning
+    kind      what a page should show: `enter` (nothing to type), `angle` (degrees, or `0.5 rad`), `number`, `choice`
+    choices   of `choice`: answer and meaning
+    empty     what "" means, where it is no default; of `enter`: what has been done
+    commands  other answers, and what each does
+    skips     whether there is a step to leave out
     """
 
     words: str
     kind: Literal["enter", "angle", "number", "choice"] = "enter"
     default: str = ""
     choices: tuple[tuple[str, str], ...] = ()
+    empty: str = ""
+    commands: tuple[tuple[str, str], ...] = ()
+    skips: bool = True
 
 
 @dataclass(frozen=True)
@@ -123,7 +130,9 @@ class Hold:
     seconds: float
 
 
-Request = Say | Ask | Read | SetZero | Strokes | Hold
-"""Of these ``Strokes`` and ``Hold`` drive. Each comes after a question to which somebody has said yes."""
+Motion = Read | SetZero | Strokes | Hold
+"""What the bench does. ``Strokes`` and ``Hold`` drive: each comes after a question to which somebody has said yes."""
+
+Request = Say | Ask | Motion
 
 Dialogue = Generator[Request, Any, Any]

@@ -102,7 +102,10 @@ def _password(path: Path) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise AccessError(f"{path} cannot be read: {error}", "check --password-file") from error
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise AccessError(f"others on this machine may read {path}", f"chmod 600 {path}")
+        raise AccessError(
+            f"others on this machine may read {path}",
+            "put the password into a file of its own that only you may read: chmod 600 FILE",
+        )
     return password_of(text)
 
 
@@ -112,5 +115,5 @@ def _announce(panel: Panel) -> None:
         click.echo(f"rig panel: {access.address.url}  (it asks for the password)")
     else:
         click.echo(f"rig panel: {access.address.url}?token={access.token}")
-        click.echo("This address lets one browser drive, once; without the token a page may watch and stop.")
+        click.echo("The first browser that opens this address may drive; others may watch and stop.")
     click.echo("Ctrl-C ends the panel. A run goes on without it, guarded; a jog ends.")

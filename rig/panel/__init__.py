@@ -4,10 +4,12 @@ access    who may watch and who may drive: token, cookie, password, Host, Origin
 app       the pages, the JSON and the WebSocket
 sockets   what one WebSocket may cost
 watch     what the pages are told of a run, 25 times a second
-bench     checks, starts, jogs and stops
+bench     checks, starts, calibrates, jogs and stops
+calibration  a calibration that a page goes through; calibrating: the process that does it
 processes the commands that were started, found again by a later panel
 aside     what takes a second, in a process of low priority
 prospect  what `rig check` says of a config, as JSON
 runs      past runs; series: one of them, thin enough to draw
+compared  whether several of them are of one motor
 serve     the server: address, certificate, the process itself
 """

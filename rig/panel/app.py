@@ -32,6 +32,7 @@ from rig.panel.watch import Follower, Watch
 STATIC: Final = FOLDER / "panel" / "static"
 UPLOT: Final = STATIC / "vendor" / "uPlot.esm.js"
 
+_MOST_COMPARED: Final = 6  # as many colours as the page has
 _POLICY: Final = 1008  # WebSocket close codes
 _TOO_MANY: Final = 1013
 _KINDS: Final[dict[str, Kind]] = {"GET": "read", "HEAD": "read", "POST": "write"}
@@ -109,8 +110,12 @@ def make_app(panel: Panel) -> ASGIApp:
             Route("/api/stop", pages.stop, methods=["POST"]),
             Route("/api/jog/start", pages.start_jog, methods=["POST"]),
             Route("/api/jog/end", pages.end_jog, methods=["POST"]),
+            Route("/api/calibration", pages.calibration),
+            Route("/api/calibration/begin", pages.begin_calibration, methods=["POST"]),
+            Route("/api/calibration/answer", pages.answer_calibration, methods=["POST"]),
             Route("/api/runs", pages.runs),
             Route("/api/runs/{name}", pages.run),
+            Route("/api/compare", pages.compare),
             Route("/runs/{name}/report.html", pages.report),
             WebSocketRoute("/ws", _Sockets(panel).serve),
             Mount("/static", StaticFiles(directory=STATIC)),
@@ -205,6 +210,28 @@ class _Pages:
         await asyncio.to_thread(self._panel.bench.end_jog)
         return JSONResponse({"ended": True})
 
+    async def calibration(self, request: Request) -> Response:
+        """The calibration: what was said, the open question; null before the first."""
+        self._require_reader(request)
+        found = self._panel.bench.calibration
+        return JSONResponse({"calibration": None if found is None else found.shown()})
+
+    async def begin_calibration(self, request: Request) -> Response:
+        """Begin a calibration."""
+        self._require_operator(request)
+        await asyncio.to_thread(self._panel.bench.calibrate)
+        return JSONResponse({"begun": True})
+
+    async def answer_calibration(self, request: Request) -> Response:
+        """Answer its question, leave the step out, or end it without writing."""
+        self._require_operator(request)
+        found = self._panel.bench.calibration
+        if found is None:
+            raise RefusedError(409, "no calibration goes on", "begin one")
+        asked = await _json_of(request)
+        await asyncio.to_thread(found.answer, asked.get("question"), _answer(asked))
+        return JSONResponse({"answered": True})
+
     async def runs(self, request: Request) -> Response:
         """The past runs."""
         self._require_reader(request)
@@ -218,6 +245,16 @@ class _Pages:
         async with self._one_at_a_time:
             drawn = await answer_of("rig.panel.series", folder)
         return JSONResponse({**await asyncio.to_thread(runs.row, folder), **drawn})
+
+    async def compare(self, request: Request) -> Response:
+        """Whether past runs are of one motor: ``?run=NAME&run=NAME``."""
+        self._require_reader(request)
+        names = list(dict.fromkeys(request.query_params.getlist("run")))
+        if not 2 <= len(names) <= _MOST_COMPARED:
+            raise RefusedError(400, f"two to {_MOST_COMPARED} runs can be compared here", "rig compare takes more")
+        folders = [await asyncio.to_thread(self._panel.runs.find, name) for name in names]
+        async with self._one_at_a_time:
+            return JSONResponse(await answer_of("rig.panel.compared", *folders))
 
     async def report(self, request: Request) -> Response:
         """A run's report, in a sandbox."""
@@ -369,6 +406,20 @@ def _object(text: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise RefusedError(400, "that is no JSON object", "")
     return value
+
+
+def _answer(asked: dict[str, Any]) -> dict[str, Any]:
+    """One answer of a calibration, and nothing else that a page may have sent."""
+    steps, text = asked.get("steps"), asked.get("answer")
+    if asked.get("end") is True:
+        return {"end": True}
+    if asked.get("skip") is True:
+        return {"skip": True}
+    if isinstance(steps, list) and all(isinstance(name, str) for name in steps):
+        return {"steps": steps}
+    if isinstance(text, str):
+        return {"answer": text}
+    raise RefusedError(400, "that is no answer", 'send "answer", "steps", "skip" or "end"')
 
 
 def _no_session() -> RefusedError:

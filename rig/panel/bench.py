@@ -1,10 +1,14 @@
-"""What a page may make the bench do: check a config, start a run, jog, stop. Each run is a process of its own."""
+"""What a page may make the bench do: check a config, start a run, calibrate, jog, stop.
+
+Each run and each calibration is a process of its own.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import hashlib
+import itertools
 import secrets
 import threading
 import time
@@ -17,10 +21,12 @@ from rig.live.running import Running, running
 from rig.live.stop_flag import StopError, request_stop
 from rig.panel import processes
 from rig.panel.aside import answer_of
+from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
 from rig.panel.processes import Ended, StartedProcess
 
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
+CALIBRATION: Final = Path("the calibration")  # stands for one that drives without a run folder
 _CONFIRMED_FOR_S: Final = 600.0
 
 
@@ -28,7 +34,7 @@ _CONFIRMED_FOR_S: Final = 600.0
 class StopAnswer:
     """What became of a Stop.
 
-    runs   folders of the runs that it reached
+    runs   folders of the runs that it reached; ``CALIBRATION`` for a calibration that does not record
     waits  commands that have no run folder yet and were interrupted
     why    what did not work; empty: all of it did
     """
@@ -71,6 +77,9 @@ class Bench:
         self._hold: _Hold | None = None
         self._interrupted: set[str] = set()  # pages whose hold was interrupted, until they let go
         self._running: list[Running] = []
+        self.calibration: Calibration | None = None
+        self.calibration_changes = 0
+        self._changes = itertools.count(1)
 
     # ------------------------------------------------------------------ what goes on
 
@@ -109,12 +118,19 @@ class Bench:
     def _start(self, command: str, *arguments: str) -> dict[str, Any]:
         """Start a command, if nothing else goes on."""
         self.look()
-        if busy := [one.folder.name for one in self._running] + [one.command for one in self.opening]:
-            raise RefusedError(409, f"{busy[-1]} goes on already", "wait for its end, or press Stop")
         with self._lock:
+            self._require_rest()
             process = processes.start(self.out, command, arguments)
             self._started.append(process)
         return {"run": None, "pid": process.pid}
+
+    def _require_rest(self) -> None:
+        """Raise RefusedError if anything goes on; the lock is held."""
+        opening = [process.command for process in self._started if not process.has_folder and process.lives]
+        if busy := [one.folder.name for one in self._running] + opening:
+            raise RefusedError(409, f"{busy[-1]} goes on already", "wait for its end, or press Stop")
+        if self.calibration is not None and self.calibration.goes_on:
+            raise RefusedError(409, "a calibration goes on already", "finish it, or end it, on the page Calibrate")
 
     # ------------------------------------------------------------------ start
 
@@ -145,6 +161,20 @@ class Bench:
             raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
         return self._start("run", str(config))
 
+    # ------------------------------------------------------------------ calibrate
+
+    def calibrate(self) -> None:
+        """Begin a calibration of the config. Raises RefusedError if anything is in the way."""
+        config = self._own_config()
+        self.look()
+        with self._lock:
+            self._require_rest()
+            self.calibration = Calibration(config, self.out, self._calibration_changed)
+        self._calibration_changed()
+
+    def _calibration_changed(self) -> None:
+        self.calibration_changes = next(self._changes)  # from several threads: no two changes look like one
+
     # ------------------------------------------------------------------ stop
 
     def stop(self, name: str | None = None, by: str = "panel") -> StopAnswer:
@@ -162,6 +192,11 @@ class Bench:
         waiting = self.opening if name is None else []
         for process in waiting:
             process.interrupt()
+        if self.calibration is not None and name is None:
+            is_run = self.calibration.pid in {one.runner.pid for one in self._running if one.folder in reached}
+            if self.calibration.works and not is_run:
+                reached.append(CALIBRATION)
+            self.calibration.stop(by_flag=is_run)
         return StopAnswer(tuple(reached), len(waiting), "; ".join(failed))
 
     # ------------------------------------------------------------------ jog

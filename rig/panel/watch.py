@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rig.live.view import KEPT_ROWS, Estimate, LiveRow, LiveView, SeenFault, Snapshot
-from rig.panel.bench import Bench, StopAnswer
+from rig.panel.bench import CALIBRATION, Bench, StopAnswer
 from rig.panel.processes import Ended
 from rig.panel.runs import Runs
 
@@ -33,11 +33,12 @@ _ZERO_WITHIN_S: Final = 1.0
 class Scene:
     """What there is to tell at one moment.
 
-    run       the folder's name; None: nothing runs, and nothing was opened
-    opening   the command that was started and has no folder yet
-    snapshot  of the run
-    ended     the message that it is over; None: it goes on
-    news      messages for every page, each with its number
+    run          the folder's name; None: nothing runs, and nothing was opened
+    opening      the command that was started and has no folder yet
+    snapshot     of the run
+    ended        the message that it is over; None: it goes on
+    news         messages for every page, each with its number
+    calibration  how often it has changed what a page shows of it
     """
 
     run: str | None = None
@@ -45,6 +46,7 @@ class Scene:
     snapshot: Snapshot | None = None
     ended: dict[str, Any] | None = None
     news: tuple[tuple[int, dict[str, Any]], ...] = ()
+    calibration: int = 0
 
 
 @dataclass
@@ -130,6 +132,7 @@ class Watch:
             snapshot,
             self._ended,
             tuple(self._news),
+            bench.calibration_changes,
         )
 
     def _choose(self) -> None:
@@ -167,6 +170,8 @@ class Watch:
     def _watch_stops(self, folder: Path | None, snapshot: Snapshot | None) -> None:
         now_s = time.monotonic()
         going = {one.folder for one in self._bench.running}
+        if self._bench.calibration is not None and self._bench.calibration.works:
+            going.add(CALIBRATION)
         for asked, stop in list(self._asked.items()):
             after_ms = round(1e3 * (now_s - stop.at_s))
             if asked == folder and snapshot is not None:
@@ -200,6 +205,7 @@ class Follower:
     _seen: int | None = None
     _spoke_s: float = -math.inf
     _operator: bool | None = None
+    _calibration: int = 0
 
     def seen(self, number: int) -> None:
         """The page says which live message it has shown."""
@@ -211,6 +217,9 @@ class Follower:
         if operator != self._operator:
             self._operator = operator
             messages.append({"type": "operator", "you": operator})
+        if scene.calibration != self._calibration:
+            self._calibration = scene.calibration
+            messages.append({"type": "calibration", "changes": scene.calibration})
         messages += [message for number, message in scene.news if number > self.news]
         self.news = max(self.news, scene.news[-1][0] if scene.news else 0)
         if scene.run is not None and scene.snapshot is not None:

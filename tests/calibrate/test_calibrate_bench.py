@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +33,14 @@ def test_a_hold_lasts_with_the_motor_off_and_ends_with_it_on(simulated: Experime
         assert abs(hand.perform(hold)) < simulated.breakaway.motion_rad
     forgotten = module._hold(simulated, hold)
     assert simulated.breakaway.motion_rad < forgotten < 4.0 * simulated.breakaway.motion_rad
+
+
+def test_a_stop_ends_a_hold_and_not_the_calibration(simulated: Experiment, tmp_path: Path) -> None:
+    hold = Hold(simulated, 1.2, 1e6)
+    with HandBench(simulated, tmp_path) as hand:
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        with pytest.raises(Refusal, match="stopped: the drive is at 0 V"):
+            hand.perform(hold)
 
 
 def test_a_hand_turns_the_emulated_shaft(simulated: Experiment, tmp_path: Path) -> None:

@@ -152,6 +152,12 @@ def test_a_run_is_drawn_with_few_points_and_a_broken_one_says_why(watcher: TestC
     assert "samples.csv" in error(watcher.get("/api/runs/20260101T000000Z-run-broken"), 409)["what"]
 
 
+def test_runs_are_compared_by_name(watcher: TestClient) -> None:
+    name = "20260103T000000Z-run-whole"
+    assert "two to 6" in error(watcher.get(f"/api/compare?run={name}&run={name}"), 400)["what"]
+    error(watcher.get(f"/api/compare?run={name}&run=..secret"), 404)
+
+
 def test_what_is_too_large_is_refused(operator: TestClient) -> None:
     error(operator.post("/api/start", content=b" " * (LARGEST_MESSAGE + 1)), 413)
     error(operator.post("/api/start", content=b"[" * LARGEST_MESSAGE), 400)

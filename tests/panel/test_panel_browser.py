@@ -13,12 +13,16 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from compared_runs import Told, write_run, write_samples
 from processes import PATIENCE_S
 
+from rig.config import load
+from rig.config.yaml12 import parse
 from rig.live.running import running
 from rig.live.stop_flag import request_stop
 
@@ -28,6 +32,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 PERIOD_S = 0.01
 LEASE_TICKS = round(0.15 / PERIOD_S)
+PASSWORD = "correct horse battery"
 NOT_CONNECTED = "Not connected: use the e-stop"
 
 
@@ -40,24 +45,44 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     simulated = (ROOT / "config" / "simulated.yaml").read_text(encoding="utf-8")
     # so much is asked for that the run goes on until it is stopped
     config.write_text(simulated.replace("interval_percent: 0.4", "interval_percent: 0.1"), encoding="utf-8")
-    # a past run to lay over the one that is started here
+    wrong = folder / "wrong.yaml"  # a bench that is not as the config says
+    truth = "  potentiometer:\n    rad_per_count: 0.0043\n    centre_counts: 500\n"
+    elsewhere = simulated.replace("  potentiometer:\n", truth, 1)
+    wrong.write_text(re.sub(r"(?m)^emulated:.*\n", "emulated:\n  reversed: true\n", elsewhere), encoding="utf-8")
+    # past runs to lay over the one that is started here
     shutil.copytree(ROOT / "tests" / "golden" / "host-board", runs / "20260101T000000Z-run-before")
+    for day, motor in ((2, Told()), (3, Told(fc_V=0.5))):
+        write_samples(write_run(runs / f"2026010{day}T000000Z-run-known", motor), seed=day)
+    secret = folder / "password"
+    secret.write_text(PASSWORD + "\n")
+    secret.chmod(0o600)
+    with (
+        served(config, runs) as (panel, url),
+        served(config, folder / "shared", "--password-file", secret) as (_, shared_url),
+    ):
+        asked = {
+            "url": url, "panel_pid": panel.pid, "runs": str(runs), "config": str(config),
+            "calibrate_config": str(wrong), "jog_config": str(ROOT / "config" / "demo.yaml"),
+            "shared_url": shared_url, "password": PASSWORD, "shots": os.environ.get("RIG_SHOTS"),
+        }  # fmt: skip
+        told = subprocess.run(
+            ["node", str(HERE / "browser" / "page.mjs"), json.dumps(asked)], stdout=subprocess.PIPE, check=True
+        )
+        yield json.loads(told.stdout)
+
+
+@contextmanager
+def served(config: Path, runs: Path, *more: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A panel as a process, and its address; what still runs at its end is stopped."""
     panel = subprocess.Popen(
-        [sys.executable, "-m", "rig", "panel", str(config), "--out", str(runs), "--port", "0"],
+        [sys.executable, "-m", "rig", "panel", str(config), "--out", str(runs), "--port", "0", *map(str, more)],
         stdout=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     assert panel.stdout is not None
     try:
         found = re.search(r"http://\S+", panel.stdout.readline())
         assert found is not None
-        asked = {
-            "url": found[0], "panel_pid": panel.pid, "runs": str(runs), "config": str(config),
-            "jog_config": str(ROOT / "config" / "demo.yaml"), "shots": os.environ.get("RIG_SHOTS"),
-        }  # fmt: skip
-        told = subprocess.run(
-            ["node", str(HERE / "browser" / "page.mjs"), json.dumps(asked)], stdout=subprocess.PIPE, check=True
-        )
-        yield json.loads(told.stdout)
+        yield panel, found[0]
     finally:
         panel.send_signal(signal.SIGCONT)
         panel.kill()
@@ -107,8 +132,41 @@ def test_stop_is_one_key_anywhere_but_in_text(seen: dict[str, Any]) -> None:
 
 def test_past_runs_are_laid_over_each_other_and_reports_opened(seen: dict[str, Any]) -> None:
     assert "20260101T000000Z-run-before" in seen["overlay"]["table"]
+    compared = seen["overlay"]["compared"]
+    assert "Do they differ by more than their noise explains? Yes" in compared
+    assert "Left out: 20260101T000000Z-run-before" in compared
     assert seen["report"]["title"].endswith("run-simulated")
     assert (seen["report"]["sandbox"], seen["report"]["stop"]) == ("", True)
+
+
+def test_a_bench_is_calibrated_by_keyboard_alone(seen: dict[str, Any]) -> None:
+    wiring, done = seen["wiring"], seen["calibrated"]
+    assert wiring == {"title": "swap these two wires at one end, with the motor's supply off", "wires": 4}
+    assert "'4,5' is no angle" in done["said"]
+    config = load(parse(done["config"], "config").data)
+    assert config.drive.reversed
+    assert config.sensor.straight[0] == pytest.approx(0.0043, rel=0.01)
+    assert done["kept"]
+
+
+def test_whatever_a_screen_reader_finds_has_a_name(seen: dict[str, Any]) -> None:
+    assert seen["unnamed"] == []
+    heard = seen["heard"]
+    assert set(heard) == {"bench", "sheet", "runs", "report", "wiring"}
+    for view in heard.values():
+        assert any(name.startswith("button Stop") for name in view)
+    assert "dialog Before the motor moves" in heard["sheet"]
+    assert "slider Drive" in " ".join(heard["bench"])
+    assert any(
+        name.endswith("swap these two wires at one end, with the motor's supply off") for name in heard["wiring"]
+    )
+
+
+def test_another_operator_takes_the_bench_and_the_first_one_watches(seen: dict[str, Any]) -> None:
+    taken = seen["taken"]
+    assert (taken["before"], taken["after"]) == ([True, False], [False, True])
+    assert taken["words"] == taken["told"] == "Another page has the bench. You watch. Stop works."
+    assert taken["stop"]
 
 
 @pytest.mark.parametrize("loss", ["cut", "closed", "frozen", "killed"])

@@ -23,8 +23,7 @@ def angles_step(draft: Draft) -> Steps[Draft]:
     yield Say(
         "The motor's supply is off. Turn the shaft by hand to angles that you know, say by a printed protractor.\n"
         "Five angles show how straight the sensor is; three are the least. The outer ones should lie beyond the hard\n"
-        f"limits, {low:.0f}° and {high:.0f}° so far. Positive is the side that you call so. `skip` leaves a step out,\n"
-        "`quit` ends without writing."
+        f"limits, {low:.0f}° and {high:.0f}° so far. Positive is the side that you call so."
     )
     error_rad = yield from angle_error(e.sensor.calibration_error_rad)
     belief = Belief(count_rad(e), e.sensor.counts_max or 0, error_rad, 0.0)
@@ -33,13 +32,14 @@ def angles_step(draft: Draft) -> Steps[Draft]:
     while True:
         try:
             if not angles:
-                yield Ask("turn the shaft to the middle of its travel, where 0 is to be, and press Enter")
+                yield Ask("turn the shaft to the middle of its travel, where 0 is to be", empty="it is there")
                 answer, rad = "0", 0.0
             else:
                 answer = yield Ask(
-                    f"angle {len(angles) + 1}: turn the shaft there, and type the angle in degrees; "
-                    "Enter alone: no more angles",
+                    f"angle {len(angles) + 1}: turn the shaft there, and type the angle in degrees",
                     "angle",
+                    empty="no more angles",
+                    commands=_commands(angles),
                 )
                 if answer.strip() == "":
                     fit = sensor_fit(angles, belief)
@@ -80,6 +80,12 @@ def angles_step(draft: Draft) -> Steps[Draft]:
             f"{high:g}]: do the step `travel`, or this one again with angles farther out"
         )
     return draft
+
+
+def _commands(angles: Sequence[Angle]) -> tuple[tuple[str, str], ...]:
+    """What else may be answered: an angle dropped, or all of them."""
+    drops = ((f"drop {k}", f"drop {math.degrees(a.rad):+.4g}°") for k, a in enumerate(angles[1:], 2))
+    return (*drops, ("again", "begin anew with the centre"))
 
 
 def _dropped(angles: list[Angle], number: int) -> str:

@@ -50,7 +50,7 @@ def dead_band_step(draft: Draft) -> Steps[Draft]:
                 break
             except Refusal as refusal:
                 yield refused(refusal)
-                yield Ask("press Enter to measure this direction again; `skip` leaves the dead band as it is")
+                yield Ask("get ready to measure this direction again", empty="measure again")
         name = "plus" if (way > 0) != e.drive.reversed else "minus"
         found[name] = round(band.duty, 3)
         yield Say(f"{name}: nothing passes up to {100.0 * band.duty:.1f} % duty", "found")

@@ -72,7 +72,10 @@ def strokes_step(draft: Draft) -> Steps[Draft]:
             )  # fmt: skip
         else:
             answer = yield from choice(
-                Say(f"{seen.fault}\n{seen.fault.cure}", "refused"),
+                Say(
+                    "stopped: the drive is at 0 V" if code == "INTERRUPTED" else f"{seen.fault}\n{seen.fault.cure}",
+                    "refused",
+                ),
                 "and then?",
                 (("again", "the strokes again"), ("stop", "leave this step out")),
             )

@@ -36,7 +36,7 @@ def travel_step(draft: Draft) -> Steps[Draft]:
             break
         except Refusal as refusal:
             yield refused(refusal)
-            yield Ask("press Enter to measure the travel again; `skip` leaves it as it is")
+            yield Ask("get ready to measure the travel again", empty="measure again")
     yield Say(_travel_words(found), "found")
     low, high = e.limits.hard_rad
     if found.hard_rad[0] <= low and high <= found.hard_rad[1]:
@@ -75,9 +75,9 @@ def _with_room_to_stop(draft: Draft) -> Steps[Draft]:
 def _stops(draft: Draft) -> Steps[tuple[Draft, tuple[float, float]]]:
     """Where the stops are, rad; infinite where the sensor ends first."""
     e = draft.experiment
-    yield Ask("turn the shaft gently to its stop on the low, negative side, and press Enter")
+    yield Ask("turn the shaft gently to its stop on the low, negative side", empty="it is there")
     low = yield Read(e, "low stop")
-    yield Ask("now to its stop on the high, positive side, and press Enter")
+    yield Ask("now to its stop on the high, positive side", empty="it is there")
     high = yield Read(e, "high stop")
     if abs(high.y_counts - low.y_counts) < MOVED_COUNTS:
         drawings = wiring.sensor if e.sensor.encoder is None else wiring.encoder

@@ -18,12 +18,12 @@ def turn_step(draft: Draft) -> Steps[Draft]:
     e = draft.experiment
     encoder = e.sensor.encoder
     assert encoder is not None
-    yield Say("The motor's supply is off. `skip` leaves a step out, `quit` ends without writing.")
+    yield Say("The motor's supply is off.")
     error_rad = yield from angle_error(math.radians(2.0))
     while True:
         try:
-            mark = "a mark" if e.limits.is_endless else "its zero, the middle of its travel,"
-            yield Ask(f"turn the shaft to {mark} and press Enter")
+            mark = "a mark" if e.limits.is_endless else "its zero, the middle of its travel"
+            yield Ask(f"turn the shaft to {mark}", empty="it is there")
             if not e.limits.is_endless:
                 yield SetZero(e)
             draft, before = yield from standing(draft, Read(e, 0.0))

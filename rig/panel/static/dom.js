@@ -1,5 +1,8 @@
 // Small helpers for the page's elements. Text from elsewhere becomes text, never markup.
 
+/** What a box to tick says of its key. */
+export const ENTER_TICKS = "Enter ticks this box; space is Stop";
+
 /** The element with this id. */
 export const byId = (id) => document.getElementById(id);
 

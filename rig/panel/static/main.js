@@ -1,6 +1,7 @@
 // The page's beginning: it connects the parts, and says which of them the reader sees.
 
 import { Bench } from "./bench.js";
+import { Calibrate } from "./calibrate.js";
 import { Connection } from "./connection.js";
 import { ask, byId, setText, show } from "./dom.js";
 import { Jog } from "./jog.js";
@@ -16,6 +17,7 @@ const connection = new Connection();
 const stop = new Stop(connection); // first of all, so that it works whatever else fails
 const jog = new Jog(connection, stop);
 const start = new Start(stop);
+const calibrate = new Calibrate(connection);
 const runs = new Runs();
 const SEEN_EVERY = 5; // the server slows down for a page that does not answer
 let seen = 0;
@@ -28,15 +30,14 @@ let command = null; // of the run that drives
 let opened = false; // a jog that waits for a hold: its device is open
 let opens = null; // command that was started, and opens its device
 
-const VIEWS = ["bench", "runs", "report"];
+const VIEWS = ["bench", "calibrate", "runs", "report"];
 
 function route() {
   const [view, name] = location.hash.slice(1).split("/");
   const shown = VIEWS.includes(view) ? view : "bench";
   body.dataset.view = shown;
   for (const one of VIEWS) show(byId(`${one}-view`), one === shown);
-  byId("to-bench").ariaCurrent = shown === "bench" ? "page" : null;
-  byId("to-runs").ariaCurrent = shown === "bench" ? null : "page";
+  for (const one of ["bench", "calibrate", "runs"]) byId(`to-${one}`).ariaCurrent = (shown === "report" ? "runs" : shown) === one ? "page" : null;
   if (shown === "runs") runs.reload();
   if (shown === "report") runs.report(decodeURIComponent(name ?? ""));
 }
@@ -53,15 +54,19 @@ function drives(next) {
 
 function buttons() {
   const mine = state.operator && connection.alive;
-  byId("start").disabled = !mine || command !== null || opens !== null || !state.config;
-  byId("jog").disabled = !mine || opens !== null || (command !== null && !opened) || !state.config;
+  const rests = command === null && opens === null;
+  byId("start").disabled = !mine || !rests || calibrate.goesOn || !state.config;
+  byId("jog").disabled = !mine || !(rests || opened) || calibrate.goesOn || !state.config;
+  calibrate.allow(mine && Boolean(state.config), rests);
   jog.allow(mine && command === "jog" && opened);
   show(byId("take"), !state.operator && state.has_token);
   const note = byId("watcher");
-  show(note, !state.operator || !state.config);
+  show(note, !state.operator || !state.config || calibrate.goesOn);
   setText(
     note,
-    state.operator
+    state.operator && state.config
+      ? "A calibration goes on: finish it, or end it, under Calibrate."
+      : state.operator
       ? "No config: start the panel as rig panel CONFIG to start runs here."
       : state.has_token
         ? "Another page has the bench. You watch. Stop works."
@@ -132,8 +137,15 @@ connection.addEventListener("silent", () => {
   buttons();
 });
 
+calibrate.addEventListener("changed", buttons);
 byId("take").addEventListener("click", () => connection.send({ type: "take" }));
 addEventListener("hashchange", route);
+// space is Stop everywhere, so Enter ticks a box
+addEventListener("keydown", (event) => {
+  if (event.key !== "Enter" || !event.target.matches("input[type=checkbox]")) return;
+  event.preventDefault();
+  event.target.click();
+});
 
 connection.open();
 const curves = await loadPlots();

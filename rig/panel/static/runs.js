@@ -1,9 +1,15 @@
 // Past runs: the list, two or more laid over each other from their first switch, and a run's report.
 
-import { ask, byId, element, setText, show } from "./dom.js";
+import { ENTER_TICKS, ask, byId, element, setText, show } from "./dom.js";
 import { axis, canPlot, join, plotIn } from "./plot.js";
 import { colour } from "./theme.js";
 import { PARAMETERS, fixed, moment, withInterval } from "./words.js";
+
+const SETTLED_MS = 400; // somebody ticks several runs, one after the other
+const QUESTIONS = [
+  ["measurably", "Do they differ by more than their noise explains?"],
+  ["beyond_scatter", "Do they differ by more than one motor does from run to run?"],
+];
 
 const MOST = 6;
 const COLOURS = ["--run-1", "--run-2", "--run-3", "--run-4", "--run-5", "--run-6"];
@@ -14,6 +20,7 @@ export class Runs {
   #ticked = []; // names, in the order of ticking: the order of the colours
   #read = new Map(); // name -> the run's series and numbers
   #drawn = null;
+  #compared = 0;
 
   constructor() {
     byId("reload").addEventListener("click", () => this.reload());
@@ -49,7 +56,7 @@ export class Runs {
   }
 
   #row(run) {
-    const tick = element("input", { type: "checkbox", checked: this.#ticked.includes(run.name), ariaLabel: `Lay ${run.name} over others` });
+    const tick = element("input", { type: "checkbox", title: ENTER_TICKS, checked: this.#ticked.includes(run.name), ariaLabel: `Lay ${run.name} over others` });
     tick.addEventListener("change", () => this.#tick(run.name, tick));
     const verdict = run.fault ?? VERDICTS[run.verdict] ?? "–";
     const kind = run.fault || run.verdict === "failed" ? "bad" : run.verdict === "ok" ? "good" : "plain";
@@ -103,6 +110,7 @@ export class Runs {
     show(byId("overlay-body"), runs.length > 0);
     if (runs.length === 0) return;
     this.#numbers(runs);
+    this.#compare();
     if (!canPlot()) return;
     const aligned = runs.map((run) => {
       const zero = run.first_switch_s ?? run.series.t_s[0] ?? 0;
@@ -115,6 +123,26 @@ export class Runs {
     }, join(aligned));
   }
 
+  /** Is it one motor? What rig compare says of the ticked runs. */
+  async #compare() {
+    const number = ++this.#compared;
+    const place = byId("compared");
+    const names = [...this.#ticked];
+    show(place, names.length > 1);
+    if (names.length < 2) return;
+    place.replaceChildren(element("p", { className: "muted", textContent: "Comparing…" }));
+    await new Promise((done) => setTimeout(done, SETTLED_MS));
+    if (number !== this.#compared) return;
+    let shown;
+    try {
+      const found = await ask(`/api/compare?${new URLSearchParams(names.map((name) => ["run", name]))}`, undefined, { timeout_ms: 90000 });
+      shown = found.comparison === null ? [element("p", { className: "note", textContent: found.why })] : answers(found.comparison);
+    } catch (error) {
+      shown = [element("p", { className: "note", textContent: error.message })];
+    }
+    if (number === this.#compared) place.replaceChildren(element("h3", { textContent: "Is it one motor?" }), ...shown);
+  }
+
   #numbers(runs) {
     const head = element("tr", {}, ...["Run", "First switch at", ...PARAMETERS.map((p) => `${p.symbol}, ${p.unit}`)].map((text) => element("th", { textContent: text, scope: "col" })));
     const rows = runs.map((run, k) => {
@@ -124,4 +152,15 @@ export class Runs {
     });
     byId("overlay-table").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
   }
+}
+
+/** Both answers of a comparison, the trends that show, and what else there is to know. */
+function answers({ trends, left_out, notes, ...found }) {
+  const said = QUESTIONS.map(([key, question]) => element("p", { className: `note ${found[key].differs ? "warn" : "good"}` }, `${question} `, element("b", { textContent: found[key].words })));
+  const more = [
+    ...trends.filter((trend) => trend.shows).map((trend) => `Trend over ${trend.over}: ${PARAMETERS.find((p) => p.key === trend.parameter)?.symbol} ${fixed(trend.slope, 2, { signed: true })} ±${fixed((trend.ci95[1] - trend.ci95[0]) / 2, 2)} ${trend.unit}.`),
+    ...left_out.map((one) => `Left out: ${one.folder.split("/").at(-1)}: ${one.reason}.`),
+    ...notes,
+  ];
+  return [...said, element("ul", {}, ...more.map((text) => element("li", { textContent: text })))];
 }

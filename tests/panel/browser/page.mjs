@@ -1,17 +1,18 @@
 // A user before the panel: opens it, checks, starts, stops, reads the report, lays runs over each other, jogs, and
 // loses the connection in each way there is. It prints what the page showed, as one JSON object; the test judges it.
 //
-//   node page.mjs '{"url", "panel_pid", "runs", "config", "jog_config", "shots"}'
+//   node page.mjs '{"url", "panel_pid", "runs", "config", "calibrate_config", "jog_config", "shared_url", "password", "shots"}'
 //
-// config: the file that the panel starts; jog_config: what it becomes before the jogs; shots: folder for pictures or null
+// config: the file that the panel starts; calibrate_config, jog_config: what it becomes before the calibration and the
+// jogs; shared_url, password: of a panel that gives several browsers a session; shots: folder for pictures or null
 
 import { copyFileSync, existsSync, readFileSync, readdirSync } from "node:fs";
 import { chromium } from "playwright-core";
 
-const { url, panel_pid, runs, config, jog_config, shots } = JSON.parse(process.argv[2]);
+const { url, panel_pid, runs, config, calibrate_config, jog_config, shared_url, password, shots } = JSON.parse(process.argv[2]);
 const PATIENCE_MS = 60_000; // a shared machine may hold a browser up for long
 const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
-const seen = { complaints: [], stops: 0 };
+const seen = { complaints: [], stops: 0, unnamed: [], heard: {} };
 let page;
 
 /** Wait until this is true of the page; fails with its name. */
@@ -48,6 +49,26 @@ function jog() {
   const column = head.split(",").indexOf("u_V");
   const drives = lines.map((line) => Number(line.split(",")[column])).filter(Number.isFinite);
   return { drives, over: readFileSync(`${folder}/events.jsonl`, "utf8").includes('"end"') };
+}
+
+/** Tab to the control whose words begin so, and press Enter. */
+async function choose(words) {
+  for (let tabs = 0; tabs < 60; tabs++) {
+    await page.keyboard.press("Tab");
+    if ((await page.evaluate(() => document.activeElement.textContent)).startsWith(words)) return page.keyboard.press("Enter");
+  }
+  throw new Error(`no Tab leads to ${words}`);
+}
+
+/** What a screen reader would find without a name, and the names of the buttons that it finds. */
+async function hear(view) {
+  const reader = await page.context().newCDPSession(page);
+  const { nodes } = await reader.send("Accessibility.getFullAXTree");
+  await reader.detach();
+  const parts = nodes.filter((node) => !node.ignored).map((node) => ({ role: node.role?.value, name: node.name?.value?.trim() ?? "" }));
+  const named = ["button", "link", "checkbox", "textbox", "searchbox", "slider", "image", "img", "canvas", "dialog", "region", "form", "group", "log", "table", "Iframe"];
+  seen.unnamed.push(...parts.filter(({ role, name }) => named.includes(role) && name === "").map(({ role }) => `${view}: ${role}`));
+  seen.heard[view] = parts.filter(({ name }) => name).map(({ role, name }) => `${role} ${name}`);
 }
 
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
@@ -97,7 +118,8 @@ const steps = {
   async opens_and_checks() {
     page = await open(seen.context, url);
     await says("lamp", "Idle");
-    await page.click("#start");
+    await hear("bench");
+    await choose("Check and start");
     await until("the sheet", () => !document.getElementById("sheet").hidden);
     seen.sheet = {
       address: page.url(),
@@ -108,6 +130,7 @@ const steps = {
         return document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2).closest("button")?.id;
       }),
     };
+    await hear("sheet");
     await picture("sheet");
   },
 
@@ -117,7 +140,7 @@ const steps = {
       globalThis.shifted = [];
       new PerformanceObserver((list) => list.getEntries().filter((entry) => !entry.hadRecentInput).forEach((entry) => globalThis.shifted.push(...entry.sources.map(({ node }) => node?.id || node?.className || node?.nodeName)))).observe({ type: "layout-shift" });
     });
-    await page.click("#confirm");
+    await choose("Start: the motor will move");
     await until("rows", () => document.getElementById("y").textContent !== "–");
     const first = await curve();
     await until("an estimate", () => document.querySelector("#estimate-tau_s .estimate-value").textContent.includes("±"));
@@ -158,7 +181,7 @@ const steps = {
 
   async shows_past_runs() {
     await page.click("#to-runs");
-    await until("two runs", () => document.querySelectorAll("#runs-table tbody tr").length >= 2);
+    await until("past runs", () => document.querySelectorAll("#runs-table tbody tr").length >= 4);
     await page.fill("#find", "run");
     await page.focus("#find");
     const stops = seen.stops;
@@ -166,15 +189,66 @@ const steps = {
     await page.keyboard.press("Escape");
     seen.typed = { stops: seen.stops - stops };
     await page.fill("#find", "");
-    for (const tick of await page.locator("#runs-table input").all()) await tick.check();
-    await until("two runs in the picture", () => document.querySelectorAll("#overlay-table tbody tr").length >= 2 && document.querySelector("#plot-overlay canvas"));
-    seen.overlay = { table: await text("overlay-table") };
+    for (const tick of (await page.locator("#runs-table input").all()).slice(1)) {
+      await tick.focus();
+      await page.keyboard.press("Enter");
+    }
+    await until("two runs in the picture", () => document.querySelectorAll("#overlay-table tbody tr").length >= 3 && document.querySelector("#plot-overlay canvas"));
+    await until("what rig compare says", () => document.querySelector("#compared .note"));
+    seen.overlay = { table: await text("overlay-table"), compared: await text("compared") };
     await picture("runs");
-    await page.locator("#runs-table a").first().click();
+    await hear("runs");
+    await choose("Report");
     const frame = page.frameLocator("#report");
     await frame.locator("h1").first().waitFor();
     seen.report = { title: await frame.locator("h1").first().textContent(), sandbox: await page.getAttribute("#report", "sandbox"), stop: await page.isVisible("#stop") };
+    await hear("report");
     await picture("report");
+  },
+
+  async calibrates_by_keyboard_alone() {
+    copyFileSync(calibrate_config, config);
+    const before = readFileSync(config, "utf8");
+    const asked = (words) => until(`it asks ${words}`, ([words]) => document.getElementById("question")?.textContent.includes(words), words);
+    const enter = () => page.keyboard.press("Enter");
+    await page.evaluate(() => document.activeElement.blur());
+    await choose("Calibrate");
+    await until("a calibration may begin", () => !document.getElementById("calibrate-begin").disabled);
+    await choose("Calibrate…");
+    await asked("Which steps");
+    await choose("Begin with these");
+    await asked("by how many degrees".slice(3));
+    await enter();
+    await asked("Turn the shaft to the middle");
+    await enter();
+    for (const [number, angle] of ["-114", "4,5", "114"].entries()) {
+      await asked(`Angle ${Math.min(number + 2, 3)}`);
+      await until("the field is empty", () => document.querySelector("#answer .typed")?.value === "");
+      await page.keyboard.type(angle);
+      await enter();
+      await until("it is taken or refused", ([said]) => document.getElementById("said").textContent.includes(said), angle === "4,5" ? "'4,5' is no angle" : `${angle}° at`);
+    }
+    await asked("Angle 4");
+    await choose("No more angles");
+    await asked("mechanical stops");
+    await choose("Leave this step out");
+    await asked("May the motor move");
+    await choose("Yes");
+    await asked("Swap the wires");
+    seen.wiring = { title: await page.locator("#said figure svg title").textContent(), wires: await page.locator("#said figure path").count() };
+    await hear("wiring");
+    await picture("wiring");
+    await choose("Reversed");
+    await asked("May the motor move");
+    await choose("Yes");
+    await asked("Measure the dead band");
+    await choose("No");
+    await asked("Write this to");
+    await choose("Yes");
+    await says("calibrate-end", "is written");
+    await picture("calibrated");
+    const backup = (await text("calibrate-end")).split("as it was: ")[1];
+    seen.calibrated = { said: await text("said"), config: readFileSync(config, "utf8"), kept: readFileSync(backup, "utf8") === before };
   },
 
   async jogs_until_the_wire_is_cut() {
@@ -225,6 +299,24 @@ const steps = {
     await says("stop-state", "did not get through");
     seen.killed.stop = await text("stop-state");
     await picture("killed");
+  },
+
+  async another_operator_takes_the_bench() {
+    const pages = [];
+    for (const username of ["one", "other"]) {
+      const context = await browser.newContext({ httpCredentials: { username, password } });
+      pages.push((page = await open(context, shared_url)));
+      await until("connected", () => document.body.dataset.link === "alive" && document.getElementById("config-name").textContent !== "");
+    }
+    const [one, other] = pages;
+    const drives = async () => Promise.all(pages.map((which) => which.isEnabled("#start")));
+    seen.taken = { before: await drives(), words: await text("watcher") };
+    page = other;
+    await choose("Take the bench");
+    await until("it drives", () => !document.getElementById("start").disabled);
+    page = one;
+    await until("it watches", () => document.getElementById("start").disabled && !document.getElementById("take").hidden);
+    Object.assign(seen.taken, { after: await drives(), told: await text("watcher"), stop: await page.isEnabled("#stop") });
   },
 };
 

@@ -1,0 +1,149 @@
+"""One calibration from the config to the changed config, whoever asks the questions: a terminal or a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from rig.backends.links.device_file import require_device_file
+from rig.calibrate.dialogue import Ask, Hold, Motion, Say, Skipped, Strokes
+from rig.calibrate.draft import Draft
+from rig.calibrate.refusal import Refusal
+from rig.calibrate.save import read_text, save
+from rig.calibrate.steps import calibration
+from rig.config.edit import EditError
+from rig.config.load import load_with_places
+from rig.config.problems import ConfigError
+from rig.errors import RigError
+from rig.preflight import preflight
+
+_NEEDED_BEFORE = ("daq", "drive.bridge", "emulated")  # keys without which no device can be opened
+
+
+class NotWrittenError(RigError):
+    """The calibration ended and nothing is written: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+class Front(Protocol):
+    """What shows and asks."""
+
+    def say(self, what: Say) -> None:
+        """Show it."""
+
+    def ask(self, question: Ask) -> str:
+        """The answer as text. Raises Skipped; NotWrittenError if somebody ends the calibration."""
+
+    def does(self, motion: Motion) -> None:
+        """Rig is about to read or to drive."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A config that can be calibrated: its file, the text as it was read, and the draft."""
+
+    file: Path
+    text: str
+    draft: Draft
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What came of a calibration.
+
+    draft     the config with all changes
+    backup    the file as it was; None: there was nothing to change
+    problems  what `rig check` says of the changed config, a line each
+    """
+
+    draft: Draft
+    backup: Path | None
+    problems: tuple[str, ...]
+
+
+def open_config(file: Path) -> Opened:
+    """Read a config. One that `rig check` refuses can be calibrated, if its device can be opened.
+
+    Raises ConfigError; Fault if the device's port is not there.
+    """
+    experiment, document = load_with_places(file)
+    problems = [p for p in preflight(experiment).problems if p.key.startswith(_NEEDED_BEFORE)]
+    if problems:
+        raise ConfigError(map(document.located, problems))
+    text = read_text(file)
+    require_device_file(experiment.daq.port)
+    return Opened(file, text, Draft(experiment, document.data))
+
+
+def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front) -> Finished:
+    """Go through the steps, show what would change, ask, write.
+
+    steps  names among ``steps_for`` the config
+    runs   folder in which the strokes' run folders are made
+    Raises NotWrittenError, Fault, ConfigError; RecordingError for a full disk.
+    """
+    found = _measured(opened.draft, steps, runs, front)
+    file, problems = opened.file, tuple(map(str, preflight(found.experiment).problems))
+    if not found.changes:
+        front.say(Say(f"{file}: nothing to change"))
+        return Finished(found, None, problems)
+    front.say(Say("changes: " + f"{file}\n" + "\n".join(f"  {line}" for line in found.lines()), "step"))
+    if problems:
+        front.say(Say("`rig check` will say:\n" + "\n".join(f"  {problem}" for problem in problems), "refused"))
+    if not _yes(front, f"write this to {file}?"):
+        raise NotWrittenError("nothing is written", f"{file} is as it was")
+    try:
+        backup = save(file, opened.text, found.changes)
+    except EditError as error:
+        raise NotWrittenError(error.cause, error.cure) from error
+    except OSError as error:
+        raise NotWrittenError(f"{file}: cannot be written: {error.strerror}", f"{file} is as it was") from error
+    return Finished(found, backup, problems)
+
+
+def _measured(draft: Draft, steps: Sequence[str], runs: Path, front: Front) -> Draft:
+    """The draft after the steps."""
+    from rig.calibrate.bench import HandBench  # scipy comes with them: a config that is refused need not wait for it
+    from rig.identify.ready import make_ready
+
+    dialogue = calibration(draft, steps)
+    with HandBench(draft.original, runs) as bench:
+        try:
+            request = next(dialogue)
+            while True:
+                try:
+                    if isinstance(request, Say):
+                        front.say(request)
+                        request = dialogue.send(None)
+                    elif isinstance(request, Ask):
+                        request = dialogue.send(front.ask(request))
+                    else:
+                        if isinstance(request, Strokes | Hold):  # nobody waits for it while the drive is on
+                            make_ready(lambda words: front.say(Say(words)))
+                        front.does(request)
+                        request = dialogue.send(bench.perform(request))
+                except (Skipped, Refusal) as instead:
+                    request = dialogue.throw(instead)
+        except StopIteration as end:
+            found: Draft = end.value
+            return found
+
+
+def _yes(front: Front, words: str) -> bool:
+    """Whether somebody says yes; the empty answer is yes. Leaving it out is no."""
+    question = Ask(words, "choice", "yes", choices=(("yes", ""), ("no", "")), skips=False)
+    while True:
+        try:
+            answer = front.ask(question).strip().lower()
+        except Skipped:
+            return False
+        if answer in ("", "y", "yes"):
+            return True
+        if answer in ("n", "no"):
+            return False
+        front.say(Say(f"{answer!r} is no answer here\ntype yes or no", "refused"))

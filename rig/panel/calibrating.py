@@ -1,0 +1,105 @@
+"""A calibration that a page goes through, as a process: ``python -m rig.panel.calibrating CONFIG OUT``.
+
+It writes what it says, asks and does as a JSON object a line, and reads answers as a JSON object a line. If its input
+ends, nobody is there any more: it ends, and writes nothing. A signal stops what drives; at any other time it ends the
+process.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rig.backends.emulated.errors import EmulationError
+from rig.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
+from rig.calibrate.refusal import Refusal
+from rig.calibrate.session import NotWrittenError, calibrate, open_config
+from rig.calibrate.steps import steps_for
+from rig.calibrate.wiring import svg
+from rig.config.problems import ConfigError
+from rig.faults import Fault
+from rig.recording.errors import RecordingError
+
+
+class _Page:
+    """Shows and asks through standard output and input."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def say(self, what: Say) -> None:
+        """Show it, with its drawings."""
+        drawings = [{"title": wiring.title, "svg": svg(wiring)} for wiring in what.drawings]
+        _tell("say", kind=what.kind, words=what.words, drawings=drawings)
+
+    def ask(self, question: Ask) -> str:
+        """The answer. Raises Skipped; NotWrittenError if somebody ends the calibration."""
+        _tell(
+            "ask", words=question.words, kind=question.kind, default=question.default, choices=question.choices,
+            empty=question.empty, commands=question.commands, skips=question.skips,
+        )  # fmt: skip
+        said = self.heard()
+        if said.get("skip"):
+            raise Skipped("skipped")
+        return str(said.get("answer", ""))
+
+    def steps(self, known: dict[str, str]) -> list[str]:
+        """Which of these steps to go through. Raises NotWrittenError if it is none."""
+        _tell("ask", words="Which steps?", kind="steps", choices=list(known.items()), skips=False)
+        wanted = self.heard().get("steps")
+        chosen = [name for name in known if isinstance(wanted, list) and name in wanted]
+        if not chosen:
+            raise NotWrittenError("no step was chosen", "tick one or more")
+        return chosen
+
+    def heard(self) -> dict[str, Any]:
+        """What the page says. Raises NotWrittenError if it ends the calibration, or is gone."""
+        line = sys.stdin.readline()
+        said: dict[str, Any] = json.loads(line) if line else {"end": True}
+        if said.get("end"):
+            raise NotWrittenError("ended; nothing is written", f"{self._file.name} is as it was")
+        return said
+
+    def does(self, motion: Motion) -> None:
+        """Rig is about to read or to drive."""
+        words = "reads the sensor"
+        if isinstance(motion, Strokes):
+            words = "drives the motor"
+        elif isinstance(motion, Hold):
+            words = f"drives the bridge with {motion.u_V:+.2f} V for {motion.seconds:g} s"
+        elif not isinstance(motion, Read):
+            words = "sets the zero"
+        _tell("does", words=words)
+
+
+def _tell(type_: str, /, **what: object) -> None:
+    sys.stdout.write(json.dumps({"type": type_, **what}) + "\n")
+    sys.stdout.flush()
+
+
+def main(config: Path, out: Path) -> None:
+    """Go through one calibration."""
+    page = _Page(config)
+    try:
+        opened = open_config(config)
+        known = {name: what for name, (what, _) in steps_for(opened.draft.original).items()}
+        done = calibrate(opened, page.steps(known), out, page)
+    except ConfigError as error:
+        _tell("end", written=False, words="rig cannot calibrate with this config", cure=str(error))
+    except (Fault, Refusal, NotWrittenError, RecordingError) as error:
+        _tell("end", written=False, words=getattr(error, "cause", str(error)), cure=error.cure)
+    except EmulationError as error:
+        words, _, cure = str(error).partition("\n")
+        _tell("end", written=False, words=words, cure=cure)
+    else:
+        if done.backup is None:
+            words, cure = "nothing to change", f"{config.name} is as it was"
+        else:
+            words, cure = f"{config.name} is written", f"as it was: {done.backup}"
+        _tell("end", written=done.backup is not None, words=words, cure=cure)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

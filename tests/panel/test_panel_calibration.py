@@ -1,0 +1,84 @@
+"""A calibration that pages go through: its process, its questions, and what Stop does to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import wait_until
+
+from rig.config import ready
+from rig.panel.bench import CALIBRATION, Bench
+from rig.panel.calibration import Calibration
+from rig.panel.errors import RefusedError
+
+
+def begun(bench: Bench) -> Calibration:
+    bench.calibrate()
+    assert bench.calibration is not None
+    return bench.calibration
+
+
+def open_question(calibration: Calibration) -> dict[str, Any]:
+    wait_until(lambda: not calibration.works)
+    question = calibration.shown()["question"]
+    assert question is not None, calibration.shown()
+    return dict(question)
+
+
+def end(calibration: Calibration) -> dict[str, Any]:
+    wait_until(lambda: not calibration.goes_on)
+    return dict(calibration.shown()["end"])
+
+
+def test_it_asks_refuses_late_answers_after_a_stop_and_keeps_other_commands_out(tmp_path: Path) -> None:
+    config = tmp_path / "bench.yaml"
+    config.write_text(ready.text("limit-cycle"))
+    before = config.read_text()
+    bench = Bench(config, tmp_path / "runs")
+    calibration = begun(bench)
+    steps = open_question(calibration)
+    assert [name for name, _ in steps["choices"]] == ["angles", "travel", "strokes", "dead-band"]
+    for other in (bench.calibrate, lambda: bench._start("jog")):
+        with pytest.raises(RefusedError, match="a calibration goes on already"):
+            other()
+    assert bench.stop().runs == ()  # an answer that comes after it was given before it
+    with pytest.raises(RefusedError, match="not open any more"):
+        calibration.answer(steps["number"], {"steps": ["strokes"]})
+    still = open_question(calibration)
+    assert still["words"] == steps["words"]
+    with pytest.raises(RefusedError, match="too long"):
+        calibration.answer(still["number"], {"answer": "9" * 1000})
+    calibration.answer(still["number"], {"end": True})
+    words = {"written": False, "words": "ended; nothing is written", "cure": "bench.yaml is as it was"}
+    assert end(calibration) == words
+    assert config.read_text() == before
+
+    another = begun(bench)
+    assert open_question(another)["words"] == steps["words"]
+    with pytest.raises(RefusedError, match="not open any more"):  # of a page that has slept since the first one
+        another.answer(steps["number"], {"steps": ["strokes"]})
+    another.answer(open_question(another)["number"], {"end": True})
+    end(another)
+
+    again = begun(bench)  # stopped while it does something
+    assert bench.stop().runs == (CALIBRATION,)
+    assert end(again)["words"] == "stopped; nothing is written"
+
+
+def test_a_config_that_is_none_says_why(tmp_path: Path) -> None:
+    config = tmp_path / "bench.yaml"
+    config.write_text("daq: [not, a, config]\nname: '<b>'\n")
+    over = end(begun(Bench(config, tmp_path)))
+    assert over["words"] == "rig cannot calibrate with this config"
+    assert "bench.yaml:1" in over["cure"]
+
+
+@pytest.mark.parametrize("line", ["[]", "3", '"ask"', "{}", "{"])
+def test_a_line_that_is_no_message_is_among_the_last_words_and_ends_nothing(line: str, tmp_path: Path) -> None:
+    """As a package may print one."""
+    calibration = Calibration(tmp_path / "none.yaml", tmp_path, lambda: None)
+    calibration._take(f"{line}\n")
+    assert line in calibration._words
+    end(calibration)
