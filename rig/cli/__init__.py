@@ -38,6 +38,7 @@ from rig.cli import (
     schema,
     survey,
     track,
+    tune,
 )
 from rig.cli.failure import EXIT_FAILED
 from rig.package import VERSION
@@ -85,5 +86,6 @@ for _command in (
     schema.schema,
     survey.survey,
     track.track,
+    tune.tune,
 ):
     main.add_command(_command)

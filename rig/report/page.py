@@ -14,7 +14,7 @@ from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
 from rig.recording.recording import Recording
-from rig.report import checked, fitted, friction_map, measured, narrowing, tables, transient
+from rig.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
 from rig.report.fit import fits_of
 from rig.report.source import ReportedRun, load
 from rig.report.style import AbsentError, Picture, colour, style
@@ -103,6 +103,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         tracking=tables.tracking(run),
         tracking_heads=tables.tracking_heads(run),
         law_used=tables.law_used(run),
+        tuned=tuned_loop.rows(run),
         loop_cells=tables.loop(run),
         facts=tables.facts(run),
         started=tables.started(run),
@@ -148,6 +149,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
             "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, best, fits))],
             "tracking": [_figure(lambda: checked.tracking(run))],
+            "tuned": [] if run.result.tuned is None else [_figure(lambda: tuned_loop.loop(run))],
             "loop": [_figure(lambda: checked.loop_timing(run))],
         }
 

@@ -244,6 +244,8 @@ def _nothing(run: ReportedRun) -> Headline:
     reasons: tuple[str, ...] = ()
     if jogged:
         title = "The shaft was jogged"
+    elif run.result.tuned is not None:
+        title = "A tuned loop ran"
     elif own_law is not None:
         title = f"A law of your own ran: {own_law}"
     elif run.has_result:
@@ -255,6 +257,8 @@ def _nothing(run: ReportedRun) -> Headline:
         step = Step("Cure the fault above, then run again.")
     elif jogged:
         step = _again(run, "A jog identifies nothing; run the whole experiment")
+    elif run.result.tuned is not None:
+        step = Step("See below what was predicted, and what this bench did (docs/tune.md).")
     elif own_law is not None:
         step = Step(
             "Nothing is identified from such a run. Look at its stage `law` below, or from Python (docs/api.md)."

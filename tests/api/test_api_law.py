@@ -68,7 +68,8 @@ def test_from_yaml_at_the_command_line(tmp_path: Path) -> None:
     [
         (
             {"name": "sprung"},
-            "law.name: no law 'sprung'; installed: gone, holds, no-law, spring, stumbles; did you mean 'spring'?",
+            "law.name: no law 'sprung'; installed: gone, holds, no-law, spring, stumbles, tuned; "
+            "did you mean 'spring'?",
         ),
         ({"name": "no-law"}, "law.name: law 'no-law' (own_laws:NO_LAW) has no method step(sample) that returns volts"),
         ({"name": "gone"}, "law.name: law 'gone' (x:Y) cannot be imported: ModuleNotFoundError"),

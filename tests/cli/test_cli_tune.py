@@ -1,0 +1,107 @@
+"""`rig tune`: the loop for the motor of a run, tried on the emulated bench, recorded and replayed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import rig as command
+
+import rig
+from rig import config
+from rig.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
+CONFIG = rig.ready("simulated")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run folder of that bench, with the estimate that it gives."""
+    folder = tmp_path_factory.mktemp("tune") / "20260101T000000Z-run-simulated"
+    shutil.copytree(GOLDEN, folder)
+    (folder / "config.yaml").write_text(CONFIG.read_text(encoding="utf-8"), encoding="utf-8")
+    numbers = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "asym_V": -0.01, "delay_s": 0.0012}
+    estimate = numbers | {
+        "ci95": {name: [0.997 * value, 1.003 * value] for name, value in numbers.items() if value > 0.0},
+        "covariance_of": ["tau_s", "K_rad_s_V"],
+        "correlation": [[1.0, 0.5], [0.5, 1.0]],
+        "verdict": "ok",
+    }
+    result = {
+        "schema": 1,
+        "estimates": {"sampled-data": estimate},
+        "law": [],
+        "u95": {"tau_s": 0.002, "K_rad_s_V": 0.08, "fc_V": 0.004},
+        "breakaway": {"noise_rad": 0.0032},
+    }
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    return folder
+
+
+def test_a_loop_is_tuned_tried_recorded_and_replayed(run: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "tune.png"
+    done = command("tune", run, "--try", CONFIG, "--draws", 39, "--out", tmp_path / "runs", "--to", picture, "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["ok"] and said["margins"]["worst"]["phase_deg"] >= 45.0
+    assert picture.is_file()
+    measures = said["prediction"]
+    assert measures["overshoot_percent"]["inside"] and measures["overshoot_percent"]["bench"] < 3.0
+    assert measures["tracking_rms"]["bench"] < 0.006  # 3 mrad of noise are in it
+    folder = Path(said["bench_run"])
+    recorded = rig.read(folder)
+    assert recorded.stages() == ["rest", "breakaway", "law"]
+    assert rig.replay(folder).is_same
+    # the config of the run has the law: any bench can drive it again
+    assert command("check", folder / "config.yaml").exit_code == 0
+
+
+def test_the_words_of_a_velocity_loop(run: Path) -> None:
+    done = command("tune", run, "--loop", "velocity", "--bandwidth", "15", "--draws", "39")
+    assert done.exit_code == 0, done.output
+    assert "velocity loop, 15 rad/s" in done.stdout and "on 39 motors" in done.stdout
+    assert "Kp" in done.stdout and "Kd" not in done.stdout and "RMS error of the tracking, rad/s" in done.stdout
+
+
+def test_the_noise_of_the_runs_sensor_is_not_another_sensors(run: Path) -> None:
+    bench = config.load(rig.ready("encoder"))
+    found = tune_run(run, Asked("position", 4.0, None, 45.0, 6.0), 39, bench)
+    assert found.tuned.sensing.noise_rad == LEAST_NOISE_RAD
+    assert found.tuned.sensing.lsb_rad == bench.sensor.curve.lsb_rad
+
+
+def test_a_trial_that_would_leave_the_soft_limits_does_not_drive_a_bench(run: Path, tmp_path: Path) -> None:
+    vague = tmp_path / "vague"
+    shutil.copytree(run, vague)
+    result = json.loads((vague / "result.json").read_text(encoding="utf-8"))
+    result["u95"] = {"tau_s": 0.1, "K_rad_s_V": 3.9, "fc_V": 0.29}
+    (vague / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    options = ("--loop", "velocity", "--draws", 39, "--out", tmp_path / "runs")
+    done = command("tune", vague, *options, "--try", CONFIG)
+    assert done.exit_code == 1 and "beyond the soft limits -1.10 to 1.10 rad" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "words"),
+    [
+        (("--bandwidth", "40"), 1, "the largest that is possible is"),
+        (("--step", "3"), 1, "give a smaller one: --step"),
+        (("--to", "x.gif"), 2, "give one of .png, .svg, .pdf"),
+        (("--to", "nowhere/x.png"), 2, "nowhere is no folder"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_what_can(run: Path, options: tuple[str, ...], status: int, words: str) -> None:
+    done = command("tune", run, *options)
+    assert done.exit_code == status and words in done.stderr
+
+
+def test_a_folder_without_a_motor_is_refused(tmp_path: Path) -> None:
+    done = command("tune", tmp_path)
+    assert done.exit_code == 2 and "is a folder without a run" in done.stderr
+    shutil.copy(GOLDEN / "meta.json", tmp_path)
+    done = command("tune", tmp_path)
+    assert done.exit_code == 2 and "result.json: is missing" in done.stderr

@@ -1,0 +1,1 @@
+"""`make tune`: loops that are tuned on identified motors, tried on the true ones."""
