@@ -25,6 +25,7 @@ from rig.report.style import Picture
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs" / "figures"
+SIMULATED = str(ROOT / "config" / "simulated.yaml")
 PAGE_PX = (1000, 975)  # of the report: its headline and the table of estimates
 CHECK_ROW = (0.17, 6.5, 0.5, 0.8, 1.0)  # tau, K, fc, h1, h2 of docs/theory.md 3.4
 
@@ -49,13 +50,22 @@ def report(to: Path) -> None:
 
 def design(to: Path) -> None:
     """The picture of `rig design` for the motor of `rig run config/simulated.yaml`."""
-    config = str(ROOT / "config" / "simulated.yaml")
+    _after_a_run(to, "design", SIMULATED, "--model", "run", "--to", to.name)
+
+
+def tune(to: Path) -> None:
+    """The picture of `rig tune` for that motor, with the bench beside it."""
+    _after_a_run(to, "tune", "run", "--try", SIMULATED, "--to", to.name)
+
+
+def _after_a_run(to: Path, *command: str) -> None:
+    """The file that a command writes in the folder of `rig run config/simulated.yaml`."""
     with tempfile.TemporaryDirectory() as folder:
-        for command in (("run", config), ("design", config, "--model", "run", "--to", "design.png")):
-            subprocess.run([sys.executable, "-m", "rig", *command], cwd=folder, check=True, capture_output=True)
-            for run in Path(folder).glob("runs/*"):
+        for words in (("run", SIMULATED), command):
+            subprocess.run([sys.executable, "-m", "rig", *words], cwd=folder, check=True, capture_output=True)
+            for run in Path(folder).glob("runs/*run-simulated"):
                 run.rename(Path(folder) / "run")  # a name without a date: the picture says it
-        shutil.copyfile(Path(folder) / "design.png", to)
+        shutil.copyfile(Path(folder) / to.name, to)
 
 
 def friction_map(to: Path) -> None:
@@ -142,6 +152,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "friction-map.svg": friction_map,
     "report.png": report,
     "design.png": design,
+    "tune.png": tune,
 }
 
 

@@ -10,17 +10,26 @@ need() { # need COMMAND-OR-FILE PACKAGE...: Debian packages to install where a c
     echo "setup: $1 is missing; installing the Debian package $2"
     missing="$missing $2"
 }
-install_missing() { # install_missing [OPTION OF APT-GET]
+install_missing() { # of what Debian recommends with these nothing is needed
     [ -n "$missing" ] || return 0
     as_root=""
     [ "$(id -u)" = 0 ] || as_root="sudo"
     # shellcheck disable=SC2086  # one word a package
     $as_root apt-get update -qq && $as_root env DEBIAN_FRONTEND=noninteractive \
-        apt-get install -y -qq "$@" $missing >/dev/null
+        apt-get install -y -qq --no-install-recommends $missing >/dev/null
     missing=""
 }
 
+if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+    echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
+    exit 1
+fi
+# Debian splits venv from Python
+"$PYTHON" -c 'import ensurepip, venv' 2>/dev/null || need no-such-command python3-venv
+install_missing
+
 need cc gcc
+need /usr/include/stdio.h libc6-dev
 need make make
 # the Uno's firmware, and the chip that tests run it on
 need avr-gcc gcc-avr
@@ -36,8 +45,6 @@ need mbpoll mbpoll
 need /usr/include/modbus/modbus.h libmodbus-dev
 # peer of the wake-up benchmark
 need cyclictest rt-tests
-install_missing
-# of what Debian recommends with these nothing is needed
 # the Pico's firmware and the emulators that run on node
 need arm-none-eabi-gcc gcc-arm-none-eabi
 need node nodejs
@@ -46,22 +53,19 @@ need npm npm
 need chromium chromium
 # loads what is exported for MATLAB
 need octave-cli octave
-install_missing --no-install-recommends
-if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
-    echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
-    exit 1
-fi
-# Debian splits venv from Python
-"$PYTHON" -c 'import ensurepip, venv' 2>/dev/null || need no-such-command python3-venv
-install_missing
+# while these are fetched and unpacked, so are the Python packages
+install_missing &
+debian=$!
 
 [ -x .venv/bin/python ] || "$PYTHON" -m venv .venv
 [ -x .venv/bin/uv ] || .venv/bin/python -m pip install --quiet --disable-pip-version-check "uv>=0.5,<1"
 # exactly the locked packages, by hash; uv itself stays
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-hashes -r requirements.lock
+wait "$debian"
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
-.venv/bin/python -m rig.identify.ready
+.venv/bin/python -m rig.identify.ready &
+compiled=$!
 # the second emulator of the Uno's chip, the Pico's, uPlot, what drives the browser; npm keeps its own stamp of what it
 # has installed
 for folder in tests/hil/avr8js firmware/emulator/pico tools/uplot tests/panel/browser; do
@@ -73,4 +77,5 @@ uplot=tools/uplot/node_modules/uplot vendor=rig/panel/static/vendor
 mkdir -p "$vendor"
 cp "$uplot/dist/uPlot.esm.js" "$uplot/dist/uPlot.min.css" "$vendor/"
 cp "$uplot/LICENSE" "$vendor/uPlot-LICENSE"
+wait "$compiled"
 touch .venv/.ready

@@ -67,12 +67,22 @@ def bench(motor: Mapping[str, float], parts: Mapping[str, float]) -> Experiment:
     return Experiment.model_validate_json(json.dumps(data))
 
 
-def compare(e: Experiment, folder: Path, seeds: Sequence[int] = SEEDS) -> Compared:
-    """Identify the bench at its own seed, and track with its model at each of ``seeds``; runs go into ``folder``."""
-    run = experiment.run_relay(e, folder).folder
-    models = identify([read_run(run)])
+def compare(
+    e: Experiment, folder: Path, seeds: Sequence[int] = SEEDS, known: tuple[Path, Identification] | None = None
+) -> Compared:
+    """Identify the bench at its own seed, and track with its model at each of ``seeds``; runs go into ``folder``.
+
+    known   a run of the bench and what is identified from it, where that is there already
+    """
+    run, models = known or identified(e, folder)
     both = [tuple(_tracked(e, models, run, folder, (seed, with_laws)) for seed in seeds) for with_laws in (True, False)]
     return Compared(both[0][0].law or (), both[0], both[1])
+
+
+def identified(e: Experiment, folder: Path) -> tuple[Path, Identification]:
+    """Relay tests of the bench at its own seed, and what is identified from them."""
+    run = experiment.run_relay(e, folder).folder
+    return run, identify([read_run(run)])
 
 
 def _tracked(e: Experiment, models: Identification, run: Path, folder: Path, how: tuple[int, bool]) -> TrackingResult:

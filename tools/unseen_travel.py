@@ -110,14 +110,17 @@ def check(
     stuck: bool,
     late: Mapping[int, float] | None = None,
     watchdog_s: float = math.inf,
+    freezes_s: float = math.inf,
 ) -> Seen:
     """Run a breakaway law on a motor in virtual time, its potentiometer sound or ``stuck``.
 
     late        tick, and by how much it comes late, s; the ticks after it come when they are due
     watchdog_s  silence of the host after which the device sets 0 V, latched: the check ends with DEVICE_WATCHDOG
+    freezes_s   time from which on a sound sensor shows the same reading; travel then counts from there
     """
     noise, late = random.Random(seed), late or {}
     state, u_V, t_u_s, tick, low, high, end = State(), 0.0, math.nan, 0, 0.0, 0.0, "moves"
+    frozen_rad, from_rad = None, 0.0
     strokes: list[Stroke] = []
 
     def advance(drive_V: float, time_s: float) -> None:
@@ -130,6 +133,10 @@ def check(
             y_rad = (0.0 if stuck else state.y) + noise.gauss(0.0, NOISE_RAD)
             y_rad = math.floor(y_rad / LSB_RAD + 0.5) * LSB_RAD if not stuck else 0.0
             t_s = tick * period_s + late.get(tick, 0.0)
+            if t_s >= freezes_s and frozen_rad is None:
+                frozen_rad, from_rad = y_rad, state.y
+                low = high = state.y
+            y_rad = y_rad if frozen_rad is None else frozen_rad
             asked_V = law.step(Sample(t_s, y_rad, 512, math.nan, t_u_s, u_V, tick))
             if asked_V != 0.0 and u_V == 0.0:
                 strokes.append(Stroke(tick, state.y, 1 if asked_V > 0.0 else -1, 0.0))
@@ -148,7 +155,7 @@ def check(
     except Fault as fault:
         end = fault.code
         advance(0.0, 40.0 * motor.tau_s)
-    return Seen(end, tick * period_s, max(high, -low), state.y, law, tuple(strokes))
+    return Seen(end, tick * period_s, max(high - from_rad, from_rad - low), state.y, law, tuple(strokes))
 
 
 def worst_places(motor: Motor, seen: Seen, late_s: float) -> list[int]:

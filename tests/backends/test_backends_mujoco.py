@@ -17,6 +17,8 @@ from mujoco_bench import STEP_S, Shaft
 from rig.backends import registry
 from rig.model.motor import State
 
+pytestmark = pytest.mark.long
+
 SIMULATED = Path(__file__).parents[2] / "config" / "simulated.yaml"
 HOLD_S, DRIVE_V = 0.25, 1.2
 

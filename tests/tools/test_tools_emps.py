@@ -12,7 +12,7 @@ from emps import record as published
 from emps.found import every_other, prediction, whole
 from emps.found import published as published_law
 
-pytestmark = pytest.mark.drawn
+pytestmark = [pytest.mark.long, pytest.mark.drawn]
 FILE = os.environ.get("RIG_EMPS", "")
 PUBLISHED = published.PUBLISHED
 

@@ -24,6 +24,8 @@ from mutants.workshop import Limits, Workshop
 from rig.config import ConfigError
 from shared.data import load
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -130,4 +130,4 @@ def test_the_page_says_how_far_the_pull_down_bends_the_reading() -> None:
 def test_the_page_has_the_units_of_full_duty() -> None:
     full = re.search(r"#define BRIDGE_FULL (\d+)", (UNO / "bridge.h").read_text(encoding="utf-8"))
     assert full is not None
-    assert f"full duty is {full[1]} units" in " ".join(PAGE.split())
+    assert f"in steps of 1/{full[1]} of full duty" in " ".join(PAGE.split())

@@ -110,7 +110,9 @@ def page(rows: dict[str, list[Row]], commit: str) -> str:
     for group, some in there.items():
         if some and group != DRIFTED:
             off = np.array([pair for one in some for pair in one.off])
-            spreads.append((group, *(f"{s:.3f}" for s in np.std(off, axis=0)), f"{1 / np.sqrt(2 * len(off)):.3f}"))
+            each, error = np.std(off, axis=0), 1 / np.sqrt(2 * len(off))
+            chance = "yes" if np.all(np.abs(each - 1.0) < 2.0 * error) else "no"
+            spreads.append((group, *(f"{s:.3f}" for s in each), f"{error:.3f}", chance))
     return render(
         TEMPLATE,
         date=today(),

@@ -1,0 +1,151 @@
+"""Each command in the pages' blocks of code is run: here, or by the test that `run_elsewhere.yaml` names."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from check_docs import listed
+from rig.cli import main
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[2]
+BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+COMMENT = re.compile(r"\s+# .*$")
+ASSIGNED = re.compile(r"(?P<name>[A-Z]+)=")
+# what is piped into rig is typed by bash
+RIG = re.compile(r"(?:(?P<before>.*) \| )?(?P<command>rig .*)")
+HELPERS = ("awk ", "cp ", "head ")  # other lines that make or show what a command reads
+SIMULATED, RUN = "rig run config/simulated.yaml", "20261123T120000Z-run-simulated"
+
+
+class Line(NamedTuple):
+    """A line of code without its comment, and the page that it stands on."""
+
+    page: str
+    text: str
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it is a command of rig or make."""
+        return self.text.startswith("make ") or RIG.fullmatch(self.text) is not None
+
+
+def lines() -> Iterator[Line]:
+    """All lines of the pages' blocks of shell code, in their order."""
+    for page in listed("*.md"):
+        for block in BLOCK.findall((ROOT / page).read_text(encoding="utf-8")):
+            for text in block.splitlines():
+                yield Line(page, COMMENT.sub("", text).strip())
+
+
+class Elsewhere(NamedTuple):
+    """Commands that are not run here."""
+
+    why: str
+    test: str
+    commands: list[str]
+
+
+ELSEWHERE = [
+    Elsewhere(**entry)
+    for entry in yaml.safe_load(Path(__file__).with_name("run_elsewhere.yaml").read_text(encoding="utf-8"))
+]
+
+
+@dataclass
+class Terminal:
+    """A shell in a folder as the pages expect it; ``rig`` runs in this process."""
+
+    folder: Path
+    variables: dict[str, str]
+
+    def type(self, text: str) -> str:
+        """Run a line: a command of rig, an assignment or a helper. What a command that fails says, else nothing."""
+        line = text.replace("/tmp/", f"{self.folder}/tmp/")
+        assigned, command = ASSIGNED.match(line), RIG.fullmatch(line)
+        if assigned is not None:
+            self.variables[assigned["name"]] = self._bash(f'{line}\nprintf %s "${assigned["name"]}"')
+        elif command is not None:
+            # bash takes the words apart, with its variables, quotes and patterns
+            words = self._bash(f"printf '%s\\0' {command['command']}").split("\0")[1:-1]
+            typed = self._bash(command["before"]) if command["before"] else None
+            done = CliRunner().invoke(main, words, input=typed)
+            if done.exit_code != 0:
+                return f"{text}: status {done.exit_code}: {done.output.strip()[-400:]} {done.exception!r}"
+        elif line.startswith(HELPERS):
+            self._bash(line)
+        return ""
+
+    def _bash(self, script: str) -> str:
+        environment = os.environ | self.variables | {"HOME": str(self.folder)}
+        done = subprocess.run(["bash", "-ec", script], capture_output=True, text=True, check=True, env=environment)
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A clone's folder as somebody has it who has followed the pages so far, and the working folder of this process."""
+    here = tmp_path_factory.mktemp("clone")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(here)
+        (here / "config").symlink_to(ROOT / "config")
+        for name in ("tmp", "firmware"):
+            (here / name).mkdir()
+        assert Terminal(here, {}).type(SIMULATED) == ""
+        (run,) = (here / "runs").iterdir()
+        for name in (RUN, "20261123T120100Z-law-simulated"):
+            shutil.copytree(run, here / "runs" / name)
+        # two relay tests, as of these configs
+        tests = ROOT / "tests" / "golden" / "simulated"
+        for name in ("runs/20261123T120200Z-run-limit-cycle", "tmp/any/20261123T120300Z-run-demo"):
+            shutil.copytree(tests, here / name)
+        (here / "log.csv").write_text(log_of(read_run(tests)), encoding="utf-8")
+        yield here
+
+
+def log_of(run: Recording) -> str:
+    """The first test of a run as a sketch logs it: with an encoder of 1440 counts, and 12 V at a PWM of 255."""
+    rows = run.stage == "relay-1"
+    columns = (1e3 * run.t_s, 255 / 12 * run.u_V, 1440 / math.tau * run.y_rad)
+    numbers = np.rint(np.column_stack([column[rows] for column in columns])).astype(int)
+    return "\n".join(["millis,pwm,counts", *(",".join(map(str, row)) for row in numbers.tolist())])
+
+
+def test_every_command_of_the_pages_runs(folder: Path) -> None:
+    done = {command for entry in ELSEWHERE for command in entry.commands} | {SIMULATED}
+    failed = []
+    for page, on_it in groupby(lines(), key=lambda line: line.page):
+        terminal = Terminal(folder, {"RUN": f"{folder}/runs/{RUN}"})
+        again = []
+        for line in on_it:
+            if line.text not in done and terminal.type(line.text):
+                again.append(line.text)
+            if line.is_command:
+                done.add(line.text)
+        # a page may read a file first, and say below how to make it
+        failed += [f"{page}: {words}" for words in map(terminal.type, again) if words]
+    assert failed == []
+
+
+def test_what_is_run_elsewhere_stands_on_a_page_and_its_test_is_there() -> None:
+    typed = {line.text for line in lines() if line.is_command}
+    assert len(typed) > 70
+    assert [command for entry in ELSEWHERE for command in entry.commands if command not in typed] == []
+    for entry in ELSEWHERE:
+        file, _, name = entry.test.partition("::")
+        assert f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), entry.test
