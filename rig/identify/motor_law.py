@@ -16,14 +16,15 @@ from scipy.special import stdtrit
 
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.choice import Chooser, loss, with_own_noise
+from rig.identify.departures.choice import Chooser, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, solve, unit
 from rig.identify.departures.fit import start as begin
-from rig.identify.departures.in_place import in_place
+from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import sums_of_pieces
+from rig.identify.departures.profile import profiles
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
 from rig.identify.noise import WHITE
@@ -325,8 +326,10 @@ def motor_law(
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
-    instead = in_place(nuisances, choice.laws)
-    lines = budget(nuisances, instead, ScaleErrors.of(stated, *begun.travel_rad))
+    bare = bare_fits(fit, choice.laws, begun.chooser)
+    instead = in_place(nuisances, choice.laws, begun.chooser, bare)
+    by_size = profiles(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
+    lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad))
     free_run = _free_run(fit, begun.whole)
     growth = (*(one for one in choice.growth if one[0] < free_run[0]), free_run)
     if not choice.laws and not further:
@@ -336,7 +339,7 @@ def motor_law(
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
     return MotorLaw(
-        tuple(_found(law, fit, normal, covariance) for law in choice.laws),
+        tuple(_found(law, fit, covariance, gained(fit, bare[law.name])) for law in choice.laws),
         tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, tested, plain, periods_s),
         lines,
@@ -412,7 +415,7 @@ def _freedom(fit: Fit) -> int:
     return max(1, int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free))
 
 
-def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> FoundLaw:
+def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw:
     free = fit.problem.free
     at = [free.index(name) for name in law.numbers]
     values = np.array([getattr(fit.motor, name) for name in law.numbers])
@@ -422,7 +425,7 @@ def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> Found
     half = float(stdtrit(_freedom(fit), 0.975)) * error
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
-    return FoundLaw(law, size, (size - half, size + half), loss(normal, fit, law) / unit(fit) - price, numbers)
+    return FoundLaw(law, size, (size - half, size + half), gain - price, numbers)
 
 
 def _estimate(fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]) -> Estimate:

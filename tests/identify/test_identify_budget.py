@@ -18,10 +18,12 @@ from campaign_real.kinds import KINDS, case
 from rig.config.campaign import Campaign
 from rig.identify import identify, sampled_data
 from rig.identify.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
+from rig.identify.departures.dead_band import DeadBand
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.drag import Drag
 from rig.identify.departures.in_place import InPlace
 from rig.identify.departures.nuisances import Nuisance
+from rig.identify.departures.profile import Profile
 from rig.identify.departures.sag import Sag
 from rig.identify.departures.stribeck import Stribeck
 from rig.identify.identification import Identification, other_times_explain
@@ -215,6 +217,20 @@ def test_a_law_with_several_starts_has_its_odds_once() -> None:
     shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), np.zeros((3, 3)), np.zeros(3), np.ones(3, dtype=bool))
     [entry] = Hidden.of(shifts, [nuisance(Stribeck(), k, 3) for k in range(3)]).lines()
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.1)
+
+
+def test_a_law_that_is_known_size_by_size_has_the_odds_of_each() -> None:
+    """Two sizes that the record tells apart: by hand, odds of 0.1 / 0.9 * share * exp(-rise / 2)."""
+    moves = np.array([[0.01, 0.2, 0.03], [0.02, 0.4, 0.06]])
+    known = Profile(DeadBand(), np.array([0.5, 0.25]), np.array([0.0, 2.0]), moves, np.zeros((2, 3)))
+    none = Shifts(np.ones(3), np.zeros((3, 1)), np.zeros((1, 1)), np.zeros(1), np.ones(1, dtype=bool))
+    hidden = Hidden.of(none, [nuisance(DeadBand(), 0)], [known])
+    odds = PRESENT / (1.0 - PRESENT) * np.array([0.5, 0.25 * math.exp(-1.0)])
+    chances = odds / (1.0 + odds.sum())
+    [entry] = hidden.lines()
+    assert entry.source == "dead_band"
+    assert entry.fc_V == pytest.approx(COVERAGE * math.sqrt(chances @ moves[:, 2] ** 2))
+    assert hidden.beyond("fc_V", 0.05)[0] == pytest.approx(chances[1])
 
 
 def test_a_law_that_explains_as_well_in_place_of_another_is_as_likely() -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,8 @@ from campaign_real.kinds import KINDS, case
 from campaign_real.rows import Row, kinds_of, row
 from campaign_real.shown import expected_gains
 from rig.config.campaign import Campaign
+from shared import rows_file
+from shared.rows_file import RowsFile
 
 pytestmark = pytest.mark.long
 
@@ -38,6 +38,24 @@ def test_a_row_has_the_motors_errors_and_what_was_found() -> None:
     assert one.found == ("gain_by_sign",)
     assert one.error is not None
     assert max(map(abs, one.error)) < 0.02
+
+
+def test_a_stribeck_effect_that_looks_like_a_dead_band_is_not_called_ok() -> None:
+    """Friction is 21 % off with the dead band; the linear model takes the Stribeck effect for excluded."""
+    one = row(CAMPAIGN.model_copy(update={"seed": 13}), 632, False)
+    assert one.kinds == ("stribeck 0.05",)
+    assert one.found == ("dead_band",)
+    assert one.verdict == "doubtful"
+    assert "do not tell dead band of the drive or Stribeck effect" in one.reasons
+
+
+def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at_0() -> None:
+    """Its drives are 17 and 21 mV beside large ones, and its dead band 20 mV: with none friction is 11 % off."""
+    one = row(CAMPAIGN.model_copy(update={"seed": 13}), 387, True)
+    assert one.kinds == ("dead_band 0.02", "static 0.05")
+    assert one.found == ("viscous_by_direction",)
+    assert one.verdict == "doubtful"
+    assert "dead band of the drive, which these tests do not exclude" in one.reasons
 
 
 def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
@@ -81,12 +99,14 @@ def test_a_kind_is_narrow_only_where_chance_does_not_explain_it() -> None:
 
 
 def test_an_interrupted_campaign_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "HERE", tmp_path)
-    monkeypatch.setattr(command, "_git", lambda *words: "")
-    folder = tmp_path / "runs" / f"campaign-real-1-{sha256(b'').hexdigest()[:8]}"
-    folder.mkdir(parents=True)
-    lines = [json.dumps({**_row(k, "plain", 0.0).as_json(), "pair": False}) for k in range(2)]
-    (folder / "rows.jsonl").write_text("\n".join(lines) + '\n{"torn', encoding="utf-8")
+    monkeypatch.setattr(rows_file, "ROOT", tmp_path)
+    monkeypatch.setattr(command, "MADE_BY", ())
+    monkeypatch.setattr(command, "commit", lambda made_by: "abc")
+    file = RowsFile("campaign-real-1", ())
+    for k in range(2):
+        file.add({**_row(k, "plain", 0.0).as_json(), "pair": False})
+    with file.path.open("a", encoding="utf-8") as torn:
+        torn.write('{"torn')
     config = tmp_path / "campaign-real.yaml"
     config.write_text("name: real\nexperiments: 2\nseed: 1\n", encoding="utf-8")
     monkeypatch.setattr(sys, "argv", ["x", str(config), "--pairs", "0", "--page", str(tmp_path / "page.md")])

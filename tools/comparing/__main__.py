@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.progress import track
-from scipy.stats import beta, kstest
+from scipy.stats import kstest
 
 from comparing.rows import CYCLES, DRIFT, DRIFTED, GAINS, LAWS, RUNS, SAME, WANTED_FC, Row, judged, row
 from rig.compare.comparison import LEVEL, WORDS
 from rig.config.campaign import Campaign
 from shared.cases import spread
 from shared.page import render, today, write
+from shared.rows_file import RowsFile, commit
+from shared.share import counted
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "compare-table.md"
@@ -40,45 +39,21 @@ def main() -> int:
     given = parser.parse_args()
     counts = {SAME: given.same, DRIFTED: given.drifted, LAWS: given.laws}
     campaign = Campaign(name="compare", experiments=max(*counts.values(), 1), seed=given.seed)
-    code = sha256(b"".join(_content(ROOT / part) for part in MADE_BY)).hexdigest()[:8]
-    file = ROOT / "runs" / f"compare-{given.seed}-{code}" / "rows.jsonl"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    told = _told(file)
+    file = RowsFile(f"compare-{given.seed}", MADE_BY)
+    told = {(values["group"], values["number"]): Row(**values) for values in file.read()}
     jobs = [(campaign, g, k) for g, count in counts.items() for k in range(count) if (g, k) not in told]
-    with file.open("a", encoding="utf-8") as out:
-        done = spread(row, jobs, jobs=given.jobs, batch=4)
-        for _, one in track(done, "motors", total=len(jobs), disable=not sys.stderr.isatty()):
-            told[one.group, one.number] = one
-            out.write(json.dumps(asdict(one)) + "\n")
-            out.flush()
+    done = spread(row, jobs, jobs=given.jobs, batch=4)
+    for _, one in track(done, "motors", total=len(jobs), disable=not sys.stderr.isatty()):
+        told[one.group, one.number] = one
+        file.add(asdict(one))
     rows = {g: [told[g, k] for k in range(count) if (g, k) in told] for g, count in counts.items()}
-    text = page(rows, _git("rev-parse", "--short", "HEAD"))
+    text = page(rows, commit(MADE_BY))
     write(given.page, text)
     print(text)
     return 0
 
 
-def _content(path: Path) -> bytes:
-    files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
-    return b"".join(file.read_bytes() for file in files)
-
-
-def _told(file: Path) -> dict[tuple[str, int], Row]:
-    told = {}
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
-        try:
-            entry: dict[str, Any] = json.loads(line)
-        except ValueError:
-            continue  # torn by an interruption
-        told[entry["group"], entry["number"]] = Row(**entry)
-    return told
-
-
-def _git(*words: str) -> str:
-    return subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=True).stdout.strip()
-
-
-def page(rows: dict[str, list[Row]], commit: str) -> str:
+def page(rows: dict[str, list[Row]], made_at: str) -> str:
     """The page as Markdown."""
     there = {group: [judged(one) for one in some if not one.lost] for group, some in rows.items()}
     same, drifted, laws = (there[group] for group in (SAME, DRIFTED, LAWS))
@@ -116,7 +91,7 @@ def page(rows: dict[str, list[Row]], commit: str) -> str:
     return render(
         TEMPLATE,
         date=today(),
-        commit=commit,
+        commit=made_at,
         lines=[line for line in lines if line],
         spreads=spreads,
         names=list(WORDS.values()),
@@ -133,12 +108,8 @@ def page(rows: dict[str, list[Row]], commit: str) -> str:
 
 def _share(what: str, found: Sequence[bool] | np.ndarray[Any, Any]) -> tuple[str, str, str] | None:
     """How often, and between which bounds that is with 95 % (Clopper and Pearson)."""
-    n, k = len(found), int(np.sum(found))
-    if not n:
-        return None
-    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
-    return what, f"{k} of {n}: {100 * k / n:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
+    share, between = counted(found)
+    return (what, share, between) if between else None
 
 
 if __name__ == "__main__":

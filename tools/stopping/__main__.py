@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.progress import track
-from scipy.stats import beta
 
 from campaign_real.kinds import KINDS
 from campaign_real.rows import kinds_of
 from rig.config.campaign import Campaign
 from shared.cases import spread
+from shared.rows_file import RowsFile, commit
+from shared.share import at_most, bounds
 from stopping.rows import OF, Asked, Row, row
 
 HERE = Path(__file__).resolve().parents[2]
@@ -48,16 +45,17 @@ def main() -> int:
     parser.add_argument("--departing", type=int, default=0, help="motors with one departure each")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--percent", type=float, default=1.0, help="wanted half width of the 95 %% intervals")
+    parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
     campaign = Campaign(
         name="stopping", experiments=max(given.motors, given.known, given.departing, 1), seed=given.seed
     )
-    commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", *MADE_BY) else "")
-    code = sha256("".join(_git("rev-parse", f"HEAD:{part}") for part in MADE_BY).encode()).hexdigest()[:8]
-    file = HERE / "runs" / f"stopping-{given.seed}-{given.percent:g}-{code}" / "rows.jsonl"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    told = _told(file)
+    file = RowsFile(f"stopping-{given.seed}-{given.percent:g}", MADE_BY)
+    told: Told = {PLAIN: {}, KNOWN: {}, DEPARTING: {}}
+    for values in file.read():
+        group = values.pop("group")
+        told[group][values["number"]] = Row(**values)
     began = time.time()
     plans = {
         PLAIN: (given.motors, Asked(given.percent)),
@@ -69,32 +67,18 @@ def main() -> int:
         (campaign, k, kinds_of(k, False, given.seed) if group == DEPARTING else (), plans[group][1])
         for group, k in wanted
     ]
-    with file.open("a", encoding="utf-8") as out:
-        for n, one in track(spread(row, jobs), "motors", total=len(jobs), disable=not sys.stderr.isatty()):
-            group = wanted[n][0]
-            told[group][one.number] = one
-            out.write(json.dumps({**one.as_json(), "group": group}) + "\n")
-            out.flush()
-    text = page(told, given.percent, f"seed {given.seed}, commit {commit}, {time.time() - began:.0f} s", len(jobs))
+    for n, one in track(spread(row, jobs), "motors", total=len(jobs), disable=not sys.stderr.isatty()):
+        group = wanted[n][0]
+        told[group][one.number] = one
+        file.add({**one.as_json(), "group": group})
+    if given.keep:
+        file.keep()
+    text = page(
+        told, given.percent, f"seed {given.seed}, commit {commit(MADE_BY)}, {time.time() - began:.0f} s", len(jobs)
+    )
     given.page.write_text(text, encoding="utf-8")
     print(text)
     return 0
-
-
-def _told(file: Path) -> Told:
-    told: Told = {PLAIN: {}, KNOWN: {}, DEPARTING: {}}
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue  # torn by an interruption
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
-        told[values.pop("group")][entry["number"]] = Row(**values)
-    return told
-
-
-def _git(*words: str) -> str:
-    return subprocess.run(["git", "-C", str(HERE), *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def page(told: Told, percent: float, made: str, new: int) -> str:
@@ -133,9 +117,7 @@ def _table(rows: Sequence[Row], percent: float) -> list[str]:
         errors = 100.0 * np.median(np.abs([one.error or () for one in known]), axis=0)
         largest = 100.0 * np.max(np.abs([one.error or () for one in known]), axis=0)
         of = ", ".join(name.split("_")[0] for name in OF)
-        low, high = (
-            float(beta.ppf(q, held.sum() + s, held.size - held.sum() + 1 - s)) for q, s in ((0.025, 0), (0.975, 1))
-        )
+        low, high = bounds(int(held.sum()), held.size)
         lines += [
             f"| intervals at the stop that hold the truth: {of} | {_percents(np.mean(held, axis=0))} |",
             f"| pooled | {100 * held.mean():.2f} % (if independent, 95 %: {100 * low:.1f} to {100 * high:.1f} %) |",
@@ -146,7 +128,7 @@ def _table(rows: Sequence[Row], percent: float) -> list[str]:
     if judged:
         ok = [one for one in judged if one.verdict == "ok"]
         wrong = [one for one in ok if max(map(abs, one.final_error or (0.0,))) > WRONG]
-        bound = float(beta.ppf(0.95, len(wrong) + 1, max(len(rows) - len(wrong), 1)))
+        bound = at_most(len(wrong), len(rows))
         lines.append(f"| identified afterwards: called ok | {len(ok)} of {len(judged)} |")
         lines.append(f"| of these more than 5 % off | {len(wrong)}; with 95 % confidence at most {100 * bound:.2f} % |")
         if ok:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 from collections.abc import Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.progress import track
-from scipy.stats import beta
 
 from campaign_real.rows import kinds_of
 from rig.config.campaign import Campaign
 from shared import page
 from shared.cases import spread
+from shared.rows_file import RowsFile
+from shared.share import counted
 from tune.rows import LOOPS, STEPS, Row, rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,9 +41,11 @@ def main() -> int:
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
     campaign = Campaign(name="tune", experiments=max(given.motors, given.departing, 1), seed=given.seed)
-    file = ROOT / "runs" / f"tune-{given.seed}-{_code()}" / "rows.jsonl"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    told = _told(file)
+    file = RowsFile(f"tune-{given.seed}", MADE_BY)
+    told: Told = {PLAIN: {}, DEPARTING: {}}
+    for values in file.read():
+        group = values.pop("group")
+        told[group][values["number"], values["loop"]] = Row(**values)
     counts = {PLAIN: given.motors, DEPARTING: given.departing}
     wanted = [
         (group, number)
@@ -59,14 +59,12 @@ def main() -> int:
         (campaign, number, kinds_of(number + 1, False, given.seed) if group == DEPARTING else ())
         for group, number in wanted
     ]
-    with file.open("a", encoding="utf-8") as out:
-        done = spread(rows_of, jobs, jobs=given.jobs)
-        for n, rows in track(done, "motors", total=len(jobs), disable=not sys.stderr.isatty()):
-            group = wanted[n][0]
-            for one in rows:
-                told[group][one.number, one.loop] = one
-                out.write(json.dumps({**one.as_json(), "group": group}) + "\n")
-            out.flush()
+    done = spread(rows_of, jobs, jobs=given.jobs)
+    for n, rows in track(done, "motors", total=len(jobs), disable=not sys.stderr.isatty()):
+        group = wanted[n][0]
+        for one in rows:
+            told[group][one.number, one.loop] = one
+            file.add({**one.as_json(), "group": group})
     page.write(given.page, text(told, given.seed))
     print(given.page.read_text(encoding="utf-8"))
     return 0 if any(one.outcome == "tuned" for rows in told.values() for one in rows.values()) else 1
@@ -105,12 +103,8 @@ def _lines(rows: Sequence[Row]) -> list[tuple[str, ...]]:
 
 def _share(held: Sequence[bool]) -> str:
     """How many, and the exact 95 % interval of the share."""
-    n, k = len(held), sum(held)
-    if not n:
-        return "–"
-    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
-    return f"{k} of {n}: {100 * k / n:.1f} % ({100 * low:.1f} to {100 * high:.1f} %)"
+    share, between = counted(held)
+    return f"{share} ({between})" if held else share
 
 
 def _of(rows: Sequence[Row], name: str, unit: str) -> str:
@@ -135,25 +129,6 @@ def _missed(one: Row) -> tuple[str, ...]:
         f"{one.overshoot_percent:.2f} %",
         f"{one.low_percent:.2f} to {one.high_percent:.2f} %",
     )
-
-
-def _told(file: Path) -> Told:
-    told: Told = {PLAIN: {}, DEPARTING: {}}
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue  # torn by an interruption
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
-        group = values.pop("group")
-        told[group][entry["number"], entry["loop"]] = Row(**values)
-    return told
-
-
-def _code() -> str:
-    """Which code makes the rows."""
-    git = ["git", "-C", str(ROOT), "rev-parse", *(f"HEAD:{part}" for part in MADE_BY)]
-    return sha256(subprocess.run(git, capture_output=True, check=True).stdout).hexdigest()[:8]
 
 
 if __name__ == "__main__":

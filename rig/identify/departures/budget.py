@@ -23,6 +23,7 @@ from scipy.stats import norm
 
 from rig.identify.departures.in_place import InPlace
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
+from rig.identify.departures.profile import Profile
 from rig.identify.stated_errors import ScaleErrors
 from rig.model.real_motor import RealMotor
 
@@ -74,15 +75,16 @@ class Budget:
         return {name: math.hypot(*(getattr(entry, name) for entry in self.entries)) for name in OF}
 
 
-def budget(nuisances: Nuisances, instead: Sequence[InPlace], scales: ScaleErrors) -> Budget:
+def budget(nuisances: Nuisances, by_size: Sequence[Profile], instead: Sequence[InPlace], scales: ScaleErrors) -> Budget:
     """The budget of a fit with its chosen laws.
 
     nuisances   the laws that it has not
+    by_size     those of them in which the motion is not linear, size by size
     instead     those that could stand in place of a chosen one
     scales      how well the bench's volt, radian and second are known
     """
     shifts = Shifts.of(nuisances)
-    hidden = Hidden.of(shifts, nuisances.each)
+    hidden = Hidden.of(shifts, nuisances.each, by_size)
     motor = nuisances.fit.motor
     entries = [
         Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter)).tolist()),
@@ -192,14 +194,23 @@ class Hidden:
     variance: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
-    def of(cls, shifts: Shifts, nuisances: Sequence[Nuisance]) -> Hidden:
-        """All sets of one, two and three of the laws."""
+    def of(cls, shifts: Shifts, nuisances: Sequence[Nuisance], by_size: Sequence[Profile] = ()) -> Hidden:
+        """All sets of one, two and three of the laws. A law that is known size by size is that where it is alone."""
         before = PRESENT / (1.0 - PRESENT)
         weights: list[Array] = []
         means: list[Array] = []
         variances: list[Array] = []
         names: list[tuple[str, ...]] = []
-        for sets in _sets(nuisances):
+        known = {profile.law.name for profile in by_size}
+        for profile in by_size:
+            weights.append(before * profile.weight)
+            means.append(profile.moves)
+            variances.append(profile.spread**2)
+            names += [(profile.law.name,)] * profile.weight.size
+        for every in _sets(nuisances):
+            sets = [chosen for chosen in every if len(chosen) > 1 or chosen[0].law.name not in known]
+            if not sets:
+                continue
             at = np.array([[k for one in chosen for k in one.columns] for chosen in sets])
             odds, mean, variance = shifts.by(at)
             weights.append(odds * [math.prod(before / one.starts for one in chosen) for chosen in sets])

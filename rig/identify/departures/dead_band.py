@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from rig.identify.departures.departure import Bench, Departure
 
+EVEN = 8  # sizes, evenly up to the largest
+
 
 class DeadBand(Departure):
     """Dead band: a bridge that passes nothing below a small drive, and loses that much above it."""
@@ -25,3 +27,12 @@ class DeadBand(Departure):
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """From 0, and from sizes that swallow a small drive whole: that is no longer linear."""
         return [{}, *({"dead_band_V": share * bench.largest_V} for share in (0.02, 0.05))]
+
+    def sizes(self, bench: Bench) -> Sequence[float]:
+        """Where a drive is smaller than it may be: even steps, and close to each such drive, before and behind it."""
+        largest = self.range_of(bench)
+        near = [share * drive for drive in bench.small_drives_V if drive < largest for share in (0.9, 1.1)]
+        if not near:
+            return ()
+        even = (largest * (k + 0.5) / EVEN for k in range(EVEN))
+        return sorted({*(size for size in near if size < largest), *even})

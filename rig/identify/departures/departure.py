@@ -25,6 +25,7 @@ class Bench:
     half_travel_rad     half the driven travel, rad
     linearity_rad       largest error of the sensor's linearity, rad, by its data sheet
     path_per_row_rad    mean way from one sample to the next, rad
+    small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
     """
 
     K_rad_s_V: float
@@ -34,6 +35,7 @@ class Bench:
     half_travel_rad: float
     linearity_rad: float
     path_per_row_rad: float
+    small_drives_V: tuple[float, ...] = ()
 
     @property
     def half_drive_V(self) -> float:
@@ -76,6 +78,13 @@ class Departure(ABC):
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """Starts of ``shape``, and of ``numbers`` where the motion has no derivative at 0. At least one entry."""
         return (NOTHING,)
+
+    def sizes(self, bench: Bench) -> Sequence[float]:
+        """Sizes up to ``range_of`` to be looked at one by one, where the motion is not linear in a law of one number.
+
+        Default: none, for the motion is nearly linear in the law.
+        """
+        return ()
 
     def limits(self, bench: Bench) -> Mapping[str, tuple[float, float]]:
         """Bounds of its fields in a fit; default: none, or 0 and up for a law of one side."""

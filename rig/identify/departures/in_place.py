@@ -1,21 +1,28 @@
 """Laws that would explain the record nearly as well in place of one that was found, and what tau, K, fc are then.
 
-docs/theory.md 12.8.
+The linear model shows most of them. It fails where the motion is not linear in a law: a dead band of the drive and a
+Stribeck effect of slow speeds. So where the record hardly shows a law, the best of the others are fitted
+(docs/theory.md 12.8).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.identify.departures.choice import TRIAL_ITERATIONS, TRIED, Chooser, without
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.nuisances import Nuisance, Nuisances
+from rig.identify.departures.fit import Fit, refitted, solve, unit
+from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
+from rig.model.real_motor import RealMotor
 
 Array = NDArray[np.float64]
+
+FAINT = 200.0  # twice the log likelihood that a law brings, up to which others are fitted in its place
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +40,62 @@ class InPlace:
     moves: Array
 
 
-def in_place(nuisances: Nuisances, laws: Sequence[Departure]) -> list[InPlace]:
-    """For each of the fit's ``laws`` each other law in its place, as its best start explains the record, linearly."""
+def bare_fits(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> dict[str, Fit]:
+    """For each of the fit's ``laws``, by name: the fit of the same rows without it, with the noise of ``fit``."""
+    return {
+        law.name: solve(_with(fit, [one for one in laws if one is not law], without(fit.motor, law), chooser))
+        for law in laws
+    }
+
+
+def in_place(
+    nuisances: Nuisances, laws: Sequence[Departure], chooser: Chooser, bare: Mapping[str, Fit]
+) -> list[InPlace]:
+    """For each of the fit's ``laws`` each other law in its place, as its best start explains the record.
+
+    nuisances   the laws that the fit has not
+    bare        the fits without each of the laws: ``bare_fits``
+    """
     found: dict[tuple[str, str], InPlace] = {}
     for law in laws:
-        for one in nuisances.each:
-            new = _replaced(nuisances, law, one)
-            best = found.get((law.name, one.law.name))
-            if new is not None and (best is None or new.rise < best.rise):
-                found[law.name, one.law.name] = new
+        linear = (_replaced(nuisances, law, one) for one in nuisances.each)
+        for new in [*filter(None, linear), *_fitted(nuisances.fit, law, laws, chooser, bare[law.name])]:
+            best = found.get((law.name, new.other.name))
+            if best is None or new.rise < best.rise:
+                found[law.name, new.other.name] = new
     return list(found.values())
+
+
+def gained(fit: Fit, bare: Fit) -> float:
+    """Twice the log likelihood that a law brings: by it the fit without it, ``bare``, is worse."""
+    return (bare.cost - fit.cost) / unit(fit)
+
+
+def _fitted(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
+    """Laws in place of one that the record hardly shows, those that promise most, each fitted."""
+    if gained(fit, bare) > FAINT:
+        return []
+    found = []
+    others = [one for one in laws if one is not law]
+    promises = [one for one in chooser.promises(bare, others) if one.law is not law]
+    for promise in promises[:TRIED]:
+        one = promise.law
+        motor = bare.motor._replace(**promise.first)
+        trial = solve(_with(bare, [*others, one], motor, chooser), TRIAL_ITERATIONS)
+        moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
+        found.append(InPlace(law, one, gained(fit, trial) + _extra(fit, law, one), moves))
+    return found
+
+
+def _with(fit: Fit, laws: Sequence[Departure], motor: RealMotor, chooser: Chooser) -> Fit:
+    problem = replace(chooser.problem(fit.problem.cut, laws, math.inf), noise=fit.problem.noise)
+    return refitted(fit, problem, motor)
+
+
+def _extra(fit: Fit, law: Departure, other: Departure) -> float:
+    """By how much Schwarz's criterion is higher for the numbers that ``other`` has more than ``law``."""
+    count = math.log(max(2, fit.residual_rad.size - 2 * fit.starts.shape[0] - len(fit.problem.free)))
+    return (len(other.numbers + other.shape) - len(law.numbers + law.shape)) * count
 
 
 def _replaced(nuisances: Nuisances, law: Departure, one: Nuisance) -> InPlace | None:
@@ -60,7 +113,5 @@ def _replaced(nuisances: Nuisances, law: Departure, one: Nuisance) -> InPlace | 
     if one.law.one_sided and step[-one.count] <= 0.0:
         return None
     loss = float(-2.0 * nuisances.gradient[own] @ size + size @ nuisances.matrix[np.ix_(own, own)] @ size)
-    count = math.log(max(2, fit.residual_rad.size - 2 * fit.starts.shape[0] - len(free)))
-    extra = len(one.law.numbers + one.law.shape) - len(law.numbers + law.shape)
     moves = step[[rest.index(k) for k in nuisances.at]] * nuisances.size
-    return InPlace(law, one.law, loss + float(pull @ step) + extra * count, moves)
+    return InPlace(law, one.law, loss + float(pull @ step) + _extra(fit, law, one.law), moves)

@@ -29,6 +29,7 @@ Rows = NDArray[np.int64]
 
 FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
+SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
 PLAIN = tuple(index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))  # in the order of ``Theta``
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
@@ -165,7 +166,18 @@ class Cut:
             self.frames[0].half_travel_rad,
             linearity_rad,
             float(np.mean(np.concatenate([np.abs(np.diff(window.y_rad)) for window in self.windows]))),
+            self._small_drives(),
         )
+
+    def _small_drives(self) -> tuple[float, ...]:
+        """Sizes of the drives below a tenth of the largest, V: each one of a few, and of many some of all sizes."""
+        drives = np.concatenate([np.abs(window.steps.u_V) for window in self.windows])
+        largest = float(drives.max())
+        grid = SAME_DRIVE * largest
+        small = np.unique(np.round(drives[(drives > 0.0) & (drives < SMALL_DRIVE * largest)] / grid)) * grid
+        if small.size > MOST_DRIVES:
+            small = np.quantile(small, np.linspace(0.0, 1.0, MOST_DRIVES))
+        return tuple(small[small > 0.0].tolist())
 
     def guessed(self) -> Array:
         """(p, 2) velocity, rad/s, and position, rad, at each start, by a parabola through the rows around it."""
