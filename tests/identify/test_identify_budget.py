@@ -271,6 +271,25 @@ def test_two_amplitudes_are_ok_and_the_result_says_what_ok_asks_for() -> None:
     assert (result.u95_absolute["K_rad_s_V"] or 0.0) > 0.03 * gain
 
 
+@pytest.mark.parametrize(("probability", "bears"), [(0.009, True), (0.02, False)])
+def test_ok_bears_one_percent_of_an_improbable_law_that_would_break_its_promise(
+    probability: float, bears: bool
+) -> None:
+    """A dead band that would move friction by 12 %: as a root mean square it is below what u95 may be."""
+    law = two_amplitudes().motor_law
+    assert law is not None
+    estimate = two_amplitudes().estimates["sampled-data"]
+    moves = np.array([[0.0, 0.0, 0.12 * estimate.fc_V]])
+    hidden = Hidden((("dead_band",),), np.array([probability]), moves, np.zeros((1, 3)))
+    reasons = replace(law, budget=replace(law.budget, hidden=hidden)).reservations(estimate, 1.0)
+    if bears:
+        assert reasons == []
+    else:
+        [reason] = reasons
+        assert reason.startswith("fc_V is more than 5 % off with a probability of 2 %; ok bears 1 %: ")
+        assert "dead band of the drive, which these tests do not exclude; record " in reason
+
+
 def test_one_amplitude_is_doubtful_and_the_reason_says_what_would_tell() -> None:
     found = identified(relay_test(), methods=("sampled-data",))
     [reason] = found.estimates["sampled-data"].reasons

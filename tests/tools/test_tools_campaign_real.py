@@ -14,6 +14,11 @@ from campaign_real.kinds import KINDS, case
 from campaign_real.rows import Row, kinds_of, row
 from campaign_real.shown import expected_gains
 from rig.config.campaign import Campaign
+from rig.estimators import LEADING
+from rig.identify import identify
+from rig.identify.departures.choice import ASKED, Asked
+from rig.identify.measurements import measurements
+from rig.identify.motor_law import Beginning
 from shared import rows_file
 from shared.rows_file import RowsFile
 
@@ -56,6 +61,20 @@ def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at
     assert one.found == ("viscous_by_direction",)
     assert one.verdict == "doubtful"
     assert "dead band of the drive, which these tests do not exclude" in one.reasons
+
+
+def test_a_law_that_predicts_less_than_is_asked_is_dropped() -> None:
+    recordings = case(CAMPAIGN, 5, kinds_of(5, False, 1)).recordings()
+    plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
+    data = measurements(recordings, with_cycles=True, plain_is_hysteretic=False)
+    begun = Beginning.of(data.tests, plain, data.periods_s)
+
+    def names(asked: Asked) -> list[str]:
+        choice = replace(begun.chooser, asked=asked).choose(begun.whole, begun.motor, begun.cycle_s)
+        return [law.name for law in choice.laws]
+
+    assert names(ASKED) == ["gain_by_sign"]
+    assert names(ASKED._replace(predicts=1e9)) == []
 
 
 def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
