@@ -172,7 +172,7 @@ class MotorLaw:
             yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
         elif laws:
             what = " and ".join(law.title for law in laws)
-            yield f"{known}: most of it is {what}, which these tests do not exclude; record {cures}"
+            yield f"{known}: most of it is {self._unknown(largest.laws, what)}; record {cures}"
         elif estimate.verdict == "ok":  # else the sentence on its interval says it already
             yield f"{known}: record more cycles, or slower and larger ones"
 
@@ -187,9 +187,15 @@ class MotorLaw:
         risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
         yield (
             f"{name} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; ok bears {allowed} %: "
-            f"most of it is {' and '.join(law.title for law in laws)}, which these tests do not exclude; "
+            f"most of it is {self._unknown(hidden, ' and '.join(law.title for law in laws))}; "
             f"record {', and '.join(dict.fromkeys(law.told_by for law in laws))}"
         )
+
+    def _unknown(self, names: Sequence[str], what: str) -> str:
+        """What these tests do not say of laws, ``what`` in words."""
+        if {one.law.name for one in self.found}.issuperset(names):
+            return f"the size of {what}, which these tests do not tell"
+        return f"{what}, which these tests do not exclude"
 
     def as_result(self) -> MotorLawResult:
         """As in result.json."""
@@ -328,7 +334,7 @@ def motor_law(
     nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(fit, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
-    by_size = profiles(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
+    by_size = profiles(fit, choice.laws, begun.chooser)
     lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad))
     free_run = _free_run(fit, begun.whole)
     growth = (*(one for one in choice.growth if one[0] < free_run[0]), free_run)

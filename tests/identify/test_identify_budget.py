@@ -220,9 +220,9 @@ def test_a_law_with_several_starts_has_its_odds_once() -> None:
 
 
 def test_a_law_that_is_known_size_by_size_has_the_odds_of_each() -> None:
-    """Two sizes that the record tells apart: by hand, odds of 0.1 / 0.9 * share * exp(-rise / 2)."""
+    """Two sizes that the record tells apart: by hand."""
     moves = np.array([[0.01, 0.2, 0.03], [0.02, 0.4, 0.06]])
-    known = Profile(DeadBand(), np.array([0.5, 0.25]), np.array([0.0, 2.0]), moves, np.zeros((2, 3)))
+    known = Profile(DeadBand(), np.array([0.5, 0.25 * math.exp(-1.0)]), moves, np.zeros((2, 3)))
     none = Shifts(np.ones(3), np.zeros((3, 1)), np.zeros((1, 1)), np.zeros(1), np.ones(1, dtype=bool))
     hidden = Hidden.of(none, [nuisance(DeadBand(), 0)], [known])
     odds = PRESENT / (1.0 - PRESENT) * np.array([0.5, 0.25 * math.exp(-1.0)])

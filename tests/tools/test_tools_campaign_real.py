@@ -63,6 +63,15 @@ def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at
     assert "dead band of the drive, which these tests do not exclude" in one.reasons
 
 
+def test_a_dead_band_that_was_found_may_have_another_size() -> None:
+    """Its smallest drive is 35 mV, and 37 mV of dead band swallow it; the 20 mV that it has leave as small a residual."""
+    one = row(CAMPAIGN.model_copy(update={"seed": 14}), 1928, False)
+    assert one.kinds == ("dead_band 0.02",)
+    assert one.found == ("dead_band",)
+    assert one.verdict == "doubtful"
+    assert "most of it is the size of dead band of the drive, which these tests do not tell" in one.reasons
+
+
 def test_a_law_that_predicts_less_than_is_asked_is_dropped() -> None:
     recordings = case(CAMPAIGN, 5, kinds_of(5, False, 1)).recordings()
     plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]

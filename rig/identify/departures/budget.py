@@ -79,7 +79,7 @@ def budget(nuisances: Nuisances, by_size: Sequence[Profile], instead: Sequence[I
     """The budget of a fit with its chosen laws.
 
     nuisances   the laws that it has not
-    by_size     those of them in which the motion is not linear, size by size
+    by_size     laws in which the motion is not linear, size by size
     instead     those that could stand in place of a chosen one
     scales      how well the bench's volt, radian and second are known
     """
@@ -203,10 +203,10 @@ class Hidden:
         names: list[tuple[str, ...]] = []
         known = {profile.law.name for profile in by_size}
         for profile in by_size:
-            weights.append(before * profile.weight)
+            weights.append(profile.odds if profile.found else before * profile.odds)
             means.append(profile.moves)
             variances.append(profile.spread**2)
-            names += [(profile.law.name,)] * profile.weight.size
+            names += [(profile.law.name,)] * profile.odds.size
         for every in _sets(nuisances):
             sets = [chosen for chosen in every if len(chosen) > 1 or chosen[0].law.name not in known]
             if not sets:

@@ -9,7 +9,17 @@ from pydantic import Field
 from mutants.mutant import Mutant
 from shared.data import Entry, load
 
-_ORDER = ("control", "loop", "live", "panel", "drivers", "recording", "promise", "core", "board")  # of the table's rooms
+_ORDER = (
+    "control",
+    "loop",
+    "live",
+    "panel",
+    "drivers",
+    "recording",
+    "promise",
+    "core",
+    "board",
+)  # of the table's rooms
 
 
 class _Defect(Entry):
