@@ -64,7 +64,7 @@ def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at
 
 
 def test_a_dead_band_that_was_found_may_have_another_size() -> None:
-    """Its smallest drive is 35 mV, and 37 mV of dead band swallow it; the 20 mV that it has leave as small a residual."""
+    """Its smallest drive is 35 mV; 37 mV of dead band swallow it, and the 20 mV that it has explain as much."""
     one = row(CAMPAIGN.model_copy(update={"seed": 14}), 1928, False)
     assert one.kinds == ("dead_band 0.02",)
     assert one.found == ("dead_band",)
