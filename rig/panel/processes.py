@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from rig.panel.attendance import FOLDER
 from rig.panel.errors import RefusedError
 from rig.signals import plain
 
-FOLDER: Final = ".panel"
 _LAST_WORDS_BYTES: Final = 2000
 _LAST_WORDS_LINES: Final = 12
 
