@@ -204,8 +204,8 @@ def test_a_run_in_which_no_law_was_found_has_none_and_ok_names_both_of_its_bound
     assert "without any law beyond" in page.words
     assert "ith these laws" not in page.words
     assert (
-        "A verdict ok asks for at most 2.5 % of each, and that laws which the tests do not exclude move none of them by "
-        "more than 5 %: that may be wrong with a probability of at most 1 %."
+        "A verdict ok asks for at most 2.5 % of each, and that laws which the tests do not exclude move none of them "
+        "by more than 5 %: that may be wrong with a probability of at most 1 %."
     ) in page.words
 
 
