@@ -25,7 +25,7 @@ from rig.identify import Identification, IdentifyError, identify
 from rig.live.stop_flag import StopFlag
 from rig.loop.device_relay import STOPPING
 from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest, stop_on_signals
+from rig.loop.stop_request import Gone, StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
 from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
@@ -121,6 +121,7 @@ def record(
     script: Script,
     on_start: OnStart | None,
     again: Bench | None = None,
+    gone: Gone | None = None,
 ) -> Outcome:
     """Run ``script`` on the bench and record it. Whatever ends it, the drive stops and the recording is kept.
 
@@ -128,6 +129,7 @@ def record(
     what      name and arguments of the script, for meta.json: a replay needs them
     on_start  called once with the run folder and the first notes
     again     a bench that the same command has opened already; its opener closes it
+    gone      who has to be there while it drives, and is not: as of ``StopRequest``
 
     result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
     Raises Fault if the bench cannot be opened, RecordingError if the run folder cannot be made.
@@ -137,7 +139,7 @@ def record(
     fault: Fault | None = None
     failures: list[str] = []
     with StopFlag() as flag:  # until the report is there
-        with stop_on_signals(flag) as stop:
+        with stop_on_signals(flag, gone) as stop:
             try:
                 with connect(experiment) if again is None else nullcontext(again) as bench:
                     session, recorder = _begin(experiment, parent, what, bench, stop, started)

@@ -12,14 +12,14 @@ from typing import Any, Self
 
 from rig.backends.registry import Bench, backend_of, connect
 from rig.calibrate.dialogue import Hold, Motion, Pose, Read, Reading, SetZero, Strokes, StrokesSeen
-from rig.calibrate.refusal import Refusal
+from rig.calibrate.refusal import Refusal, stopped
 from rig.config.schema import Experiment
 from rig.control.guard import Guard
 from rig.control.law import Rest
 from rig.experiment import run_breakaway, zero
 from rig.faults import Fault
 from rig.loop.runner import Loop
-from rig.loop.stop_request import stop_on_signals
+from rig.loop.stop_request import Gone, stop_on_signals
 from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.sink import NullSink
 from rig.signals import Sample
@@ -33,14 +33,16 @@ class HandBench:
 
     experiment  the config as it was read: it says which bench
     runs        folder in which the strokes' run folders are made
+    gone        who has to be there while it drives, and is not: as of ``StopRequest``
 
     On an emulated bench nobody can turn the shaft. So for each reading the emulated device starts anew with its shaft
     where the hand would have turned it. A board's encoder counts from its start and would not show that, so there the
     same bench in simulation is read (``daq.driver: simulated``).
     """
 
-    def __init__(self, experiment: Experiment, runs: Path) -> None:
+    def __init__(self, experiment: Experiment, runs: Path, gone: Gone | None = None) -> None:
         self._runs = runs
+        self._gone = gone
         self._is_emulated = backend_of(experiment).is_emulated(experiment)
         self._readings = 0
         self._stack = ExitStack()
@@ -65,7 +67,7 @@ class HandBench:
         except Fault as fault:
             self._close()
             if fault.code == "INTERRUPTED":
-                raise Refusal("stopped: the drive is at 0 V", "measure again, or leave this step out") from fault
+                raise Refusal(stopped(fault), "measure again, or leave this step out") from fault
             raise Refusal(str(fault), fault.cure) from fault
 
     def _perform(self, request: Motion) -> Any:
@@ -79,10 +81,11 @@ class HandBench:
                 return None
             case Strokes():
                 self._close()
-                return _strokes(request.experiment, self._runs)
+                return _strokes(request.experiment, self._runs, self._gone)
             case Hold():
                 self._close()
-                return _hold(_motor_off(request.experiment) if self._is_emulated else request.experiment, request)
+                e = _motor_off(request.experiment) if self._is_emulated else request.experiment
+                return _hold(e, request, self._gone)
 
     def _close(self) -> None:
         self._bench = None
@@ -122,9 +125,9 @@ def _reading(bench: Bench, period_s: float) -> Reading:
     return Reading(median(counts), stdev(counts), fmean(counts[half:]) - fmean(counts[:half]), bench.info.board)
 
 
-def _strokes(e: Experiment, runs: Path) -> StrokesSeen:
+def _strokes(e: Experiment, runs: Path, gone: Gone | None = None) -> StrokesSeen:
     try:
-        outcome = run_breakaway(e, runs)
+        outcome = run_breakaway(e, runs, gone=gone)
     except Fault as fault:  # the bench could not be opened
         return StrokesSeen(fault, math.nan, math.nan, "")
     found = outcome.result.breakaway
@@ -142,10 +145,10 @@ def _motor_off(e: Experiment) -> Experiment:
     return e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wiring})})
 
 
-def _hold(e: Experiment, request: Hold) -> float:
+def _hold(e: Experiment, request: Hold, gone: Gone | None = None) -> float:
     """How far the shaft turned, rad. Nothing is recorded."""
     law = _Held(request.u_V, request.seconds, e.breakaway.motion_rad)
-    with stop_on_signals() as stop, connect(e) as bench:
+    with stop_on_signals(gone=gone) as stop, connect(e) as bench:
         guard = Guard(replace(guard_settings_of(e), limits=e.device_limits))
         loop = Loop(bench.driver, bench.clock, guard, NullSink(), e.period_s, stop)
         try:

@@ -1,9 +1,20 @@
-"""Why a measurement or an answer cannot be used."""
+"""Why a measurement or an answer cannot be used, and why a drive was ended."""
 
 from __future__ import annotations
 
+from typing import Final
+
 from rig.calibrate.wiring import Wiring
 from rig.errors import RigError
+from rig.faults import Fault
+
+ALONE: Final = "the panel fell silent"
+"""Why what a panel has let drive was ended: nobody is there who could stop it."""
+
+
+def stopped(fault: Fault) -> str:
+    """What to say of a drive that was ended by this fault, INTERRUPTED."""
+    return f"{ALONE if fault.detail == ALONE else 'stopped'}: the drive is at 0 V"
 
 
 class Refusal(RigError):

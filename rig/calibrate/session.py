@@ -17,6 +17,7 @@ from rig.config.edit import EditError
 from rig.config.load import load_with_places
 from rig.config.problems import ConfigError
 from rig.errors import RigError
+from rig.loop.stop_request import Gone
 from rig.preflight import preflight
 
 _NEEDED_BEFORE = ("daq", "drive.bridge", "emulated")  # keys without which no device can be opened
@@ -41,6 +42,9 @@ class Front(Protocol):
 
     def does(self, motion: Motion) -> None:
         """Rig is about to read or to drive."""
+
+    def writes(self) -> None:
+        """Rig is about to write the config: from here on nobody may say that nothing is written."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +84,15 @@ def open_config(file: Path) -> Opened:
     return Opened(file, text, Draft(experiment, document.data))
 
 
-def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front) -> Finished:
+def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front, gone: Gone | None = None) -> Finished:
     """Go through the steps, show what would change, ask, write.
 
     steps  names among ``steps_for`` the config
     runs   folder in which the strokes' run folders are made
+    gone   who has to be there while it drives, and is not: as of ``StopRequest``
     Raises NotWrittenError, Fault, ConfigError; RecordingError for a full disk.
     """
-    found = _measured(opened.draft, steps, runs, front)
+    found = _measured(opened.draft, steps, runs, front, gone)
     file, problems = opened.file, tuple(map(str, preflight(found.experiment).problems))
     if not found.changes:
         front.say(Say(f"{file}: nothing to change"))
@@ -97,6 +102,7 @@ def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front) ->
         front.say(Say("`rig check` will say:\n" + "\n".join(f"  {problem}" for problem in problems), "refused"))
     if not _yes(front, f"write this to {file}?"):
         raise NotWrittenError("nothing is written", f"{file} is as it was")
+    front.writes()
     try:
         backup = save(file, opened.text, found.changes)
     except EditError as error:
@@ -106,13 +112,13 @@ def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front) ->
     return Finished(found, backup, problems)
 
 
-def _measured(draft: Draft, steps: Sequence[str], runs: Path, front: Front) -> Draft:
+def _measured(draft: Draft, steps: Sequence[str], runs: Path, front: Front, gone: Gone | None) -> Draft:
     """The draft after the steps."""
     from rig.calibrate.bench import HandBench  # scipy comes with them: a config that is refused need not wait for it
     from rig.identify.ready import make_ready
 
     dialogue = calibration(draft, steps)
-    with HandBench(draft.original, runs) as bench:
+    with HandBench(draft.original, runs, gone) as bench:
         try:
             request = next(dialogue)
             while True:

@@ -142,6 +142,9 @@ class _Terminal:
     def does(self, motion: Motion) -> None:
         """Nothing: who sits at a terminal sees the bench."""
 
+    def writes(self) -> None:
+        """Nothing: Ctrl-C says that it was interrupted, not what is written."""
+
     def _echo(self, words: str) -> None:
         click.echo(words, err=self._err)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from itertools import takewhile
 from pathlib import Path
 
 from rig.errors import RigError
@@ -47,6 +48,7 @@ def text(name: str) -> str:
 
 def purpose(name: str) -> str:
     """The first sentence of its first comment. Raises UnknownConfigError."""
-    comments = (line.removeprefix("#").strip() for line in text(name).splitlines() if line.startswith("#"))
-    first = next((line for line in comments if not line.startswith("yaml-language-server")), "")
-    return first.split(". ")[0].rstrip(".")
+    head = takewhile(lambda line: line.startswith("#"), text(name).splitlines())
+    comments = [line.removeprefix("#").strip() for line in head]
+    words = " ".join(line for line in comments if not line.startswith("yaml-language-server"))
+    return words.split(". ")[0].rstrip(".")

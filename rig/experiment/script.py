@@ -27,6 +27,7 @@ from rig.experiment.thorough import tell_apart
 from rig.experiment.until import drive_until
 from rig.faults import Fault
 from rig.identify import Identification
+from rig.loop.stop_request import Gone
 from rig.model.real_motor import FramedMotor
 from rig.preflight.survey_room import expected_sweeps
 from rig.results import ScriptCall
@@ -152,9 +153,14 @@ def run_survey(experiment: Experiment, parent: Path, on_start: OnStart | None = 
     return record(experiment, parent, _named("survey"), script, on_start)
 
 
-def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """The breakaway check alone: does the bench arm, and does the shaft move in the right direction?"""
-    return record(experiment, parent, _named("breakaway"), drive_check, on_start)
+def run_breakaway(
+    experiment: Experiment, parent: Path, on_start: OnStart | None = None, gone: Gone | None = None
+) -> Outcome:
+    """The breakaway check alone: does the bench arm, and does the shaft move in the right direction?
+
+    gone  who has to be there while it drives, and is not: as of ``StopRequest``
+    """
+    return record(experiment, parent, _named("breakaway"), drive_check, on_start, gone=gone)
 
 
 def run_tracking(

@@ -1,7 +1,8 @@
 """A jog by leases: the shaft is driven only while somebody renews a promise of some milliseconds.
 
 Who jogs writes the lease; the loop reads it each tick. If the one who jogs dies, freezes or loses its connection,
-nothing has to notice: the lease runs out, and the drive is 0.
+nothing has to notice: the lease runs out, and the drive is 0. So does whoever lets another process drive by itself:
+the drive goes on only while somebody promises to be there.
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ class HeldLease:
 
     folder  the run folder; no other lease may be in it
     now_ns  the clock of the leases
+    name    of its file
 
     refused  leases that reached further ahead than LONGEST_NS, or asked for no number of volts: they drive nothing
     """
 
-    def __init__(self, folder: Path, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._page = MappedPage(folder / NAME, _LEASE.pack(0, 0.0, 0, 0))
+    def __init__(self, folder: Path, now_ns: Callable[[], int] = time.monotonic_ns, name: str = NAME) -> None:
+        self._page = MappedPage(folder / name, _LEASE.pack(0, 0.0, 0, 0))
         self._now_ns = now_ns
         self._held = Lease(0, 0.0, 0)
         self.refused = 0
@@ -57,16 +59,25 @@ class HeldLease:
 
     def u_V(self) -> float | None:
         """The drive that is promised now, V; 0.0: none is; None: nobody gives leases any more."""
+        lease = self._look()
+        if lease.expires_ns == _OVER:
+            return None
+        return lease.u_V if self._now_ns() < lease.expires_ns else 0.0
+
+    def holds(self) -> bool:
+        """Whether somebody promises now to be there, with a drive or without."""
+        lease = self._look()
+        return self._now_ns() < lease.expires_ns
+
+    def _look(self) -> Lease:
+        """The newest whole lease."""
         number, u_V, expires_ns, number_again = _LEASE.unpack(self._page.read(0, _LEASE.size))
-        now_ns = self._now_ns()
         if number == number_again and number > self._held.number:
-            if expires_ns - now_ns > LONGEST_NS or not math.isfinite(u_V):
+            if expires_ns - self._now_ns() > LONGEST_NS or not math.isfinite(u_V):
                 self.refused += 1
                 u_V, expires_ns = 0.0, 0
             self._held = Lease(number, u_V, expires_ns)
-        if self._held.expires_ns == _OVER:
-            return None
-        return self._held.u_V if now_ns < self._held.expires_ns else 0.0
+        return self._held
 
 
 class Leaser:
@@ -76,8 +87,8 @@ class Leaser:
     no page of leases.
     """
 
-    def __init__(self, folder: Path, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._page = OthersPage(folder / NAME, writes=True)
+    def __init__(self, folder: Path, now_ns: Callable[[], int] = time.monotonic_ns, name: str = NAME) -> None:
+        self._page = OthersPage(folder / name, writes=True)
         self._now_ns = now_ns
         self._number = _LEASE.unpack(self._page.read(0, _LEASE.size))[0]
 
@@ -90,6 +101,10 @@ class Leaser:
         if not (0 <= ahead_ns <= LONGEST_NS and math.isfinite(u_V)):
             raise ValueError(f"a lease of {for_s} s at {u_V} V: at most {LONGEST_NS * 1e-9} s, and a number of volts")
         return self._write(u_V, self._now_ns() + ahead_ns)
+
+    def stay(self) -> Lease:
+        """Promise to be there for the longest time that there is, without a drive. Raises OSError as a write does."""
+        return self.drive(0.0)
 
     def release(self) -> Lease:
         """Give the lease back: the drive is 0 from the next tick on."""

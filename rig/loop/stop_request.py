@@ -1,9 +1,12 @@
-"""What asks a run to stop: a signal, or another process by the run's stop flag. The loop looks once a tick."""
+"""What asks a run to stop: a signal, another process by the run's stop flag, or nobody being there any more.
+
+The loop looks once a tick.
+"""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -11,16 +14,20 @@ from rig.live.stop_flag import StopFlag
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
 
+Gone = Callable[[], str]
+
 
 class StopRequest:
     """Keeps in ``reason`` what asked for a stop: the name of a signal, or who set the stop flag; None: nothing did.
 
     flag  of the run; None: only signals count
+    gone  says who has to be there while it drives and is not: the reason; empty: all is well
     """
 
-    def __init__(self, flag: StopFlag | None = None) -> None:
+    def __init__(self, flag: StopFlag | None = None, gone: Gone | None = None) -> None:
         self.reason: str | None = None
         self.flag = flag
+        self._gone = gone
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Take the signal; the first one counts."""
@@ -28,17 +35,22 @@ class StopRequest:
             self.reason = signal.Signals(number).name
 
     def look(self) -> str | None:
-        """The reason, after a look at the flag."""
+        """The reason, after a look at the flag, and at whether those are there who have to be."""
         if self.reason is None and self.flag is not None:
             by = self.flag.asked_by()
             self.reason = f"Stop by {by}" if by else None
+        if self.reason is None and self._gone is not None:
+            self.reason = self._gone() or None
         return self.reason
 
 
 @contextmanager
-def stop_on_signals(flag: StopFlag | None = None) -> Iterator[StopRequest]:
-    """Within the block SIGINT, SIGTERM and SIGHUP set the request instead of ending the process; so does ``flag``."""
-    request = StopRequest(flag)
+def stop_on_signals(flag: StopFlag | None = None, gone: Gone | None = None) -> Iterator[StopRequest]:
+    """Within the block SIGINT, SIGTERM and SIGHUP set the request instead of ending the process.
+
+    flag, gone  as of ``StopRequest``
+    """
+    request = StopRequest(flag, gone)
     before = {number: signal.signal(number, request) for number in STOP_SIGNALS}
     try:
         yield request

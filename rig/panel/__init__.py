@@ -6,6 +6,7 @@ sockets   what one WebSocket may cost
 watch     what the pages are told of a run, 25 times a second
 bench     checks, starts, calibrates, jogs and stops
 calibration  a calibration that a page goes through; calibrating: the process that does it
+attendance  the panel's promise to be there, without which a calibration drives nothing
 processes the commands that were started, found again by a later panel
 aside     what takes a second, in a process of low priority
 prospect  what `rig check` says of a config, as JSON

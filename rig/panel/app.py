@@ -90,14 +90,16 @@ def make_app(panel: Panel) -> ASGIApp:
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        watching = asyncio.create_task(panel.watch.go())
+        tasks = [asyncio.create_task(panel.watch.go()), asyncio.create_task(panel.bench.attend())]
         try:
             yield
         finally:
-            watching.cancel()
+            for task in tasks:
+                task.cancel()
             panel.bench.release()
-            with contextlib.suppress(asyncio.CancelledError):
-                await watching
+            for task in tasks:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await task
 
     pages = _Pages(panel)
     app = Starlette(

@@ -19,7 +19,7 @@ from typing import Any, Final
 from rig.live.lease import Leaser
 from rig.live.running import Running, running
 from rig.live.stop_flag import StopError, request_stop
-from rig.panel import processes
+from rig.panel import attendance, processes
 from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
@@ -171,6 +171,16 @@ class Bench:
             self._require_rest()
             self.calibration = Calibration(config, self.out, self._calibration_changed)
         self._calibration_changed()
+
+    async def attend(self) -> None:
+        """Promise to a calibration that this panel is there, until cancelled.
+
+        By the event loop, which also takes a Stop: if it hangs, the drive ends.
+        """
+        while True:
+            if self.calibration is not None:
+                self.calibration.attend()
+            await asyncio.sleep(attendance.EVERY_S)
 
     def _calibration_changed(self) -> None:
         self.calibration_changes = next(self._changes)  # from several threads: no two changes look like one

@@ -2,13 +2,18 @@
 
 It writes what it says, asks and does as a JSON object a line, and reads answers as a JSON object a line. If its input
 ends, nobody is there any more: it ends, and writes nothing. A signal stops what drives; at any other time it ends the
-process.
+process, until it writes the config.
+
+What it drives ends when the panel no longer promises to be there (``attendance``).
 """
 
 from __future__ import annotations
 
 import json
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +24,10 @@ from rig.calibrate.session import NotWrittenError, calibrate, open_config
 from rig.calibrate.steps import steps_for
 from rig.calibrate.wiring import svg
 from rig.config.problems import ConfigError
+from rig.config.schema import Experiment
 from rig.faults import Fault
+from rig.loop.stop_request import Gone
+from rig.panel.attendance import watched
 from rig.recording.errors import RecordingError
 
 
@@ -73,10 +81,34 @@ class _Page:
             words = "sets the zero"
         _tell("does", words=words)
 
+    def writes(self) -> None:
+        """Rig is about to write the config. A Stop that comes now is too late: the page is told what was written."""
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        _tell("does", words="writes the config")
+
 
 def _tell(type_: str, /, **what: object) -> None:
     sys.stdout.write(json.dumps({"type": type_, **what}) + "\n")
     sys.stdout.flush()
+
+
+@contextmanager
+def _attended(e: Experiment, out: Path) -> Iterator[Gone | None]:
+    """What tells, for the block, that the panel is gone. Raises NotWrittenError where there is no room for its leases.
+
+    In simulation nothing moves, and time is not the panel's: there is nothing to end.
+    """
+    with ExitStack() as stack:
+        gone = None
+        if e.daq.driver != "simulated":
+            try:
+                gone = stack.enter_context(watched(out))
+            except OSError as error:
+                raise NotWrittenError(
+                    f"no file can be made below {out}: {error.strerror}; without one rig cannot notice a dead panel",
+                    "check the disk and its permissions",
+                ) from error
+        yield gone
 
 
 def main(config: Path, out: Path) -> None:
@@ -85,7 +117,8 @@ def main(config: Path, out: Path) -> None:
     try:
         opened = open_config(config)
         known = {name: what for name, (what, _) in steps_for(opened.draft.original).items()}
-        done = calibrate(opened, page.steps(known), out, page)
+        with _attended(opened.draft.original, out) as gone:
+            done = calibrate(opened, page.steps(known), out, page, gone)
     except ConfigError as error:
         _tell("end", written=False, words="rig cannot calibrate with this config", cure=str(error))
     except (Fault, Refusal, NotWrittenError, RecordingError) as error:

@@ -13,6 +13,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
+from rig.panel.attendance import Attendance
 from rig.panel.errors import RefusedError
 from rig.signals import plain
 
@@ -23,7 +24,8 @@ _NUMBERS: Final = count(1)  # of questions: none twice, or an old page's answer 
 
 
 class Calibration:
-    """One calibration, from its begin to its end. It ends by itself when the panel does.
+    """One calibration, from its begin to its end. It ends by itself when the panel does; its drive, when ``attend`` is
+    not called any more.
 
     changed  called whenever there is something new to show
     Raises RefusedError if its process cannot be started.
@@ -46,6 +48,7 @@ class Calibration:
             )  # fmt: skip
         except OSError as error:
             raise RefusedError(503, f"the calibration cannot be started: {error.strerror}", "try again") from error
+        self._attendance = Attendance(out, self.pid)
         threading.Thread(target=self._hear, daemon=True).start()
 
     @property
@@ -89,6 +92,13 @@ class Calibration:
                 self._process.stdin.flush()
         self._changed()
 
+    def attend(self) -> None:
+        """Promise to be there, as ``Attendance.renew``. For one thread, every ``EVERY_S``."""
+        if self._end is None:
+            self._attendance.renew()
+        else:
+            self._attendance.end()
+
     def stop(self, *, by_flag: bool) -> None:
         """Stop what drives. At a question nothing drives; an answer that is on its way is not taken any more.
 
@@ -129,6 +139,7 @@ class Calibration:
         with self._lock:
             if kind == "ask":
                 self._question = {**said, "number": next(_NUMBERS)}
+                self._was_stopped = False  # that Stop has ended what it was for
             elif kind == "does":
                 self._does = said["words"]
             elif kind == "end":

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from rig.panel.attendance import FOLDER
 from rig.panel.errors import RefusedError
 from rig.signals import plain
 
-FOLDER: Final = ".panel"
 _LAST_WORDS_BYTES: Final = 2000
 _LAST_WORDS_LINES: Final = 12
 
@@ -33,6 +33,7 @@ class Ended:
     status   its exit status, negative for the signal that killed it; None: not known
     words    the last that it said on standard error
     stopped  whether a Stop ended it before it had a run folder
+    began    whether it had a run folder: what became of the run is told there
     """
 
     pid: int
@@ -40,6 +41,7 @@ class Ended:
     status: int | None
     words: str
     stopped: bool
+    began: bool
 
 
 class StartedProcess:
@@ -75,7 +77,7 @@ class StartedProcess:
 
     def end(self) -> Ended:
         """How it ended; it is forgotten."""
-        ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped)
+        ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped, self.has_folder)
         for path in (self._note, self._words):
             with contextlib.suppress(OSError):
                 path.unlink()

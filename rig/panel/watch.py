@@ -34,7 +34,7 @@ class Scene:
     """What there is to tell at one moment.
 
     run          the folder's name; None: nothing runs, and nothing was opened
-    opening      the command that was started and has no folder yet
+    opening      the command that was started and has no folder yet; opens_with: the last that it said
     snapshot     of the run
     ended        the message that it is over; None: it goes on
     news         messages for every page, each with its number
@@ -43,6 +43,7 @@ class Scene:
 
     run: str | None = None
     opening: str | None = None
+    opens_with: str = ""
     snapshot: Snapshot | None = None
     ended: dict[str, Any] | None = None
     news: tuple[tuple[int, dict[str, Any]], ...] = ()
@@ -129,6 +130,7 @@ class Watch:
         self.scene = Scene(
             None if folder is None else folder.name,
             opening[0].command if opening else None,
+            opening[0].last_words().rpartition("\n")[2] if opening else "",
             snapshot,
             self._ended,
             tuple(self._news),
@@ -154,7 +156,7 @@ class Watch:
                 self._end(folder, snapshot)
         for pid in [pid for pid in self._statuses if pid != self._pid]:
             early = self._statuses.pop(pid)
-            if early.status != 0:
+            if early.status != 0 and not early.began:  # one that began and took its time to exit was told of already
                 self._tell(_ended_early(early))
 
     def _end(self, folder: Path, snapshot: Snapshot) -> None:
@@ -225,7 +227,7 @@ class Follower:
         if scene.run is not None and scene.snapshot is not None:
             messages += self._of_run(scene, scene.run, scene.snapshot, now_s)
         if not messages and now_s - self._spoke_s >= ALIVE_S - 0.5 * PERIOD_S:
-            messages.append({"type": "idle", "opening": scene.opening})
+            messages.append({"type": "idle", "opening": scene.opening, "words": scene.opens_with})
         if messages:
             self._spoke_s = now_s
         return [json.dumps(message, allow_nan=False, separators=(",", ":")) for message in messages]

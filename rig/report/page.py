@@ -10,6 +10,7 @@ import jinja2
 
 from rig.estimators import ESTIMATORS, LEADING
 from rig.identify import Identification, IdentifyError, identify
+from rig.identify.verdict import PROMISE, RISK
 from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
@@ -95,6 +96,8 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         relays=tables.relays(run),
         friction_law=tables.friction_law(run),
         motor_law=tables.motor_law(run),
+        promise_percent=100.0 * PROMISE,
+        risk_percent=100.0 * RISK,
         with_law=tables.with_law(run),
         records=tables.records(run),
         budget=tables.budget(run),

@@ -59,6 +59,27 @@ def test_a_loop_is_tuned_tried_recorded_and_replayed(run: Path, tmp_path: Path) 
     assert command("check", folder / "config.yaml").exit_code == 0
 
 
+def test_a_loop_is_tried_on_an_io_block_that_drives_a_period_late(tmp_path: Path) -> None:
+    """Over Modbus a drive goes out with the next request: the loop of its run reckons with that."""
+    folder = tmp_path / "20260101T000000Z-run-modbus"
+    shutil.copytree(GOLDEN.parent / "modbus", folder)
+    numbers = {"tau_s": 0.168, "K_rad_s_V": 6.42, "fc_V": 0.476, "asym_V": 0.0, "delay_s": 0.01}
+    estimate = numbers | {"ci95": {"tau_s": [0.166, 0.17]}, "verdict": "ok"}
+    u95 = {"tau_s": 0.003, "K_rad_s_V": 0.08, "fc_V": 0.004}
+    result = {"schema": 1, "estimates": {"sampled-data": estimate}, "law": [], "u95": u95}
+    (folder / "result.json").write_text(json.dumps(result | {"breakaway": {"noise_rad": 0.0032}}), encoding="utf-8")
+    options = ("--draws", 39, "--out", tmp_path / "runs", "--json")
+    done = command("tune", folder, "--try", folder / "config.yaml", *options)
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert "I/O block" in rig.read(Path(said["bench_run"])).meta.backend
+    assert said["law"]["options"]["observer"]["latency_s"] == pytest.approx(0.01, abs=0.002)
+    tracking = said["prediction"]["tracking_rms"]
+    assert tracking["inside"] and tracking["bench"] < 0.006  # 3 mrad of noise are in it
+    assert said["prediction"]["overshoot_percent"]["bench"] < 1.5
+    assert rig.replay(said["bench_run"]).is_same
+
+
 def test_the_words_of_a_velocity_loop(run: Path) -> None:
     done = command("tune", run, "--loop", "velocity", "--bandwidth", "15", "--draws", "39")
     assert done.exit_code == 0, done.output

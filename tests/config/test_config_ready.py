@@ -16,6 +16,7 @@ def test_each_ready_config_says_in_a_sentence_what_it_is_for() -> None:
     assert "demo" in ready.names() and "uno" in ready.names()
     for name in ready.names():
         assert len(ready.purpose(name)) > 20, name
+    assert ready.purpose("encoder").endswith("the edges at D2 and D3"), "a sentence may take two lines"
 
 
 def test_a_copy_is_the_config_and_never_replaces_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,18 @@
-"""Each command in the pages' blocks of code is run: here, or by the test that `run_elsewhere.yaml` names."""
+"""Each command in the pages' blocks of code is run: here, or by the test that `run_elsewhere.yaml` names.
+
+Of the latter the words are held: each stands in that test, or beside it in the list, and rig takes them.
+"""
 
 from __future__ import annotations
 
+import ast
 import math
 import os
 import re
+import shlex
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -54,11 +59,56 @@ def lines() -> Iterator[Line]:
 
 
 class Elsewhere(NamedTuple):
-    """Commands that are not run here."""
+    """Commands that are not run here; ``instead`` and ``parsed`` as the list says."""
 
     why: str
     test: str
     commands: list[str]
+    instead: Mapping[str, str] = {}
+    parsed: Sequence[str] = ()
+
+    def unheld(self) -> list[str]:
+        """Words of its commands that stand neither in the test nor in the list, and entries that nothing needs."""
+        source, failed, needless = source_of(self.test), [], {*self.instead, *self.parsed}
+        for command in self.commands:
+            for word in shlex.split(command)[1:]:
+                if word in self.parsed or word in self.instead:
+                    needless.discard(word)
+                elif not word.startswith("$") and says(word) not in source:
+                    failed.append(f"{self.test} has no {word!r} of: {command}")
+        failed += [f"{self.test} has no {there!r}" for there in self.instead.values() if there not in source]
+        return failed + [f"{self.test}: {word!r} is in no command" for word in needless]
+
+
+def says(word: str) -> str:
+    """A word as a test has it: of a ready config the name, others as they are."""
+    return Path(word).stem if word.startswith("config/") else word
+
+
+def source_of(test: str) -> str:
+    """The source of a test, and of all in its file that it names: fixtures, helpers, constants."""
+    file, _, name = test.partition("::")
+    text = (ROOT / file).read_text(encoding="utf-8")
+    defined: dict[str, ast.stmt] = {}
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            defined[node.name] = node
+        elif isinstance(node, ast.Assign):
+            names = (one for target in node.targets for one in ast.walk(target))
+            defined |= {one.id: node for one in names if isinstance(one, ast.Name)}
+    found: dict[str, str] = {}
+    todo = [name]
+    while todo:
+        one = todo.pop()
+        if one not in defined or one in found:
+            continue
+        found[one] = "".join(
+            ast.get_source_segment(text, part) or ""
+            for part in (*getattr(defined[one], "decorator_list", ()), defined[one])
+        )
+        for part in ast.walk(defined[one]):
+            todo += [value for value in vars(part).values() if isinstance(value, str)]
+    return "\n".join(found.values())
 
 
 ELSEWHERE = [
@@ -142,10 +192,31 @@ def test_every_command_of_the_pages_runs(folder: Path) -> None:
     assert failed == []
 
 
-def test_what_is_run_elsewhere_stands_on_a_page_and_its_test_is_there() -> None:
+def test_what_is_run_elsewhere_stands_on_a_page_and_in_the_test_that_runs_it() -> None:
     typed = {line.text for line in lines() if line.is_command}
     assert len(typed) > 70
     assert [command for entry in ELSEWHERE for command in entry.commands if command not in typed] == []
     for entry in ELSEWHERE:
         file, _, name = entry.test.partition("::")
         assert f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), entry.test
+    assert [words for entry in ELSEWHERE for words in entry.unheld()] == []
+
+
+@pytest.mark.parametrize(
+    "command", [command for entry in ELSEWHERE for command in entry.commands if RIG.fullmatch(command)]
+)
+def test_rig_takes_the_words_of_what_is_run_elsewhere(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its options, and their values: the command line is read, and nothing is done."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    _, name, *words = shlex.split(command.replace("$RUN", "."))
+    for word in words:
+        is_file = word.endswith((".yaml", ".csv", ".pem", ".key", ".password")) or word == "CONFIG"
+        if is_file and "/" not in word:
+            (tmp_path / word).touch()
+    whole = main.make_context("rig", [name, *words])
+    sub = main.get_command(whole, name)
+    assert sub is not None
+    sub.make_context(name, words, parent=whole)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,7 @@ from rig.control.relay import DualChannelRelay
 from rig.export import TOOLS, export_model
 from rig.identify import identify
 from rig.model.cycle_detector import CycleDetector
+from rig.model.real_motor import PARTS
 from rig.recording.reader import read_run
 from rig.signals import Sample
 
@@ -271,3 +273,20 @@ def test_a_model_that_was_refused_is_not_exported_and_a_doubtful_one_says_why(tm
     said = rig("export", doubtful, "--to", "mujoco", "--into", tmp_path)
     assert (said.exit_code, len(said.stderr.splitlines())) == (2, 2)
     assert "holds no sampled-data estimate that was not refused" in said.stderr
+
+
+def test_the_page_says_which_laws_each_export_carries() -> None:
+    """By the table of docs/export.md; `in kS` is a law that is there in part, and is named as lacking, too."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"^\| law \|.*\n\|---.*\n((?:\|.*\n)+)", page, re.MULTILINE)
+    titles = {"bristles": "bristle", "curvature of the sensor": "linearity"}
+    listed: list[str] = []
+    for row in table.splitlines():
+        laws, *cells = (cell.strip() for cell in row.strip("|").split("|"))
+        columns = dict(zip(("control", "mujoco", "wpilib", "c"), cells, strict=True)) | {"matlab": cells[0]}
+        for law in laws.split(", "):
+            part = titles.get(law, law.lower().replace(" ", "_"))
+            listed.append(part)
+            for tool, cell in columns.items():
+                assert (cell in ("no", "in kS")) == (part in TOOLS[tool].lacks), (tool, law)
+    assert sorted(listed) == sorted(PARTS)

@@ -5,8 +5,13 @@ In virtual time. The bound for the stop flag is the one of docs/panel.md: two pe
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
@@ -15,6 +20,11 @@ from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING,
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.calibrate.bench import HandBench
+from rig.calibrate.dialogue import Hold, Strokes, StrokesSeen
+from rig.calibrate.refusal import ALONE, Refusal
+from rig.config import Experiment, load, ready
+from rig.config.yaml12 import parse
 from rig.control.bounded import Bounded, Bounds
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
@@ -28,10 +38,17 @@ from rig.live.stop_flag import StopFlag, request_stop
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
+from rig.model.friction import coulomb
+from rig.panel import bench as panel_bench
+from rig.panel.bench import Bench as PanelBench
+from rig.testing.line import on_device
 
 FRAME_S = 0.0025  # of 14 bytes on the wire with the time until the program has acted on it
 GAINS_V = (0.4, 0.85)
 Device = VirtualBoard | VirtualChip
+
+
+HELD = replace(DEMO, motor=replace(DEMO.motor, friction=coulomb(9.0)))  # as a bridge with no motor at it
 
 
 class Bench(NamedTuple):
@@ -150,3 +167,126 @@ def test_a_jog_whose_leases_end_is_0_V_at_the_pin_within_the_lease_and_two_perio
     assert len(driven) in (14, 15)  # as the lease begins in a tick
     assert LONGEST_NS * 1e-9 < off_s - given[0] <= LONGEST_NS * 1e-9 + 2 * PERIOD_S + FRAME_S
     assert bench.device.truth().pin_V == 0.0
+
+
+def test_stop_in_the_panel_is_0_V_at_the_pin_while_a_page_holds_the_jog(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hold is renewed until Stop comes, and never let go: by the panel's own code, its clock is the board's."""
+    with StopFlag() as flag:
+        folder = tmp_path / "jog"
+        folder.mkdir()
+        flag.begin(folder)
+        bench = bench_of(VirtualBoard(DEMO, 3), flag)
+
+        def now_ns() -> int:
+            return round(bench.device.now_s() * 1e9)
+
+        monkeypatch.setattr(panel_bench, "Leaser", partial(Leaser, now_ns=now_ns))
+        monkeypatch.setattr(panel_bench, "time", SimpleNamespace(monotonic=bench.device.now_s))
+        panel = PanelBench(None, tmp_path)
+        panel._jog_V = 0.62
+        panel.look()
+        ticks: list[float] = []
+
+        def renew(t_s: float) -> None:
+            ticks.append(t_s)
+            if len(ticks) % 5 == 0:
+                panel.jog("page", 1.0)
+
+        asked = at(bench.device, 24.4 * PERIOD_S, panel.stop)
+        with (
+            HeldLease(folder, now_ns) as held,
+            pytest.raises(Fault, match="Stop by panel"),
+            bench.loop.armed(LIMITS),
+        ):
+            bench.loop.run(LeasedDrive(held.u_V, lambda _: None, longest_s=1.0), "jog", renew)
+    truth = bench.device.truth()
+    assert bench.record.rows[-2]["u_V"] == pytest.approx(0.62, abs=0.02)
+    assert truth.pin_V == 0.0
+    assert 0.0 < truth.pin_changed_s - asked[0] <= 2 * PERIOD_S + FRAME_S
+
+
+class Pin:
+    """When the pin of a device drove, looked at whenever the loop waits; ``do`` is done in the middle of a drive."""
+
+    def __init__(self, device: Device, do: Callable[[], object] = lambda: None, after_ticks: float = 3.4) -> None:
+        self.driven_s: list[float] = []
+        self.done_s = float("nan")
+        sleep = device.sleep_until
+
+        def until(due_s: float) -> float:
+            if device.truth().pin_V != 0.0:
+                self.driven_s.append(device.now_s())
+                when_s = self.driven_s[0] + after_ticks * PERIOD_S
+                if not self.done_s > 0.0 and due_s >= when_s:
+                    sleep(when_s)
+                    do()
+                    self.done_s = device.now_s()
+            return sleep(due_s)
+
+        device.sleep_until = until  # type: ignore[assignment,method-assign]  # of this device alone
+
+
+def demo() -> Experiment:
+    return load(parse(ready.text("demo"), "config").data)
+
+
+@pytest.mark.parametrize("device", [VirtualBoard, VirtualChip])
+def test_stop_in_a_calibrations_hold_is_0_V_at_the_pin(tmp_path: Path, device: type[Device]) -> None:
+    """As the panel stops what has no run folder: by a signal to the calibration's process."""
+    held = device(HELD, 3)
+    pin = Pin(held, lambda: os.kill(os.getpid(), signal.SIGTERM))
+    with on_device(held), HandBench(demo(), tmp_path) as hand:
+        with pytest.raises(Refusal, match="stopped: the drive is at 0 V"):
+            hand.perform(Hold(demo(), 1.2, 5.0))
+        assert held.truth().pin_V == 0.0
+        assert 0.0 < held.truth().pin_changed_s - pin.done_s <= 2 * PERIOD_S + FRAME_S
+
+
+def test_stop_in_a_calibrations_strokes_is_0_V_at_the_pin(tmp_path: Path) -> None:
+    """As the panel stops a run: it finds the folder, and sets its flag."""
+    board, panel = VirtualBoard(DEMO, 3), PanelBench(None, tmp_path)
+    pin = Pin(board, panel.stop)
+    with on_device(board), HandBench(demo(), tmp_path) as hand:
+        seen = hand.perform(Strokes(demo()))
+    assert isinstance(seen, StrokesSeen) and seen.fault is not None
+    assert (seen.fault.code, seen.fault.detail) == ("INTERRUPTED", "Stop by panel")
+    assert board.truth().pin_V == 0.0
+    assert 0.0 < board.truth().pin_changed_s - pin.done_s <= 2 * PERIOD_S + FRAME_S
+
+
+@pytest.mark.parametrize(("what", "device"), [("hold", VirtualBoard), ("hold", VirtualChip), ("strokes", VirtualBoard)])
+def test_what_a_calibration_drives_is_0_V_at_the_pin_within_the_lease_of_a_dead_panel_and_two_periods(
+    tmp_path: Path, what: str, device: type[Device]
+) -> None:
+    """The panel promises every 50 ms to be there, and dies in the middle of a drive. Nobody tells the loop."""
+    one = device(HELD if what == "hold" else DEMO, 3)
+
+    def now_ns() -> int:
+        return round(one.now_s() * 1e9)
+
+    given_s: list[float] = []
+    pin = Pin(one)
+    with HeldLease(tmp_path, now_ns) as held, on_device(one):
+        lease = Leaser(tmp_path, now_ns)
+
+        def gone() -> str:
+            lives = not pin.driven_s or one.now_s() < pin.driven_s[0] + 0.3
+            if lives and (not given_s or one.now_s() - given_s[-1] >= 0.05):
+                lease.stay()
+                given_s.append(one.now_s())
+            return "" if held.holds() else ALONE
+
+        with HandBench(demo(), tmp_path / "runs", gone) as hand:
+            if what == "hold":
+                with pytest.raises(Refusal, match="the panel fell silent: the drive is at 0 V"):
+                    hand.perform(Hold(demo(), 1.2, 5.0))
+            else:
+                seen = hand.perform(Strokes(demo()))
+                assert seen.fault is not None and seen.fault.detail == ALONE
+        lease.close()
+    within_s = LONGEST_NS * 1e-9 + 2 * PERIOD_S + FRAME_S
+    assert one.truth().pin_V == 0.0
+    assert pin.driven_s[-1] > given_s[-1], "it drove when the panel died"
+    assert max(one.truth().pin_changed_s, pin.driven_s[-1]) - given_s[-1] <= within_s

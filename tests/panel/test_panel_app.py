@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
+from rig.panel.attendance import FOLDER
+from rig.panel.processes import StartedProcess, _born
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
+from rig.panel.watch import Follower
 
 HERE = Address("127.0.0.1", 8470)
 ORIGIN = {"origin": "http://127.0.0.1:8470"}
@@ -233,6 +238,32 @@ def test_each_page_knows_who_drives_and_only_that_one_jogs(watcher: TestClient, 
             socket.send_json({"type": "release"})
         one.send_json({"type": "stop"})
         assert until(one, "stop")["received"] is True
+
+
+def test_a_page_is_told_what_a_start_says_that_takes_long(tmp_path: Path) -> None:
+    """As the first one after an installation, which compiles the motor's model."""
+    folder = tmp_path / FOLDER
+    folder.mkdir()
+    note = {"command": "run", "pid": os.getpid(), "born": _born(os.getpid())}
+    (folder / "one.json").write_text(json.dumps(note))
+    (folder / "one.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
+    watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch
+    watch.look()
+    (told,) = map(json.loads, Follower(0, _operator=True).due(watch.scene, operator=True, now_s=1.0))
+    assert told == {"type": "idle", "opening": "run", "words": "rig: compiling the motor's model"}
+
+
+@pytest.mark.parametrize("began", [False, True])
+def test_only_a_command_without_a_run_folder_did_not_start(tmp_path: Path, began: bool) -> None:
+    """A run that was stopped may take long to exit: nobody may read then that the next one did not start."""
+    panel = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path)
+    child = subprocess.Popen(["false"])
+    child.wait()
+    started = StartedProcess(tmp_path / "one.json", "run", child.pid, "", child)
+    started.has_folder = began
+    panel.bench._started.append(started)
+    panel.watch.look()
+    assert [news["why"] for _, news in panel.watch.scene.news] == ([] if began else ["rig run did not start"])
 
 
 def test_with_a_password_nothing_is_told_without_it_but_stop_works(out: Path) -> None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import json
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 from processes import wait_until
 
+from rig.calibrate import session
+from rig.calibrate.save import save
 from rig.config import ready
+from rig.panel import calibrating
 from rig.panel.bench import CALIBRATION, Bench
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
@@ -82,3 +89,32 @@ def test_a_line_that_is_no_message_is_among_the_last_words_and_ends_nothing(line
     calibration._take(f"{line}\n")
     assert line in calibration._words
     end(calibration)
+
+
+def test_a_stop_after_the_last_yes_says_what_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It comes as late as it can: the file is there, and nobody has said so yet."""
+    config = tmp_path / "bench.yaml"
+    config.write_text(ready.text("limit-cycle"))
+    before = config.read_text()
+
+    def save_and_stop(*given: Any) -> Path:
+        backup = save(*given)
+        os.kill(os.getpid(), signal.SIGTERM)  # as Calibration.stop
+        return backup
+
+    def ended(*_: object) -> None:
+        raise AssertionError("the process has ended, and its page says that nothing is written")
+
+    monkeypatch.setattr(session, "save", save_and_stop)
+    answers = [{"steps": ["travel"]}, *({"answer": text} for text in ("yes", "", "", "widen", "yes"))]
+    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{json.dumps(answer)}\n" for answer in answers)))
+    usual = signal.signal(signal.SIGTERM, ended)
+    try:
+        calibrating.main(config, tmp_path / "runs")
+    finally:
+        signal.signal(signal.SIGTERM, usual)
+    *_, last = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (last["type"], last["written"], last["words"]) == ("end", True, "bench.yaml is written")
+    assert config.read_text() != before

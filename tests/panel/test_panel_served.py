@@ -256,6 +256,44 @@ def _last_drive(folder: Path) -> float:
     return float(rows[-1].split(",")[header.split(",").index("u_V")])
 
 
+def test_a_calibrations_strokes_end_when_the_panel_freezes_and_it_says_so_afterwards(
+    served: list[Served], bench: Path
+) -> None:
+    """The pin is looked at in tests/hil/test_hil_stop.py; here the promises come from the panel's own event loop."""
+    panel = served[-1]
+
+    def shown() -> dict[str, Any]:
+        return dict(panel.browser.get("/api/calibration").json()["calibration"])
+
+    def answer(words: str, **given: object) -> None:
+        wait_until(lambda: shown()["question"] is not None)
+        question = shown()["question"]
+        assert words in question["words"].lower(), shown()
+        panel.post("/api/calibration/answer", question=question["number"], **given)
+
+    def drives() -> bool:
+        with suppress(OSError, IndexError):  # it has no row yet
+            return any(_last_drive(one.folder) for one in running(bench / "runs"))
+        return False
+
+    panel.post("/api/calibration/begin")
+    answer("which steps", steps=["strokes"])
+    for _ in range(5):
+        answer("may the motor move", answer="yes")
+        wait_until(lambda: drives() or shown()["question"] is not None)
+        if shown()["question"] is None:
+            break
+        answer("and then", answer="again")  # on a busy machine the panel was late, too
+    panel.process.send_signal(signal.SIGSTOP)
+    wait_until(lambda: not running(bench / "runs"))
+    panel.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: shown()["question"] is not None)
+    assert shown()["said"][-1]["words"] == "the panel fell silent: the drive is at 0 V"
+    answer("and then", end=True)
+    wait_until(lambda: shown()["end"] is not None)
+    wait_until(lambda: not list((bench / "runs" / ".panel").glob("*.lease")))
+
+
 def test_a_flood_and_half_open_sockets_leave_the_others_alone(served: list[Served], silent: socket.socket) -> None:
     panel = served[-1]
     for origin in ("http://evil.example", f"http://localhost:{panel.port + 1}", "null"):

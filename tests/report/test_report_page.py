@@ -188,6 +188,27 @@ def test_a_run_with_laws_shows_them_in_the_pictures_and_in_the_tracking_check(ru
     assert 0.00123 in page.values and 0.0045 in page.values
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_a_run_in_which_no_law_was_found_has_none_and_ok_names_both_of_its_bounds(run: Path) -> None:
+    """All records were fitted together, and the plain motor was enough for them."""
+
+    def without(result: dict[str, Any]) -> None:
+        leading = result["estimates"]["sampled-data"]
+        whole = {"tau_s": 0.6, "K_rad_s_V": 0.7, "fc_V": 0.8}
+        result.update(law=[], with_law=leading, law_records=[{"name": "relay-1", "duration_s": 9.0}])
+        result.update(u95=whole, budget={"scatter": whole}, ok_asks_u95_percent=2.5)
+
+    edit(run / "result.json", without)
+    page = page_of(run)
+    assert "All records together give a motor with" in page.words
+    assert "without any law beyond" in page.words
+    assert "ith these laws" not in page.words
+    assert (
+        "A verdict ok asks for at most 2.5 % of each, and that laws which the tests do not exclude move none of them "
+        "by more than 5 %: that may be wrong with a probability of at most 1 %."
+    ) in page.words
+
+
 def test_headline_gives_the_values_with_interval_and_error_in_words(page: Page, complete: Path) -> None:
     assert "The motor is identified" in page.words
     assert "63 % of its final speed in 170 ms" in page.words

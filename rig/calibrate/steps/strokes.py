@@ -7,6 +7,7 @@ from dataclasses import replace
 from rig.calibrate import wiring
 from rig.calibrate.dialogue import Say, Strokes, StrokesSeen
 from rig.calibrate.draft import Draft
+from rig.calibrate.refusal import stopped
 from rig.calibrate.steps.questions import Steps, choice
 from rig.preflight import preflight
 
@@ -73,7 +74,7 @@ def strokes_step(draft: Draft) -> Steps[Draft]:
         else:
             answer = yield from choice(
                 Say(
-                    "stopped: the drive is at 0 V" if code == "INTERRUPTED" else f"{seen.fault}\n{seen.fault.cure}",
+                    stopped(seen.fault) if code == "INTERRUPTED" else f"{seen.fault}\n{seen.fault.cure}",
                     "refused",
                 ),
                 "and then?",

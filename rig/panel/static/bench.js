@@ -73,12 +73,12 @@ export class Bench {
     }
   }
 
-  /** No run drives; a command may be opening its device. */
-  idle(opening) {
+  /** No run drives; a command may be opening its device, and say why that takes long. */
+  idle(opening, says) {
     const was = this.#live;
     this.#rest();
     if (opening || was) setText(byId("stage"), opening ? "opening" : "ended");
-    if (opening || was) setText(byId("words"), opening ? `rig ${opening} opens the device` : "");
+    if (opening || was) setText(byId("words"), opening ? says || `rig ${opening} opens the device` : "");
   }
 
   #rest() {

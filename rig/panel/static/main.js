@@ -29,6 +29,7 @@ let state = { operator: false, has_token: false, config: null };
 let command = null; // of the run that drives
 let opened = false; // a jog that waits for a hold: its device is open
 let opens = null; // command that was started, and opens its device
+let opensWith = ""; // the last that it said
 
 const VIEWS = ["bench", "calibrate", "runs", "report"];
 
@@ -107,9 +108,9 @@ connection.addEventListener("ended", ({ detail }) => {
 });
 connection.addEventListener("idle", ({ detail }) => {
   const opening = detail.opening ?? null;
-  if (command === null && body.dataset.bench === "idle" && opening === opens) return;
-  opens = opening;
-  bench.idle(opening);
+  if (command === null && body.dataset.bench === "idle" && opening === opens && detail.words === opensWith) return;
+  [opens, opensWith] = [opening, detail.words];
+  bench.idle(opening, detail.words);
   drives(null);
 });
 connection.addEventListener("trouble", ({ detail }) => {

@@ -91,7 +91,7 @@ export class Phase {
       ctx.fillText(short(y), box.x - 5, Math.max(box.y + 5, Math.min(at.y(y), box.y + box.h - 5)));
     }
     ctx.save();
-    ctx.translate(10, box.y + box.h * 0.25);
+    ctx.translate(10, box.y + box.h * 0.375); // between two numbers
     ctx.rotate(-Math.PI / 2);
     ctx.textAlign = "center";
     ctx.fillText("y, rad", 0, 0);
