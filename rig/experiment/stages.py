@@ -218,8 +218,8 @@ def _look_at_bridge(session: Session, noise_rad: float, delay: BenchDelay) -> No
             "the strokes of the breakaway check show that the bridge lets the motor run free while PWM is low: nothing "
             f"but friction braked the shaft, though with motor.no_load_speed_rad_s {e.motor.no_load_speed_rad_s:g} its "
             f"tau is at most {found.tau_s:.2g} s. An L298N with PWM on its enable does so, and rig would "
-            "measure another motor. With the motor's supply off, put the jumper back on ENA, move the wires of IN1 and IN2 "
-            "to the two PWM pins (Uno: D9 and D10; Pico: GP16 and GP17), and flash with --bridge in1-in2 "
+            "measure another motor. With the motor's supply off, put the jumper back on ENA, move the wires of IN1 and "
+            "IN2 to the two PWM pins (Uno: D9 and D10; Pico: GP16 and GP17), and flash with --bridge in1-in2 "
             "(docs/real-bench.md). Or motor.no_load_speed_rad_s is less than half the true speed: then correct it"
         )
 
