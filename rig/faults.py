@@ -125,17 +125,19 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DEVICE_ENCODER_LOST": FaultEntry(
         "both channels of the encoder changed at once: counts are lost, and the device set 0 V",
-        "look for interference: twist the encoder's wires, away from the motor's, and add 1 nF from D2 and D3 to "
-        "ground. Then set zero anew with `rig home`",
+        "look for interference: twist the encoder's wires, away from the motor's, and add 1 nF from each "
+        "channel (Uno: D2 and D3; Pico: GP2 and GP3) to ground. Then set zero anew with `rig home`",
     ),
     "DEVICE_ENCODER_RATE": FaultEntry(
         "the encoder's edges came faster than the device can count, and it set 0 V",
-        "more than 40,000 edges a second are too fast for an Uno: an encoder with fewer counts, or a slower shaft. If "
-        "the shaft was slow, it is interference. Then set zero anew with `rig home`",
+        "more than 40,000 edges a second are too fast for an Uno, more than 2,000,000 for a Pico: an encoder with "
+        "fewer counts, or a slower shaft. If the shaft was slow, it is interference. Then set zero anew with `rig "
+        "home`",
     ),
     "DEVICE_ENCODER_STILL": FaultEntry(
         "one channel of the encoder changed while the other stood still, and the device set 0 V",
-        "check the wires at D2 and D3, and the encoder's supply. Then set zero anew with `rig home`",
+        "check the wires of both channels (Uno: D2 and D3; Pico: GP2 and GP3), and the encoder's supply. Then set zero "
+        "anew with `rig home`",
     ),
     "DEVICE_NO_ZERO": FaultEntry(
         "the device does not know where its encoder stands, so no travel limit would hold",

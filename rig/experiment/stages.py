@@ -27,9 +27,11 @@ from rig.control.relay import DualChannelRelay, HystereticRelay
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
 from rig.estimators import LEADING
+from rig.experiment.free_running import free_running
 from rig.experiment.in_device import relay_in_device
 from rig.faults import Fault
 from rig.identify import Identification, identify
+from rig.identify.preprocessing import from_recording
 from rig.identify.stroke_delay import strokes_delay
 from rig.live.lease import NAME as LEASE
 from rig.live.lease import HeldLease
@@ -41,6 +43,7 @@ from rig.model.real_motor import FramedMotor
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
 from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_rad, room_for_delay_s, swing_rad
+from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -175,7 +178,10 @@ def _take_delay(session: Session) -> None:
     e, check = session.experiment, session.found.breakaway
     if check is None:
         raise ValueError("the delay is measured by a breakaway check")
+    is_run = session.delay is None  # in a replay it is known from the begin, and the strokes are not looked at again
     delay = _delay_of(session, check.reported_delay_s, check.noise_rad)
+    if is_run:
+        _look_at_bridge(session, check.noise_rad, delay)
     counted_s = counted_delay_s(e, delay)
     if counted_s > max(room_for_delay_s(e), 0.0):
         raise Fault("DELAY", no_room_words(e, delay))
@@ -185,6 +191,36 @@ def _take_delay(session: Session) -> None:
         session.found.notes.append(
             f"{delay_words(delay)}: the guard brakes {1e3 * counted_s:.0f} ms earlier for it, and tracking predicts "
             "over it"
+        )
+
+
+def _look_at_bridge(session: Session, noise_rad: float, delay: BenchDelay) -> None:
+    """Note a bridge that lets the motor run free while PWM is low, where the strokes show it beyond doubt."""
+    e = session.experiment
+    if e.motor is None or e.drive.bridge == "in1-in2":
+        return
+    try:
+        recording = session.read()
+        series, _ = from_recording(recording, recording.stage_rows(str(StageKind.BREAKAWAY)), "breakaway")
+    except (IdentifyError, RecordingError):
+        return
+    full_V, further_s = e.drive.supply_V - e.drive.bridge_drop_V, delay.further_s
+    found = free_running(
+        series,
+        noise_rad,
+        e.sensor.curve.lsb_rad,
+        full_V,
+        e.motor.no_load_speed_rad_s,
+        further_s[1] if delay.is_shown and further_s is not None else 0.0,
+    )
+    if found is not None and found.is_certain:
+        session.found.notes.append(
+            "the strokes of the breakaway check show that the bridge lets the motor run free while PWM is low: nothing "
+            f"but friction braked the shaft, though with motor.no_load_speed_rad_s {e.motor.no_load_speed_rad_s:g} its "
+            f"tau is at most {found.tau_s:.2g} s. An L298N with PWM on its enable does so, and rig would "
+            "measure another motor. With the motor's supply off, put the jumper back on ENA, move the wires of IN1 and "
+            "IN2 to the two PWM pins (Uno: D9 and D10; Pico: GP16 and GP17), and flash with --bridge in1-in2 "
+            "(docs/real-bench.md). Or motor.no_load_speed_rad_s is less than half the true speed: then correct it"
         )
 
 

@@ -217,9 +217,10 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
         largest_V = _largest(lambda max_V: breakaway_strokes(e, max_V) is not None, b.max_V)
         yield wrong(
             "breakaway.max_V",
-            f"{b.max_V:g} V is up to {top_rad_s:.3g} rad/s: with a stuck or uncoupled sensor the shaft could turn more "
-            f"than {UNSEEN_RAD:g} rad unseen, even with the shortest strokes, one period ({1e3 * e.period_s:g} ms), if "
-            "one of them lasts until the device's watchdog ends it",
+            f"{b.max_V:g} V is too much: if the sensor is stuck or uncoupled, the shaft could turn more than "
+            f"{UNSEEN_RAD:g} rad in the breakaway check before rig notices. By motor.no_load_speed_rad_s it reaches "
+            f"{top_rad_s:.3g} rad/s, and a stroke is at least one period ({1e3 * e.period_s:g} ms) and at most the "
+            "device's watchdog long",
             (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
             + "a shorter period_s, or a faster breakaway.ramp_V_s"
             + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),

@@ -16,14 +16,27 @@ from pathlib import Path
 
 import pytest
 
-from faults import damage, logged_rig, realtime, worst
+from faults import damage, kept, logged_rig, realtime, worst
 from faults.acts import FREEZE_S
-from faults.backends import BACKENDS, BARE, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
+from faults.backends import (
+    BACKENDS,
+    BARE,
+    BOARD,
+    BOARD_RELAY,
+    CHIP,
+    CHIP_ENCODER,
+    CHIP_RELAY,
+    PLAIN,
+    SEPARATE,
+    TCP,
+    Backend,
+)
 from faults.bounds import Times, bound
 from faults.case import Found, measure, new_injector, restart, times, undisturbed
+from faults.kept import Line
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
-from faults.matrix import phase_at, phases_of, stages_of
-from faults.page import Line, at_worst, cells, render_rows, render_summary, summary
+from faults.matrix import is_alike, phase_at, phases_of, stages_of
+from faults.page import at_worst, cells, render_rows, render_summary, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
@@ -39,16 +52,7 @@ SUMMARY = ROOT / "docs" / "fault-table.md"
 PAGE = ROOT / "docs" / "fault-rows.md"
 
 
-# rows that are the loop's own matter: what device is behind it makes no difference
-ALIKE = (
-    "host SIGINT", "host SIGTERM", "host overloaded", "clock stepped", "disk full", "folder unwritable",
-    "folder unwritable, in the run", "recorder killed", "config changed in the run", "friction too high to start",
-)  # fmt: skip
-
-
-def is_alike(row: Row) -> bool:
-    """Whether one device stands for all."""
-    return row.name in ALIKE or row.early
+LINKS = (CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP, BARE)  # the others differ in board, sensor or test: `make faults`
 
 
 def share() -> list[tuple[Row, Backend]]:
@@ -56,8 +60,14 @@ def share() -> list[tuple[Row, Backend]]:
     own = {CHIP_RELAY: "relay", SEPARATE: "separate", TCP: "tcp", BARE: "bare"}
     cases = [(row, backend) for row in ROWS for backend, trait in own.items() if trait in (*row.only, *row.other)]
     plain = [row for row in ROWS if not any(trait in (*row.only, *row.other) for trait in own.values())]
-    cases += [(row, OTHERS[k % len(OTHERS)]) for k, row in enumerate(plain) if not is_alike(row)]
-    return [(row, backend) for row, backend in cases if row.is_for(backend.traits)]
+    cases += [(row, LINKS[k % len(LINKS)]) for k, row in enumerate(plain) if not is_alike(row)]
+    cases += [(row, CHIP_ENCODER) for row in ROWS if row.only == ("encoder",)]
+    return [(row, backend) for row, backend in cases if _cycle_or_start(row, backend)]
+
+
+def _cycle_or_start(row: Row, backend: Backend) -> bool:
+    """Whether a row is tried in the breakaway check or the relay test."""
+    return any(stage in (START, CYCLE) for stage in stages_of(row, backend))
 
 
 def of_plain() -> list[tuple[Row, Backend]]:
@@ -78,7 +88,7 @@ CASES = of_plain() + share()
 def staged() -> list[tuple[Row, Backend, Stage]]:
     """Each row in one of the other stages, in turn; and wherever else a device may be disarmed and armed again."""
     cases = []
-    for k, row in enumerate(ROWS):
+    for k, row in enumerate(row for row in ROWS if row.only != ("encoder",)):
         places = [
             (backend, stage) for backend in BACKENDS for stage in stages_of(row, backend) if stage in OTHER_STAGES
         ]
@@ -156,7 +166,7 @@ def test_each_row_is_tried_in_each_stage_or_the_page_says_why_not() -> None:
         tried = {stage for backend in BACKENDS for stage in stages_of(row, backend)}
         if row.early:
             assert tried == {START}
-        elif set(row.only) <= {"relay"} and row.only:
+        elif row.only == ("relay",):
             assert tried == {CYCLE}
         elif "tcp" in row.only:
             assert tried == {CYCLE, PAUSE, ARMING}
@@ -218,7 +228,7 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
     found = measure(wrong, BOARD, 0.5)
     assert any("drive on for" in words for words in found.trouble)
     assert any("LINK_TIMEOUT" in words for words in found.trouble)
-    told = cells(Line(wrong, BOARD, CYCLE, times(BOARD), (found,)))
+    told = cells(wrong, Line(wrong, BOARD, CYCLE, times(BOARD), (found,)).kept("today", ""))
     assert "**broken**" in told[1] and told[4] == "LINK_TIMEOUT, 1"
 
 
@@ -401,7 +411,7 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
         for row in ROWS:
             if why := row.why_absent(backend.traits):
                 assert f"* {row.name}: does not apply: {why}." in section
-            if not row.is_for(backend.traits):
+            if not _cycle_or_start(row, backend):
                 assert row.name not in lines
                 continue
             entry = lines[row.name]
@@ -435,20 +445,41 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
     assert "**broken**" not in page + summed_up
 
 
-def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
+def test_the_page_is_what_the_command_writes() -> None:
     row = next(row for row in ROWS if row.name == "port gone")
     one = Line(row, BOARD, CYCLE, times(BOARD), (measure(row, BOARD, 0.1, restarts=True),))
-    page, short = render_rows("today", [one], [row], [BOARD]), render_summary("today", [one], [BOARD])
+    lines = kept.NONE.with_measured([one], "today", "c0de")
+    page, short = render_rows(lines, [row], [BOARD]), render_summary(lines, [row], [BOARD])
     for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):
         assert text in page
     silent_s, within_s = one.found[0].off_s, one.found[0].bound_s
     assert f"| {BOARD.title} | 1 | 1 | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | port gone, " in short
     assert f"| port gone | LINK_LOST | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | {BOARD.title} |" in short
     wrong = replace(one, found=(replace(one.found[0], lost=3, trouble=("3 samples lost",)),))
-    assert summary([wrong], [BOARD]).endswith("% | 3 | 1 |")
+    assert summary(lines.with_measured([wrong], "today", ""), [row], [BOARD]).endswith("% | 3 | 1 |")
     head = next(text for text in page.splitlines() if text.startswith("| fault | drive 0"))
     assert head in PAGE.read_text(encoding="utf-8")
-    assert at_worst([one]).splitlines()[0] in SUMMARY.read_text(encoding="utf-8")
+    assert at_worst(lines, [row], [BOARD]).splitlines()[0] in SUMMARY.read_text(encoding="utf-8")
+
+
+def test_a_part_takes_the_place_of_its_lines_and_the_others_stay(tmp_path: Path) -> None:
+    """Also through the file, and the pages in docs are what the kept lines give."""
+    lines = kept.read()
+    row = next(row for row in ROWS if row.name == "cable out")
+    found = Found(row.name, BOARD.key, CYCLE.key, 0.1, 0.05, 0.1, 0.0, "LINK_LOST", 1, 0, "moves")
+    part = lines.with_measured([Line(row, BOARD, CYCLE, KNOWN, (found,))], "today", "c0de")
+    kept.write(part, tmp_path / "lines.json")
+    again = kept.read(tmp_path / "lines.json")
+    assert again.lines == dict(part.lines) and again.real == part.real
+    key = (row.name, BOARD.key, CYCLE.key)
+    assert again.lines[key].shown == ("LINK_LOST, 1",) and again.lines[key].code == "c0de"
+    others = {name: line for name, line in again.lines.items() if name != key}
+    assert others == {name: line for name, line in lines.lines.items() if name != key}
+    worst.write([found], {}, tmp_path / "worst.json")
+    worst.write([replace(found, row="port gone")], {}, tmp_path / "worst.json", others=True)
+    assert len(worst.recorded(tmp_path / "worst.json")) == 2
+    assert render_summary(lines, ROWS, BACKENDS) == SUMMARY.read_text(encoding="utf-8")
+    assert render_rows(lines, ROWS, BACKENDS) == PAGE.read_text(encoding="utf-8")
 
 
 def test_an_injector_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:

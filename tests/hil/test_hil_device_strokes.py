@@ -346,6 +346,19 @@ def test_a_device_that_decides_otherwise_is_found_out() -> None:
     assert bench.board.truth().pin_V == 0.0
 
 
+def test_a_device_that_stops_the_strokes_while_the_loop_ends_them_says_why() -> None:
+    """Its last row has 0 V, which the law did not decide: that is no other law."""
+    bench = DeviceBench()
+
+    def after(now_s: float) -> None:
+        if now_s > 2.0 and not bench.law.finished:
+            bench.board.place(LIMITS.hard_rad[1] + 0.02)
+            bench.law.finished = True
+
+    assert fault_of(lambda: bench.run(after, then=Rest(0.2))).code == "DEVICE_TRAVEL"
+    assert bench.board.truth().pin_V == 0.0
+
+
 @pytest.mark.parametrize("guard_ends_run", [True, False])
 def test_a_drive_that_the_guard_would_not_let_out(guard_ends_run: bool) -> None:
     """It ends the run, or the strokes alone: then the next law's drive is the guard's again, and brakes the shaft."""

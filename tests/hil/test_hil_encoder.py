@@ -145,6 +145,23 @@ def test_two_channels_at_once_mean_0_V_within_two_ticks_and_no_zero() -> None:
     assert host.arm_anew() == Code.NO_ZERO
 
 
+def test_a_dead_clock_looks_like_too_many_edges_and_the_watchdog_resets_the_chip_all_the_same() -> None:
+    """Why the row `hang: clock, encoder` of docs/safety-table.md is shorter than the hardware watchdog's time."""
+    host = armed_chip()
+    host.drive(40)
+    host.wait(0.09)  # 2,000 edges a second by then
+    host.drive(40)
+    hung_s = host.board.now_s()
+    host.board.hang("clock")
+    while host.board.now_s() < hung_s + 0.05:
+        host.wait(0.01)
+        state = host.state()
+    assert state.fault == Code.ENCODER_RATE and host.pin_V() == 0.0
+    assert host.truth().resets == 0
+    host.board.sleep_until(hung_s + 0.15)
+    assert host.truth().resets == 1 and host.pin_V() == 0.0
+
+
 @pytest.mark.parametrize("units", [40, 200, -200])
 def test_a_channel_that_stands_still_ends_the_drive_after_its_bound(units: int) -> None:
     """In counts of travel, whatever the speed."""

@@ -11,7 +11,7 @@ import pytest
 from safety import garbage
 from safety.__main__ import BAUDS, chip_load
 from safety.driven_chip import PICO, UNO, DrivenChip, Way
-from safety.page import Found, is_kept, render, render_pico, row
+from safety.page import Found, is_kept, render, render_pico, replaced, row
 from safety.promises import PICO_PROMISES, PROMISES, Promise, measure
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "safety-table.md"
@@ -142,3 +142,14 @@ def test_the_page_is_what_the_command_writes() -> None:
     assert head in page and head in PAGE.read_text(encoding="utf-8")
     assert f"| {' | '.join(row(some))} |" in page and "took 2 (1.0 are to be expected)" in page and "7e-13" in page
     assert f"| {' | '.join(row(some))} |" in render_pico("today", [some], found.thrown)
+
+
+def test_rows_measured_anew_take_their_place_and_the_rest_stays() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    new = ("host silent", "device", "101 ms", "99.99 ms", "0.11", "0.22")
+    text = replaced(page, [new], "2026-01-02, `a.hex`")
+    assert "| host silent | device | 101 ms | 99.99 ms | 0.11 | 0.22 |" in text
+    assert "Measured anew on 2026-01-02, `a.hex`: host silent." in text
+    assert len(set(page.splitlines()) - set(text.splitlines())) == 1
+    with pytest.raises(ValueError, match="the page has 0 rows"):
+        replaced(page, [("no such row", "host")], "")

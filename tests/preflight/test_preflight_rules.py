@@ -102,9 +102,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "unseen travel, a fast motor": (
         {"motor__no_load_speed_rad_s": 400.0},
         "breakaway.max_V",
-        "1.2 V is up to 40 rad/s: with a stuck or uncoupled sensor the shaft could turn more than 0.5 rad unseen",
+        "1.2 V is too much: if the sensor is stuck or uncoupled, the shaft could turn more than 0.5 rad in the "
+        "breakaway check before rig notices. By motor.no_load_speed_rad_s it reaches 40 rad/s",
     ),
-    "unseen travel, a ramp that takes for ever": ({"breakaway__ramp_V_s": 0.01}, "breakaway.max_V", "unseen"),
+    "unseen travel, a ramp that takes for ever": (
+        {"breakaway__ramp_V_s": 0.01},
+        "breakaway.max_V",
+        "before rig notices",
+    ),
     "gains above the drive": (
         {"relay__target": None, "relay__gains": [{"h1_V": 0.8, "h2_V": 1.0}, {"h1_V": 1.6, "h2_V": 1.5}]},
         "relay.gains[1]",

@@ -13,6 +13,7 @@ from faults import damage, host
 from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.emulated.virtual_pico import VirtualPico
 
 Act = Callable[[FaultInjector], None]
 
@@ -89,14 +90,14 @@ def _rewire(**wiring: str) -> Act:
 
 
 def _hang(injector: FaultInjector) -> None:
-    if isinstance(injector.device, VirtualChip):
-        injector.device.hang(injector.rng.choice(("main loop", "everything", "clock", "converter")))
+    if injector.hangs:
+        injector.device.hang(injector.rng.choice(injector.hangs))
     else:
         injector.device.hang()
 
 
 def _brown_out(injector: FaultInjector) -> None:
-    if isinstance(injector.device, VirtualChip):
+    if isinstance(injector.device, VirtualChip | VirtualPico):
         injector.device.reset(4, 0.05)
     else:
         injector.device.reset(4)
@@ -156,6 +157,11 @@ def _moment(act: Act, undo: Act) -> Act:
         injector.later(MOMENT_S, lambda: undo(injector))
 
     return both
+
+
+def _too_fast(injector: FaultInjector) -> None:
+    """What no shaft does, but a wire that picks up the motor's noise: more edges than the chip counts."""
+    injector.device.place(injector.device.truth().y_rad, injector.rng.choice((-1, 1)) * injector.too_fast_rad_s)
 
 
 def _end_switch(injector: FaultInjector) -> None:
@@ -239,6 +245,9 @@ ACTS: Mapping[str, Act] = {
     "sensor stuck": _rewire(sensor="stuck"),
     "sensor jumps": _rewire(sensor="jumped"),
     "sensor noisy": _rewire(sensor="noisy"),
+    "encoder: both channels at once": _rewire(sensor="jumped"),
+    "encoder: one channel stands still": _rewire(sensor="still"),
+    "encoder: edges too fast": _too_fast,
     "drive stuck on": _rewire(drive="stuck_on"),
     "drive reversed": _rewire(drive="reversed"),
     "drive dead": _rewire(drive="dead"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -24,8 +25,10 @@ from rig.backends.modbus.section import is_tcp
 from rig.backends.registry import backend_of
 from rig.backends.serial import frames
 from rig.backends.serial.emulated.firmware_build import Variant
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
+from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import BLOCK_ROWS, Kind
 from rig.backends.serial.link_budget import block_share
 from rig.config.schema import Experiment
@@ -54,6 +57,7 @@ SEARCH = {
 }
 _CHIP_UNITS = 400
 _BOARD_UNITS = 799
+_PICO_UNITS = 6250
 _MODBUS_UNITS = 10000
 _STOP_BYTES = 8  # of FC06
 _BYTE_BITS = 11
@@ -65,6 +69,7 @@ _SETTLED_S = 6.0  # by when the relay with GAINS_V has its cycle
 OVERSPEED = 1.2  # times the largest speed: the guard's
 _WELL_ABOVE = 1.4  # times static friction: as the guard has it
 _LOOKS_S = 15.0  # of the reference
+_STILL_COUNTS = 66  # of travel, after which a channel that stands still is a fault: docs/encoder.md
 _APART = 10  # ticks between the instants that a shaft may stop at
 
 
@@ -74,13 +79,15 @@ class Backend:
 
     key, title   short, and as the table has it
     traits       by which rows tell devices apart, from the general to the particular
-    changes      of config/demo.yaml, section by section
+    changes      of ``base``, section by section
     stop_s       that the frame that says stop takes, until it is executed
     hardware_s   from a hang until the chip resets itself, at most; nan where nothing can hang
     device       powers it on
     language     of its wire
     line         what a driver speaks over, with the injector as its device
     remark       what else is to be said of it
+    base         the config that ``changes`` are of
+    hangs        what of the program may stand still, by the emulator's names; empty where it has one hang alone
     """
 
     key: str
@@ -93,17 +100,21 @@ class Backend:
     language: Callable[[Experiment], Language]
     line: Callable[[FaultInjector], Line]
     remark: str = ""
+    base: str = "demo.yaml"
+    hangs: tuple[str, ...] = ()
 
     def config(self, course: Course = "relay") -> dict[str, Any]:
-        """Of a relay test of a few cycles with given gains, on the bench of config/demo.yaml.
+        """Of a relay test of a few cycles with given gains, or of a stroke test, on the bench of ``base``.
 
         course  "search": the gains are searched; "run": a short tracking check follows
         """
-        config: dict[str, Any] = yaml.safe_load((ROOT / "config" / "demo.yaml").read_text(encoding="utf-8"))
+        config: dict[str, Any] = yaml.safe_load((ROOT / "config" / self.base).read_text(encoding="utf-8"))
         tracking = config.pop("tracking")
         config["name"] = f"fault-{self.key}"
         config["breakaway"]["ramp_V_s"] = RAMP_V_S
         config["relay"] = {"gains": [{"h1_V": GAINS_V[0], "h2_V": GAINS_V[1]}], "cycles": CYCLES}
+        if self.runs_strokes:
+            config["relay"] = {"until": {"interval_percent": 0.4}}  # ``fixed_advice`` says what is driven
         for section, change in self.changes.items():
             config[section] = config[section] | change if isinstance(change, Mapping) else change
         if course == "search":
@@ -111,6 +122,16 @@ class Backend:
         if course == "run":
             config["tracking"] = tracking | {"duration_s": TRACKING_S, "methods": ["sampled-data"]}
         return config
+
+    @property
+    def runs_strokes(self) -> bool:
+        """Whether its test is a stroke test in the device."""
+        return "strokes" in self.traits
+
+    @property
+    def has_encoder(self) -> bool:
+        """Whether it counts an encoder, whose zero somebody has to set."""
+        return "encoder" in self.traits
 
     def spare_s(self, experiment: Experiment) -> float:
         """What the time-out leaves beside the longest question and its answer; all of it where blocks come unasked."""
@@ -142,6 +163,7 @@ class Backend:
             stuck=GuardSettings.stuck_s,
             unmoved=_unmoved_s(experiment),
             block=BLOCK_ROWS * 0.001 if experiment.relay.where == "device" else math.nan,
+            crawl=_crawl_s(experiment),
         )
 
 
@@ -230,11 +252,65 @@ def _unmoved_s(experiment: Experiment) -> float:
     return worst_s
 
 
+def _crawl_s(experiment: Experiment) -> float:
+    """As ``Times.crawl``."""
+    if experiment.sensor.encoder is None:
+        return math.nan
+    far_rad = _STILL_COUNTS * abs(experiment.sensor.curve.lsb_rad)
+    y_rad = _tracked_rad(experiment) if experiment.tracking is not None else _cycle_rad(experiment)
+    gone_rad = list(itertools.accumulate((abs(b - a) for a, b in itertools.pairwise(y_rad)), initial=0.0))
+    worst, end = 0, 0
+    for begin, from_rad in enumerate(gone_rad):
+        while end < len(gone_rad) and gone_rad[end] - from_rad < far_rad:
+            end += 1
+        if end == len(gone_rad):
+            break
+        worst = max(worst, end - begin)
+    return worst * _STEP_S
+
+
+def _cycle_rad(experiment: Experiment) -> list[float]:
+    """Where the shaft is in the limit cycle, each step of the model."""
+    motor, relay, state, y_rad = _bench(experiment).motor, DualChannelRelay(*GAINS_V, math.inf), State(), []
+    for k in range(round(2.0 * _SETTLED_S / _STEP_S)):
+        state = motor.advance(state, relay.step(Sample(k * _STEP_S, state.y, 0)), _STEP_S)
+        if k * _STEP_S >= _SETTLED_S:
+            y_rad.append(state.y)
+    return y_rad
+
+
+def _tracked_rad(experiment: Experiment) -> list[float]:
+    """Where the shaft is in the tracking, from its start at rest, each step of the model."""
+    tracking, motor = experiment.tracking, _bench(experiment).motor
+    assert tracking is not None
+    reference = SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in tracking.trajectory], fade_s=FADE_S)
+    state, y_rad = State(), []
+    for k in range(round(tracking.duration_s / _STEP_S)):
+        at = reference.at(k * _STEP_S)
+        u_V = linearising_drive(motor, state, at, tracking.k1_1_s, tracking.k2_1_s2, at.v_rad_s)
+        state = motor.advance(state, u_V, _STEP_S)
+        y_rad.append(state.y)
+    return y_rad
+
+
 def _chip(experiment: Experiment) -> VirtualChip:
-    options = Variant(baud=experiment.daq.baud, end_switches=True)
+    bench = _bench(experiment)
     return VirtualChip(
-        _bench(experiment), experiment.seed, clock_error_ppm=_clock_error_ppm(experiment), options=options
+        bench, experiment.seed, clock_error_ppm=_clock_error_ppm(experiment), options=_options(experiment, bench)
     )
+
+
+def _pico(experiment: Experiment) -> VirtualPico:
+    bench = _bench(experiment)
+    return VirtualPico(
+        pico_parameters(
+            bench, experiment.seed, clock_error_ppm=_clock_error_ppm(experiment), options=_options(experiment, bench)
+        )
+    )
+
+
+def _options(experiment: Experiment, bench: BenchParameters) -> Variant:
+    return Variant(baud=experiment.daq.baud, end_switches=True, encoder=bench.encoder)
 
 
 def _board(experiment: Experiment) -> VirtualBoard:
@@ -363,6 +439,7 @@ CHIP = Backend(
     _chip,
     lambda e: _frames_language(e, _CHIP_UNITS),
     _through_injector("emulated-chip"),
+    hangs=("main loop", "everything", "clock", "converter"),
 )
 BOARD = Backend(
     "board",
@@ -439,6 +516,58 @@ BARE = replace(
     remark="Registers for drive, its number, position and output time-out are all there is: no limits, rails, largest\n"
     "drive, status or control. What is beyond a limit only the loop sees; the watchdog is all that the block knows.",
 )
+CHIP_STROKES = replace(
+    CHIP,
+    key="chip-strokes",
+    title="the Uno's emulated chip, which runs strokes",
+    traits=(*CHIP.traits, "relay", "strokes"),
+    changes=_RELAY,
+    remark=(
+        "`relay.where: device` and `relay.until` ([device-relay.md](device-relay.md)); otherwise as where its own\n"
+        "relay drives. The test is always the same: strokes to and fro, planned by nobody. A *cycle* is two strokes.\n"
+        "Rows of host and recording are the loop's own: they are tried on the devices above."
+    ),
+)
+PICO = replace(
+    CHIP,
+    key="pico",
+    title="the Pico's emulated chip",
+    traits=(*CHIP.traits, "pico"),
+    changes={"daq": {"port": "emulated-pico", "timeout_s": 0.02}},
+    hardware_s=0.121,
+    device=_pico,
+    language=lambda e: _frames_language(e, _PICO_UNITS),
+    line=_through_injector("emulated-pico"),
+    remark=(
+        "The bench of [config/demo-pico.yaml](../config/demo-pico.yaml): 12 bits, 6,250 units of drive. Rows of host\n"
+        "and recording are the loop's own: they are tried on the devices above."
+    ),
+    base="demo-pico.yaml",
+    hangs=("main loop", "everything", "tick", "converter"),
+)
+_ENCODER = (
+    "The bench of [config/encoder.yaml](../config/encoder.yaml): 3,200 counts a turn, 1 Mbaud. `rig home` has set the\n"
+    "zero; where the fault ends it, the next run is refused until `rig home` has set it again\n"
+    "([encoder.md](encoder.md))."
+)
+CHIP_ENCODER = replace(
+    CHIP,
+    key="chip-encoder",
+    title="the Uno's emulated chip with an encoder",
+    traits=(*CHIP.traits, "encoder"),
+    remark=_ENCODER,
+    base="encoder.yaml",
+    hangs=("main loop", "everything", "clock", "tick"),
+)
+PICO_ENCODER = replace(
+    PICO,
+    key="pico-encoder",
+    title="the Pico's emulated chip with an encoder",
+    traits=(*PICO.traits, "encoder", "pico-encoder"),
+    remark=f"{_ENCODER} Only what an encoder, or a Pico, changes is tried.",
+    base="encoder.yaml",
+    hangs=("main loop", "everything", "tick", "counter"),
+)
 PLAIN = (CHIP, BOARD, MODBUS)
 OTHERS = (
     CHIP_RELAY,
@@ -446,5 +575,9 @@ OTHERS = (
     SEPARATE,
     TCP,
     BARE,
-)  # which differ from these in the link, or in where the relay runs
+    CHIP_STROKES,
+    PICO,
+    CHIP_ENCODER,
+    PICO_ENCODER,
+)  # which differ from these in the link, in the board or the sensor, or in where the test runs
 BACKENDS = PLAIN + OTHERS

@@ -27,6 +27,8 @@ class Times(NamedTuple):
     stuck       for which a drive well above friction may leave the reading where it is: the guard's 0.3 s
     unmoved     until the tracking law has asked a shaft that stands for 1.4 times static friction for twice ``stuck``,
                 the worst instant of the reference; nan where nothing is tracked
+    crawl       that the shaft takes for 66 counts of its encoder, from the slowest instant of the limit cycle, or of
+                the tracking: in the bench's model; nan where there is no encoder
     block       that passes until the rows of a relay in the device are sent together; nan where the host's relay drives
     """
 
@@ -46,6 +48,7 @@ class Times(NamedTuple):
     stuck: float
     unmoved: float = math.nan
     block: float = math.nan
+    crawl: float = math.nan
 
 
 _WORDS = {"timeout": "time-out", "hardware": "hardware watchdog"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import itertools
 import json
 import math
 import os
@@ -24,10 +25,13 @@ from unittest.mock import patch
 import yaml
 from click.testing import CliRunner
 
+import rig.backends.serial.opening
 import rig.experiment.stages
+import rig.experiment.until
 import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
+from faults.fixed_advice import fixed_advice
 from faults.fork import fork
 from faults.injector import FaultInjector
 from faults.language import ASKED
@@ -37,6 +41,7 @@ from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, C
 from rig import experiment as script
 from rig.cli import main
 from rig.config.schema import Experiment
+from rig.experiment import zero
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.preflight import check
@@ -49,6 +54,7 @@ FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of
 SETTLE_S = 1.5  # after the run: the watchdog acts, the shaft stops
 PAUSE_S = 0.5  # that a pause takes where nothing happens in it, and virtual time would stand still
 UNJUDGED_S = 1.5  # of the end of tracking: what goes wrong then need not show any more
+TOO_FAST_EDGES_S = 60e3  # half as many again as an Uno counts
 START_RAD = 0.5  # farthest from the centre that a run starts at where there is no cycle yet
 
 
@@ -143,11 +149,30 @@ def patched(
         return identified[-1]
 
     with ExitStack() as patches:
-        patches.enter_context(lines_opened_by(lambda device, e: nullcontext(backend.line(injector))))
+        patches.enter_context(_opened(injector, backend))
+        if backend.runs_strokes:
+            patches.enter_context(patch.object(rig.experiment.until, "advisers_of", fixed_advice))
         patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
         patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, injector)))
         patches.enter_context(patch.object(rig.experiment.stages, "identify", identify_in_time))
         yield identified
+
+
+@contextmanager
+def _opened(injector: FaultInjector, backend: Backend) -> Iterator[None]:
+    """Rig connects to the injector. Nobody's hand sets the zero of an encoder in passing: that takes `rig home`."""
+    with (
+        lines_opened_by(lambda device, e: nullcontext(backend.line(injector))),
+        patch.object(rig.backends.serial.opening, "_by_hand", lambda e, line: None),
+    ):
+        yield
+
+
+def home(injector: FaultInjector, backend: Backend, experiment: Experiment) -> None:
+    """`rig home`, by hand: tell the device where the shaft stands."""
+    with _opened(injector, backend):
+        zero.by_hand(experiment, injector.device.truth().y_rad)
+    injector.forget()
 
 
 def merged(config: dict[str, Any], emulated: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -165,7 +190,12 @@ def new_injector(backend: Backend, config: dict[str, Any], folder: Path, seed: i
     experiment = check(path)[0]
     limits, timeout_s = experiment.limits, experiment.daq.timeout_s
     device, language = backend.device(experiment), backend.language(experiment)
-    return FaultInjector(device, language, limits.hard_rad, timeout_s, folder, seed), experiment
+    injector = FaultInjector(device, language, limits.hard_rad, timeout_s, folder, seed)
+    injector.hangs = backend.hangs
+    if backend.has_encoder:
+        injector.too_fast_rad_s = TOO_FAST_EDGES_S * abs(experiment.sensor.curve.lsb_rad)
+        home(injector, backend, experiment)
+    return injector, experiment
 
 
 def run(
@@ -218,7 +248,7 @@ def _windows(injector: FaultInjector, run: Run, course: Course) -> dict[str, tup
         asked_s = dict(injector.read_at)
         row = run.rows[0]
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
-        ends = [float(e["t_s"]) + offset_s for e in run.events if e["kind"] == "cycle"]
+        ends = [t_s + offset_s for t_s in _ends_of_cycles(run)]
         return {START.key: (0.0, 0.0), CYCLE.key: (ends[FIRST_CYCLE - 1], ends[FIRST_CYCLE])}
     tracking = next(k for k, name in enumerate(names) if kind_of(name) is StageKind.TRACK)
     armed = _last("to arm", names[:tracking])
@@ -231,6 +261,16 @@ def _windows(injector: FaultInjector, run: Run, course: Course) -> dict[str, tup
         ARMING.key: (moments[arming][1], first_s),
         TRACKING.key: (moments[tracking][1], moments[tracking + 1][1] - UNJUDGED_S),
     }
+
+
+def _ends_of_cycles(run: Run) -> list[float]:
+    """When a cycle of the relay test ends, or the drive of a stroke test turns to positive; s, in the run's time."""
+    rows = [row for row in run.rows if kind_of(row["stage"]) is StageKind.STROKES]
+    if not rows:
+        return [float(e["t_s"]) for e in run.events if e["kind"] == "cycle"]
+    return [
+        float(now["t_s"]) for before, now in itertools.pairwise(rows) if float(before["u_V"]) <= 0.0 < float(now["u_V"])
+    ]
 
 
 def _last(name: str, names: list[str]) -> int:
@@ -425,13 +465,14 @@ def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
 def missing(injector: FaultInjector, run: Run) -> list[int]:
     """Keys of samples that the device has sent in time, and that the recording lacks.
 
-    The sample that ended the run counts as recorded if the fault's event has its counts, or its reply. Not counted:
-    the last exchange before a stop without a fault, or before a relay in the device. It only asks for the effect of the
-    last drive.
+    The sample that ended the run counts as recorded if the fault's event has its counts, or its reply; the last block
+    of a law in the device may come after it. Not counted: the last exchange before a stop without a fault, or before a
+    relay in the device. It only asks for the effect of the last drive.
     """
     recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])
     lost = []
+    last_asked = next((reading for reading in reversed(injector.readings) if reading.row == ASKED), None)
     for reading in injector.readings:
         in_detail = f"{reading.counts} counts" in detail or reading.reply.hex(" ") in detail
         only_asks = reading.row == ASKED and (
@@ -442,7 +483,7 @@ def missing(injector: FaultInjector, run: Run) -> list[int]:
         if (
             (reading.key, reading.row) not in recorded
             and not only_asks
-            and not (in_detail and reading is injector.readings[-1])
+            and not (in_detail and (reading is injector.readings[-1] or reading is last_asked))
         ):
             lost.append(reading.key)
     return lost
@@ -457,6 +498,8 @@ def _restarted(found: Found, row: Row, backend: Backend, injector: FaultInjector
             trouble.append(f"the next run, not mended: {code or 'moves'}")
         injector = _mended(injector, row, backend)
     injector.cure()
+    if "DEVICE_NO_ZERO" in row.refused:
+        home(injector, backend, experiment)
     code = restart(injector, backend, experiment)
     words.append(("mended: " if row.lasting else "") + (f"refused: {code}" if code else "moves"))
     if code:

@@ -66,6 +66,8 @@ class FaultInjector:
         self.stall_s: Callable[[random.Random], float] | None = None  # of the host, each time it has slept
         self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
         self.spare_s = 0.0  # of the time-out, beside the exchange
+        self.hangs: tuple[str, ...] = ()  # what of the device's program may stand still, by name
+        self.too_fast_rad_s = math.nan  # of a shaft whose encoder makes more edges than the chip counts
         self.to_undo: list[Callable[[], None]] = []
         self.written: Callable[[], None] = lambda: None  # waits until the recorder has written everything
         self.push: Callable[[], None] | None = None  # on the shaft, from the fault on

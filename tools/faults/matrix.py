@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 from faults import realtime
-from faults.backends import BACKENDS, BARE, BOARD, CHIP, MODBUS, PLAIN, TCP, Backend
+from faults.backends import (
+    BACKENDS,
+    BARE,
+    BOARD,
+    CHIP,
+    CHIP_ENCODER,
+    CHIP_STROKES,
+    MODBUS,
+    PICO,
+    PICO_ENCODER,
+    PLAIN,
+    TCP,
+    Backend,
+)
 from faults.case import Found, measure, times, undisturbed
-from faults.page import Line
+from faults.kept import Key, Line
 from faults.realtime import DEVICES, REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
@@ -17,19 +30,34 @@ from shared.cases import in_order
 
 PHASES = 4  # of the limit cycle
 OTHERS_SHARE = 0.25
+# rows that are the loop's own matter: what device is behind it makes no difference
+ALIKE = (
+    "host SIGINT", "host SIGTERM", "host overloaded", "clock stepped", "disk full", "folder unwritable",
+    "folder unwritable, in the run", "recorder killed", "config changed in the run", "friction too high to start",
+)  # fmt: skip
 _BY_KEY = {backend.key: backend for backend in BACKENDS}
 _BY_NAME = {row.name: row for row in ROWS}
+
+
+def is_alike(row: Row) -> bool:
+    """Whether one device stands for all."""
+    return row.name in ALIKE or row.early
 
 
 def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
     """The stages in which a row is tried on a device.
 
-    Every device: the relay cycle. The board: all stages. Other devices: also the stages in which they differ from the
+    Every device: the relay cycle; but what is the loop's own matter not on those whose board or test alone is another,
+    and on the Pico with an encoder only what an encoder changes.
+    The board: all stages. Other devices: also the stages in which they differ from the
     board. These are the chip's own inputs and resets, what a block without limits does not see, and on the I/O block
     all that may happen while it is disarmed or armed again, since its requests differ then from those of a tick.
     """
-    if row.early:
-        stages: tuple[Stage, ...] = (START,)
+    is_own = any(trait in ("encoder", "pico") for trait in (*row.only, *row.other))
+    if (backend in (CHIP_STROKES, PICO, PICO_ENCODER) and is_alike(row)) or (backend is PICO_ENCODER and not is_own):
+        stages: tuple[Stage, ...] = ()
+    elif row.early:
+        stages = (START,)
     elif backend is BOARD:
         stages = (CYCLE, *OTHER_STAGES)
     elif backend is MODBUS:
@@ -38,6 +66,8 @@ def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
         stages = (CYCLE, *OTHER_STAGES)
     elif backend is TCP and row.only:
         stages = (CYCLE, PAUSE, ARMING)
+    elif backend is CHIP_ENCODER and row.only == ("encoder",):
+        stages = (CYCLE, *OTHER_STAGES)
     else:
         stages = (CYCLE,)
     return tuple(stage for stage in stages if row.is_for(stage.traits(backend.traits)))
@@ -60,15 +90,22 @@ def phase_at(k: int, phases: int) -> float:
 
 
 def in_virtual_time(
-    rows: Sequence[Row], backends: Sequence[Backend], phases: int, stages: Sequence[Stage] | None = None
+    rows: Sequence[Row],
+    backends: Sequence[Backend],
+    phases: int,
+    stages: Sequence[Stage] | None = None,
+    without: Collection[Key] = (),
 ) -> list[Line]:
-    """Each row on each device in each stage that it is tried in, or in these; in the cycle at so many phases."""
+    """Each row on each device in each stage that it is tried in, or in these; in the cycle at so many phases.
+
+    without  lines that are left out
+    """
     places = [
         (row, backend, stage)
         for backend in backends
         for row in rows
         for stage in stages_of(row, backend)
-        if stages is None or stage in stages
+        if (stages is None or stage in stages) and (row.name, backend.key, stage.key) not in without
     ]
     cases = [
         (row.name, backend.key, stage.key, k, phases_of(backend, stage, phases))

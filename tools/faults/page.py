@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from faults.backends import Backend
-from faults.bounds import Times
-from faults.case import Found
+from faults.kept import Kept, Lines
 from faults.realtime import RealFound
 from faults.rows import SILENCE, Row
 from faults.stages import CYCLE, OTHER_STAGES, START, Stage
@@ -17,29 +15,6 @@ from shared import page
 from shared.table import markdown
 
 _SUMMARY, _ROWS = (Path(__file__).with_name(f"{name}.md.j2") for name in ("summary", "rows"))
-
-
-@dataclass(frozen=True)
-class Line:
-    """A row of the matrix on one device in one stage, over all phases; the row as it is there."""
-
-    row: Row
-    backend: Backend
-    stage: Stage
-    times: Times
-    found: tuple[Found, ...]
-
-    @property
-    def trouble(self) -> list[str]:
-        """What should not be."""
-        return [
-            f"{f.row}, {f.backend}, {f.stage}, phase {f.phase:.2f}: {words}" for f in self.found for words in f.trouble
-        ]
-
-    @property
-    def worst_s(self) -> float:
-        """Longest time that the drive was on, s."""
-        return max(f.off_s for f in self.found)
 
 
 def _time(s: float) -> str:
@@ -52,31 +27,26 @@ def _time(s: float) -> str:
     return f"{1e3 * s:.1f} ms" if s >= 1e-4 or s == 0.0 else f"{1e6 * s:.0f} us"
 
 
-def cells(measured: Line) -> tuple[str, ...]:
-    """A line of a device's table."""
-    row, found = measured.row, measured.found
-    shown = sorted({f"{f.code or '-'}, {f.status}" for f in found})
-    runs_on = all(f.code == "" and f.status in (0, 1) for f in found)
-    worst = ("runs on; " if runs_on else "") + _time(measured.worst_s)
+def cells(row: Row, kept: Kept) -> tuple[str, ...]:
+    """A line of a device's table; the row as it is there."""
+    worst = ("runs on; " if kept.runs_on else "") + _time(kept.off_s)
     worst += " at the device, never at the motor" if row.only_seen else ""
-    next_run = "; ".join(sorted({f.restart for f in found if f.restart}))
-    lost = str(sum(f.lost for f in found))
-    within = _time(row.bound.seconds(measured.times))
-    return row.name, worst + _broken(found), within, _beyond(found), "; ".join(shown), lost, next_run
+    shown = "; ".join(kept.shown)
+    within = _time(kept.within_s)
+    return row.name, worst + _broken(kept), within, _beyond(kept.beyond_rad), shown, str(kept.lost), kept.next_run
 
 
-def _broken(found: Iterable[Found | RealFound]) -> str:
-    return "" if all(f.off_s <= f.bound_s for f in found) else " **broken**"
+def _broken(kept: Kept) -> str:
+    return " **broken**" if kept.is_broken else ""
 
 
-def _beyond(found: Iterable[Found | RealFound]) -> str:
-    beyond_rad = max(f.beyond_rad for f in found)
+def _beyond(beyond_rad: float) -> str:
     return f"{beyond_rad:.2f}" if beyond_rad > 0.0 else "-"
 
 
-def _by_stage(backend: Backend, lines: Sequence[Line], rows: Sequence[Row]) -> dict[str, object] | None:
+def _by_stage(backend: Backend, lines: Lines, rows: Sequence[Row]) -> dict[str, object] | None:
     """A device's table of the stages besides the cycle; None where nothing was measured there."""
-    own = {(one.row.name, one.stage): one for one in lines if one.backend is backend}
+    own = {(row.name, stage): kept for row in rows for stage, kept in lines.of(row, backend) if stage in OTHER_STAGES}
     shown = [row for row in rows if any((row.name, stage) in own for stage in OTHER_STAGES)]
     stages = [stage for stage in OTHER_STAGES if any((row.name, stage) in own for row in shown)]
     return (
@@ -90,19 +60,16 @@ def _by_stage(backend: Backend, lines: Sequence[Line], rows: Sequence[Row]) -> d
     )
 
 
-def _cell(measured: Line | None) -> str:
-    if measured is None:
+def _cell(kept: Kept | None) -> str:
+    if kept is None:
         return ""
-    codes = sorted({f.code or ("killed" if f.status < 0 else "runs on") for f in measured.found})
-    off_s, bound_s = measured.worst_s, measured.row.bound.seconds(measured.times)
-    within = "0" if off_s == bound_s == 0.0 else f"{_time(off_s)} of {_time(bound_s)}"
-    beyond = _beyond(measured.found)
-    return f"{'; '.join(codes)}, {within}{_broken(measured.found)}" + (
-        "" if beyond == "-" else f", {beyond} rad beyond"
-    )
+    within = "0" if kept.off_s == kept.within_s == 0.0 else f"{_time(kept.off_s)} of {_time(kept.within_s)}"
+    beyond = _beyond(kept.beyond_rad)
+    return f"{'; '.join(kept.codes)}, {within}{_broken(kept)}" + ("" if beyond == "-" else f", {beyond} rad beyond")
 
 
-def _real_rows(found: Sequence[RealFound]) -> list[tuple[object, ...]]:
+def real_rows(found: Sequence[RealFound]) -> list[tuple[object, ...]]:
+    """The cells of the table of what was tried in real time."""
     names = list(dict.fromkeys((one.row, one.device) for one in found))
     return [_real_cells([one for one in found if (one.row, one.device) == name]) for name in names]
 
@@ -111,13 +78,14 @@ def _real_cells(found: Sequence[RealFound]) -> tuple[object, ...]:
     worst = max(found, key=lambda one: one.off_s - one.bound_s)
     shown = sorted({f"{one.code or '-'}, {one.status}" for one in found})
     runs_on = "runs on; " if worst.code == "" and worst.status >= 0 else ""
+    broken = "" if all(one.off_s <= one.bound_s for one in found) else " **broken**"
     return (
         worst.row,
         worst.device,
-        f"{runs_on}{_time(worst.off_s)}{_broken(found)}",
+        f"{runs_on}{_time(worst.off_s)}{broken}",
         _time(worst.bound_s),
         _time(worst.late_s),
-        _beyond(found),
+        _beyond(max(one.beyond_rad for one in found)),
         "; ".join(shown),
         sum(one.lost for one in found),
         max(one.skipped for one in found),
@@ -125,67 +93,89 @@ def _real_cells(found: Sequence[RealFound]) -> tuple[object, ...]:
     )
 
 
-def summary(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
+def summary(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend]) -> str:
     """One line a device: how much was tried, what came of it."""
-    told = [_device_cells(backend, own) for backend in backends if (own := [o for o in lines if o.backend is backend])]
+    told = [
+        _device_cells(backend, own, lines.untold.get(backend.key, 0))
+        for backend in backends
+        if (own := _on(backend, lines, rows))
+    ]
     return markdown(
         ("device", "rows", "cases", "host silent: drive 0", "within", "nearest to its bound", "lost", "wrong"), told
     )
 
 
-def at_worst(lines: Sequence[Line]) -> str:
+_Place = tuple[Row, Backend, Stage, Kept]  # the row as it is there
+
+
+def _on(backend: Backend, lines: Lines, rows: Sequence[Row]) -> list[_Place]:
+    """All that was measured on a device."""
+    return [
+        (row.on(stage.traits(backend.traits)), backend, stage, kept)
+        for row in rows
+        for stage, kept in lines.of(row, backend)
+    ]
+
+
+def at_worst(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend]) -> str:
     """One line a fault, on the device where the drive was on for longest in the breakaway check or the relay test."""
-    named: dict[str, list[Line]] = {}
-    for one in lines:
-        if one.stage in (START, CYCLE):
-            named.setdefault(one.row.name, []).append(one)
-    rows = []
-    for own in named.values():
-        codes = sorted({f.code or ("-" if f.status < 0 else "runs on") for one in own for f in one.found})
-        worst = max(own, key=lambda one: one.worst_s)
-        name, drive_0, within = cells(worst)[:3]
-        rows.append((name, "; ".join(codes), drive_0, within, worst.backend.title))
-    return markdown(("fault", "code", "drive 0, longest", "within", "on"), rows)
+    told = []
+    for row in rows:
+        own = [
+            (kept, row.on(stage.traits(backend.traits)), backend)
+            for backend in backends
+            for stage, kept in lines.of(row, backend)
+            if stage in (START, CYCLE)
+        ]
+        if own:
+            codes = sorted({code.replace("killed", "-") for kept, _, _ in own for code in kept.codes})
+            kept, there, backend = max(own, key=lambda one: one[0].off_s)
+            name, drive_0, within = cells(there, kept)[:3]
+            told.append((name, "; ".join(codes), drive_0, within, backend.title))
+    return markdown(("fault", "code", "drive 0, longest", "within", "on"), told)
 
 
-def _device_cells(backend: Backend, own: Sequence[Line]) -> tuple[object, ...]:
-    silent = [one for one in own if one.row.bound == SILENCE and one.stage is CYCLE]
-    silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
-    within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
+def _device_cells(backend: Backend, own: Sequence[_Place], untold: int) -> tuple[object, ...]:
+    silent = [kept for row, _, stage, kept in own if row.bound == SILENCE and stage is CYCLE]
+    silent_s = max((kept.off_s for kept in silent), default=math.nan)
+    within_s = max((kept.within_s for kept in silent), default=math.nan)
     share, name = max(
-        (one.worst_s / bound_s, f"{one.row.name}, {one.stage.title}")
-        for one in own
-        if (bound_s := one.row.bound.seconds(one.times)) > 0.0
+        (kept.off_s / kept.within_s, f"{row.name}, {stage.title}") for row, _, stage, kept in own if kept.within_s > 0.0
     )
-    found = [f for one in own for f in one.found]
-    rows = len({one.row.name for one in own})
-    lost, wrong = sum(f.lost for f in found), sum(bool(f.trouble) for f in found)
-    nearest = f"{name}, {100.0 * share:.0f} %"
-    return backend.title, rows, len(found), _time(silent_s), _time(within_s), nearest, lost, wrong
+    return (
+        backend.title,
+        len({row.name for row, *_ in own}),
+        sum(kept.cases for *_, kept in own),
+        _time(silent_s),
+        _time(within_s),
+        f"{name}, {100.0 * share:.0f} %",
+        sum(kept.lost for *_, kept in own),
+        sum(kept.wrong for *_, kept in own) + untold,
+    )
 
 
-def render_summary(made: str, lines: Sequence[Line], backends: Sequence[Backend]) -> str:
+def render_summary(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend]) -> str:
     """The page that people read: docs/fault-table.md."""
-    return page.render(_SUMMARY, made=made, summary=summary(lines, backends), at_worst=at_worst(lines))
+    return page.render(
+        _SUMMARY,
+        made=_made(kept.made for kept in lines.lines.values()),
+        summary=summary(lines, rows, backends),
+        at_worst=at_worst(lines, rows, backends),
+    )
 
 
-def render_rows(
-    made: str,
-    lines: Sequence[Line],
-    rows: Sequence[Row],
-    backends: Sequence[Backend],
-    real: Sequence[RealFound] = (),
-) -> str:
+def render_rows(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend]) -> str:
     """The page with every row: docs/fault-rows.md."""
-    first = lines[0]
-    low, high = first.backend.config()["limits"]["hard_rad"]
-    tried = [backend for backend in backends if any(one.backend is backend for one in lines)]
-    others = [stage for stage in OTHER_STAGES if any(one.stage in OTHER_STAGES for one in lines)]
+    places = [place for backend in backends for place in _on(backend, lines, rows)]
+    first = places[0][1]
+    low, high = first.config()["limits"]["hard_rad"]
+    tried = [backend for backend in backends if any(one is backend for _, one, _, _ in places)]
+    others = [stage for stage in OTHER_STAGES if any(one in OTHER_STAGES for _, _, one, _ in places)]
     return page.render(
         _ROWS,
-        made=made,
-        period_ms=1e3 * first.times.period,
-        watchdog_ms=1e3 * first.times.watchdog,
+        made=_made(kept.made for kept in lines.lines.values()),
+        period_ms=1e3 * lines.times[first.key]["period"],
+        watchdog_ms=1e3 * lines.times[first.key]["watchdog"],
         low=low,
         high=high,
         devices=[device for backend in tried if (device := _in_cycle(backend, lines, rows))["rows"]],
@@ -198,30 +188,38 @@ def render_rows(
                 if stage.key in row.absent
             }
         ),
-        real=_real_rows(real),
-        bounds=_bounds(lines),
+        real=lines.real,
+        bounds=_bounds(places),
         times=[_times(backend, lines) for backend in tried],
         notes=[f"* {row.name}: {'. '.join(filter(None, (row.how, row.remark, row.either)))}." for row in rows],
     )
 
 
-def _in_cycle(backend: Backend, lines: Sequence[Line], rows: Sequence[Row]) -> dict[str, object]:
+def _made(days: Iterable[str]) -> str:
+    """The days on which lines were measured, in words."""
+    known = sorted(set(days))
+    return known[0] if len(known) == 1 else f"{known[0]} to {known[-1]} (each device's section says when)"
+
+
+def _in_cycle(backend: Backend, lines: Lines, rows: Sequence[Row]) -> dict[str, object]:
     """A device's table of the breakaway check and the relay test."""
+    own = _on(backend, lines, rows)
     return {
         "title": backend.title,
         "remark": backend.remark,
-        "rows": [cells(one) for one in lines if one.backend is backend and one.stage in (START, CYCLE)],
+        "made": page.listed([str(day) for day in sorted({kept.made for *_, kept in own})]) if own else "",
+        "rows": [cells(row, kept) for row, _, stage, kept in own if stage in (START, CYCLE)],
         "absent": [(row.name, why) for row in rows if (why := row.why_absent(backend.traits))],
     }
 
 
-def _bounds(lines: Sequence[Line]) -> list[tuple[str, str, str]]:
+def _bounds(places: Sequence[_Place]) -> list[tuple[str, str, str]]:
     """Each bound once: what it bounds, where it is not the same everywhere; the sum; why."""
     seen: dict[tuple[str, str, str], list[str]] = {}
-    for one in lines:
-        where = one.backend.key if one.stage in (START, CYCLE) else f"{one.backend.key} {one.stage.title}"
-        seen.setdefault((one.row.name, one.row.bound.formula(), one.row.bound.why), []).append(where)
-    keys = {one.row.name: {k[0:2] for k in seen if k[0] == one.row.name} for one in lines}
+    for row, backend, stage, _ in places:
+        where = backend.key if stage in (START, CYCLE) else f"{backend.key} {stage.title}"
+        seen.setdefault((row.name, row.bound.formula(), row.bound.why), []).append(where)
+    keys = {row.name: {k[0:2] for k in seen if k[0] == row.name} for row, *_ in places}
     return [
         (f"{name}{'' if len(keys[name]) == 1 else ' (' + ', '.join(where) + ')'}", formula, why)
         for (name, formula, why), where in seen.items()
@@ -229,11 +227,5 @@ def _bounds(lines: Sequence[Line]) -> list[tuple[str, str, str]]:
     ]
 
 
-def _times(backend: Backend, lines: Sequence[Line]) -> str:
-    known = _known(one.times for one in lines if one.backend is backend)
-    return f"* {backend.title}: " + ", ".join(f"{name} {_time(value)}" for name, value in known.items())
-
-
-def _known(times: Iterable[Times]) -> dict[str, float]:
-    """Of several, the numbers that there are."""
-    return {name: value for some in times for name, value in reversed(some._asdict().items()) if math.isfinite(value)}
+def _times(backend: Backend, lines: Lines) -> str:
+    return f"* {backend.title}: " + ", ".join(f"{name} {_time(s)}" for name, s in lines.times[backend.key].items())

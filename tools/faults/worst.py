@@ -57,11 +57,16 @@ def longer(found: Iterable[Found], before_s: Mapping[str, float]) -> list[str]:
     ]
 
 
-def write(found: Iterable[Found], before_s: Mapping[str, float], path: Path = PLACE) -> None:
-    """Record these, and no others; what is longer than before stays as it was, so that it is said again."""
+def write(found: Iterable[Found], before_s: Mapping[str, float], path: Path = PLACE, *, others: bool = False) -> None:
+    """Record these, and no others; what is longer than before stays as it was, so that it is said again.
+
+    others  those recorded before stay, too: of a part of the matrix
+    """
     new_s = {
         name: before_s[name] if name in before_s and is_longer(now_s, before_s[name]) else now_s
         for name, now_s in worst_s(found).items()
     }
+    if others:
+        new_s = recorded(path) | new_s
     in_ms = {name: round(1e3 * s, 2) for name, s in sorted(new_s.items())}
     write_whole(path, (json.dumps(in_ms, indent=0) + "\n").encode("ascii"))

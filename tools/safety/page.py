@@ -69,6 +69,26 @@ def table(rows: Sequence[Measured]) -> str:
     return markdown(head, map(row, rows))
 
 
+def replaced(text: str, rows: Sequence[tuple[str, ...]], made: str) -> str:
+    """A page with these rows in place of its own of that name and way; what else it says stays.
+
+    rows  as ``row`` gives them; made: when and from what, as of ``Found``
+    Raises ValueError for a row that the page does not have: then it has to be made whole.
+    """
+    lines = text.splitlines()
+    for cells in rows:
+        begin = f"| {cells[0]} | {cells[1]} |"
+        at = [k for k, line in enumerate(lines) if line.startswith(begin)]
+        if len(at) != 1:
+            raise ValueError(f"the page has {len(at)} rows {begin}: make it whole")
+        lines[at[0]] = f"| {' | '.join(cells)} |"
+    last = max(k for k, line in enumerate(lines) if line.startswith(f"| {rows[-1][0]} | {rows[-1][1]} |"))
+    end = next(k for k in range(last, len(lines)) if not lines[k].startswith("|"))
+    names = dict.fromkeys(cells[0] for cells in rows)
+    lines[end:end] = ["", f"Measured anew on {made}: {'; '.join(names)}."]
+    return "\n".join(lines) + "\n"
+
+
 def render(found: Found) -> str:
     """The page."""
     limits = UNO.experiment.limits
