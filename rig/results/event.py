@@ -59,7 +59,6 @@ class Decided(Part):
     h1_V: Number = None
     h2_V: Number = None
     longest_stroke_s: Number = None
-    rest_s: Number = None
 
 
 class JoggedLease(Part):
