@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.registry import backend_of
 from rig.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
 from rig.calibrate.refusal import Refusal
 from rig.calibrate.session import NotWrittenError, calibrate, open_config
@@ -100,7 +101,7 @@ def _attended(e: Experiment, out: Path) -> Iterator[Gone | None]:
     """
     with ExitStack() as stack:
         gone = None
-        if e.daq.driver != "simulated":
+        if not backend_of(e).seconds_words(e):  # real seconds
             try:
                 gone = stack.enter_context(watched(out))
             except OSError as error:

@@ -180,7 +180,7 @@ def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(expo
     orders.append(
         f"cd('{exported('matlab')}'); clear motor_simulate; r = motor_simulate('breakaway'); printf('%.9f', r.rms_rad);"
     )
-    command = ["octave-cli", "--quiet", "--no-init-file", "--eval", " ".join(orders)]
+    command = ["octave-cli", "--quiet", "--no-init-file", "--no-history", "--eval", " ".join(orders)]
     said = subprocess.run(command, check=True, capture_output=True, text=True)
     assert said.stderr == ""
     for folder in folders:
