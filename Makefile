@@ -56,11 +56,11 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 
 campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/real-motors-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
-	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED))
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep)
 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
-	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep)
 
 compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and what it finds: docs/compare-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m comparing \
@@ -71,7 +71,7 @@ emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published nu
 
 tune: .venv/.ready  ## loops tuned on identified motors, tried on the true ones: docs/tune-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m tune \
-	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep)
 
 tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs/tracking-table.md
 	PYTHONPATH=tools .venv/bin/python tools/tracking_table.py
