@@ -71,7 +71,7 @@ emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published nu
 
 tune: .venv/.ready  ## loops tuned on identified motors, tried on the true ones: docs/tune-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m tune \
-	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep)
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
 
 tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs/tracking-table.md
 	PYTHONPATH=tools .venv/bin/python tools/tracking_table.py
