@@ -32,6 +32,8 @@ from rig.control.law import Constant, Law
 from rig.control.leased import LeasedDrive
 from rig.control.relay import DualChannelRelay, RelayOnCounts
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
+from rig.control.sweep_plan import Room, sweep_plan
+from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
 from rig.faults import Fault
 from rig.live.lease import LONGEST_NS, HeldLease, Leaser
 from rig.live.stop_flag import StopFlag, request_stop
@@ -45,6 +47,8 @@ from rig.testing.line import on_device
 
 FRAME_S = 0.0025  # of 14 bytes on the wire with the time until the program has acted on it
 GAINS_V = (0.4, 0.85)
+ROOM = Room(LIMITS.soft_rad, GUARD.max_speed_rad_s, slowest_rad_s=0.2, bandwidth_1_s=8.0, longest_s=60.0)
+SWEPT = SweepLoop(PERIOD_S, 0.003, LIMITS.max_u_V, 0.11, CALIBRATION.lsb_rad)
 Device = VirtualBoard | VirtualChip
 
 
@@ -118,7 +122,7 @@ def test_a_stop_is_0_V_at_the_pin_within_two_periods_and_a_frame(
 
 
 @pytest.mark.parametrize("phase", [0.03, 0.41, 0.97])
-@pytest.mark.parametrize("test", ["strokes", "relay"])
+@pytest.mark.parametrize("test", ["strokes", "relay", "survey"])
 def test_an_e_stop_in_a_designed_test_of_the_host_is_0_V_at_the_pin_within_a_tick_of_the_device(
     test: str, phase: float
 ) -> None:
@@ -128,6 +132,8 @@ def test_an_e_stop_in_a_designed_test_of_the_host_is_0_V_at_the_pin_within_a_tic
     law: Law
     if test == "strokes":
         law = StrokeTest((Stroke(1.2, 0.3), Stroke(-0.9, -0.4)), StrokeTiming(3600.0, 1.0), 0.02)
+    elif test == "survey":
+        law = Sweeps(CrudeMotor(0.17, 6.5, 0.54, 0.50), sweep_plan(ROOM), SWEPT)
     else:
         detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
         law = RelayTest(DualChannelRelay(*GAINS_V, 0.7), detector, GAINS_V, 10**9, 3600.0)
