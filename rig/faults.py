@@ -193,7 +193,7 @@ FAULTS: dict[str, FaultEntry] = {
         "jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Raise "
         "breakaway.max_V only if all that is well, by a fifth at a time: then friction is higher than you thought. "
         "Play between motor and sensor looks the same: strokes of some 10 mrad go to and fro within it. "
-        "So does a bench that moves more than 0.15 s after its drive",
+        "So does a bench that moves more than 0.1 s after its drive",
     ),
     "DELAY": FaultEntry(
         "the bench acts too late for the room that it has: from a drive to its motion the shaft could travel too far",
