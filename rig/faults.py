@@ -164,7 +164,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "POLARITY": FaultEntry(
         "the shaft moves against the drive",
-        "swap the two motor wires, or the two outer wires of the potentiometer, or change drive.reversed",
+        "swap the two motor wires, or the two outer wires of the potentiometer, or the two channels of the encoder "
+        "(Uno: D2 and D3; Pico: GP2 and GP3). Or change drive.reversed, or sensor.encoder.sign",
     ),
     "SENSOR_RAIL": FaultEntry(
         "the position sensor reads at its rail",

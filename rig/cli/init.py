@@ -63,24 +63,36 @@ def init(
     from rig.backends.serial.flashing import flash_line
 
     asks = not yes
-    if asks and not sys.stdin.isatty() and None in (bridge, supply_V, travel_deg, no_load_rpm):
-        fail(EXIT_BAD_INPUT, "there is nobody to ask", "give --yes, and what has no default: --bridge, --no-load-rpm")
+    if yes:
+        board, sensor, limits = board or "uno", sensor or "potentiometer", limits or "stops"
+    needed = {"--bridge": bridge, "--no-load-rpm": no_load_rpm}
+    if sensor == "encoder":
+        needed["--counts-per-turn"] = counts_per_turn
+    missing = [option for option, value in needed.items() if value is None]
+    wanted = [board, sensor, port, supply_V, *needed.values(), turns if limits == "turns" else travel_deg]
+    if sensor == "encoder":
+        wanted += [limits, gear]
+    if asks and not sys.stdin.isatty() and None in wanted:
+        fail(EXIT_BAD_INPUT, "there is nobody to ask", f"give {' '.join(['--yes', *missing])}; `rig init --help`")
     if file.exists():
         fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
-    if not asks:
-        board, sensor, limits = board or "uno", sensor or "potentiometer", limits or "stops"
-        needed = {"--bridge": bridge, "--no-load-rpm": no_load_rpm}
-        if sensor == "encoder":
-            needed["--counts-per-turn"] = counts_per_turn
-        for option, value in needed.items():
-            if value is None:
-                fail(EXIT_BAD_INPUT, f"{option} has no default: a wrong one is dangerous", "give it; `rig init --help`")
+    if yes and missing:
+        have = "has" if len(missing) == 1 else "have"
+        fail(
+            EXIT_BAD_INPUT,
+            f"{' and '.join(missing)} {have} no default: a wrong one is dangerous",
+            f"give {'it' if len(missing) == 1 else 'them'}; `rig init --help`",
+        )
     try:
         board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
         sensor = _chosen("sensor", sensor, new_bench.SENSORS)
         bridge = _chosen("bridge", bridge, {name: one.words for name, one in new_bench.BRIDGES.items()})
         is_encoder = sensor == "encoder"
+        _refuse_unused(
+            {} if is_encoder else {"--counts-per-turn": counts_per_turn, "--gear": gear}, "--sensor encoder", sensor
+        )
         limits = _chosen("limits", limits, new_bench.LIMITS) if is_encoder else limits or "stops"
+        _refuse_unused({} if limits == "turns" else {"--turns": turns}, "--limits turns", limits)
         port = port or _asked("port of the board", _port(board), asks)
         answers = new_bench.Answers(
             board=board,
@@ -118,6 +130,15 @@ def init(
     click.echo(flash_line(experiment, board))
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
+
+
+def _refuse_unused(given: dict[str, float | None], belongs: str, chosen: str) -> None:
+    """Refuse options that were given, but mean nothing with what was chosen: the answers contradict each other."""
+    for option, value in given.items():
+        if value is not None:
+            raise new_bench.AnswerError(
+                f"{option} belongs to {belongs}, not to {chosen}", f"give {belongs}, or leave {option} out"
+            )
 
 
 def _chosen(what: str, given: str | None, words: dict[str, str]) -> str:
