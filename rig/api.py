@@ -25,7 +25,6 @@ from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.identify import IdentifyError
 from rig.identify import identify as identify_recordings
-from rig.identify.ready import make_ready
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.prediction import predict_cycle
@@ -185,7 +184,9 @@ def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, o
     checked, _ = preflight.check(config)
     require_device_file(checked.daq.port)
     if law is None:
-        make_ready(lambda words: sys.stderr.write(f"{words}\n"))
+        from rig.experiment.ready import make_ready  # scipy comes with it
+
+        make_ready(lambda words: sys.stderr.write(f"{words}\n"), designs=checked.relay.until is not None)
         return _as_run(experiment.run(checked, Path(out)))
     own = Timed(law, duration_s, type(law).__name__)
     # the run folder keeps the config: it must not name a law that did not run

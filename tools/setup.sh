@@ -64,7 +64,7 @@ VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-
 wait "$debian"
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
-.venv/bin/python -m rig.identify.ready &
+.venv/bin/python -m rig.experiment.ready &
 compiled=$!
 # the second emulator of the Uno's chip, the Pico's, uPlot, what drives the browser; npm keeps its own stamp of what it
 # has installed

@@ -42,11 +42,14 @@ def checked_bench(path: Path) -> Experiment:
     return experiment
 
 
-def compiled() -> None:
-    """Load the compiled model before a device is opened: while the drive is off, nobody should wait for it."""
-    from rig.identify.ready import make_ready
+def compiled(*, designs: bool) -> None:
+    """Load the compiled model before a device is opened: the loop shares the processor with nobody who compiles.
 
-    make_ready(lambda words: click.echo(words, err=True))
+    designs  whether the run designs its tests
+    """
+    from rig.experiment.ready import make_ready
+
+    make_ready(lambda words: click.echo(words, err=True), designs=designs)
 
 
 def perform(start: Callable[[OnStart], Outcome], as_json: bool) -> Outcome:

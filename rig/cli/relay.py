@@ -21,7 +21,7 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
     No tracking check follows.
     """
     experiment = checked_bench(config_path)
-    compiled()
+    compiled(designs=False)
     from rig import experiment as script
 
     finish(perform(partial(script.run_relay, experiment, out), as_json), as_json)

@@ -54,7 +54,7 @@ def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, as_js
         except RecordingError as error:
             fail_input(error)
     if experiment.law is None:
-        compiled()
+        compiled(designs=experiment.relay.until is not None)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script

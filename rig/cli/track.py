@@ -33,7 +33,7 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
 
     if experiment.tracking is None:
         fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
-    compiled()
+    compiled(designs=False)
     try:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:

@@ -127,5 +127,5 @@ def _tried(experiment: Experiment, out: Path, as_json: bool) -> Outcome:
     """The run on the bench."""
     from rig import experiment as script
 
-    compiled()
+    compiled(designs=False)
     return perform(partial(script.run, experiment, out), as_json)

@@ -149,11 +149,9 @@ def main(arguments: list[str]) -> int:
     told: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(told, os.fdopen(0, "rb", buffering=0)), daemon=True).start()
     from rig.design.advisor import Advisor
-    from rig.design.ready import make_ready
-    from rig.identify.ready import make_ready as make_fit_ready
+    from rig.experiment.ready import make_ready
 
-    make_fit_ready(lambda words: None)  # before the first row: compiling would take longer than the tests
-    make_ready()
+    make_ready(lambda words: None)  # before the first row: compiling would take longer than the tests
     settings = told.get()
     if settings is None:
         return 0

@@ -221,8 +221,9 @@ class IdentifiedMotor:
         return [*self.provenance.lines(), *found, *self.lacks_in_words()]
 
     def lacks_in_words(self) -> list[str]:
-        """One line for each law that the tool cannot express."""
-        return [f"LACKS {name}: {why}" for name, why in self.lacks.items()]
+        """One line for each law that the tool cannot express: its size, and what follows."""
+        sizes = {law.name: law.words() for law in self.laws}
+        return [f"LACKS {sizes.get(name, name)}: {why}" for name, why in self.lacks.items()]
 
 
 def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:

@@ -70,19 +70,32 @@ class Elsewhere(NamedTuple):
     def unheld(self) -> list[str]:
         """Words of its commands that stand neither in the test nor in the list, and entries that nothing needs."""
         source, failed, needless = source_of(self.test), [], {*self.instead, *self.parsed}
+        typed = typed_in(source)
         for command in self.commands:
             for word in shlex.split(command)[1:]:
                 if word in self.parsed or word in self.instead:
                     needless.discard(word)
-                elif not word.startswith("$") and says(word) not in source:
+                elif not word.startswith("$") and not typed & {word, Path(word).name}:
                     failed.append(f"{self.test} has no {word!r} of: {command}")
-        failed += [f"{self.test} has no {there!r}" for there in self.instead.values() if there not in source]
+        failed += [f"{self.test} has no {there!r}" for there in self.instead.values() if not stands(there, source)]
         return failed + [f"{self.test}: {word!r} is in no command" for word in needless]
 
 
-def says(word: str) -> str:
-    """A word as a test has it: of a ready config the name, others as they are."""
-    return Path(word).stem if word.startswith("config/") else word
+def typed_in(source: str) -> set[str]:
+    """The texts of a source, whole and word by word; not its names, comments and docstrings, which run nothing."""
+    tree = ast.parse(source)
+    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    texts = [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told
+    ]
+    return {word for text in texts for word in (text, *text.split())}
+
+
+def stands(there: str, source: str) -> bool:
+    """Whether a piece of code stands in a source, and not as a part of a longer word."""
+    return re.search(rf"(?<![\w-]){re.escape(there)}(?![\w-])", source) is not None
 
 
 def source_of(test: str) -> str:
@@ -102,7 +115,7 @@ def source_of(test: str) -> str:
         one = todo.pop()
         if one not in defined or one in found:
             continue
-        found[one] = "".join(
+        found[one] = "\n".join(
             ast.get_source_segment(text, part) or ""
             for part in (*getattr(defined[one], "decorator_list", ()), defined[one])
         )
@@ -190,6 +203,12 @@ def test_every_command_of_the_pages_runs(folder: Path) -> None:
         # a page may read a file first, and say below how to make it
         failed += [f"{page}: {words}" for words in map(terminal.type, again) if words]
     assert failed == []
+
+
+def test_a_word_is_held_by_itself_and_not_as_a_part_of_another() -> None:
+    source = 'def test_it() -> None:\n    """Not this run."""\n    assert rig("survey", "--to d.png", run_on) == prune'
+    assert typed_in(source) == {"survey", "--to d.png", "--to", "d.png"}
+    assert stands("run_on", source) and not stands("run", "survey(run_on, prune)")
 
 
 def test_what_is_run_elsewhere_stands_on_a_page_and_in_the_test_that_runs_it() -> None:

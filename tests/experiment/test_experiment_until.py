@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +81,32 @@ def test_no_test_leaves_the_soft_limits(known: tuple[Path, RunResult]) -> None:
     assert not recording.flags.any()  # the guard had nothing to do
 
 
-def test_a_seed_gives_the_same_run(known: tuple[Path, RunResult], tmp_path: Path) -> None:
-    again, _ = run(ROOT / "config/simulated.yaml", tmp_path)
+# what is loaded once all is ready would have been compiled beside the loop
+IN_A_PROCESS_OF_ITS_OWN = """
+import sys
+from rig.cli import main
+from rig.experiment.ready import make_ready
+from rig.model.compiled.kernel import _Cache
+
+make_ready(print)
+load = _Cache.load_overload
+def late(self, sig, target):
+    print("loaded late:", self._py_func.__qualname__, sig)
+    return load(self, sig, target)
+_Cache.load_overload = late
+main(sys.argv[1:])
+"""
+
+
+def test_a_seed_gives_the_same_run_and_no_loop_is_compiled_once_the_device_is_open(
+    known: tuple[Path, RunResult], tmp_path: Path
+) -> None:
+    command = ["run", str(ROOT / "config/simulated.yaml"), "--out", str(tmp_path), "--json"]
+    said = subprocess.run(
+        [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN, *command], capture_output=True, text=True, check=True
+    ).stdout
+    assert [line for line in said.splitlines() if line.startswith("loaded late")] == []
+    again = Path(json.loads(said)["folder"])
     for name in ("samples.csv", "events.jsonl"):
         assert (again / name).read_text() == (known[0] / name).read_text()
 

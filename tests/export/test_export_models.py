@@ -215,7 +215,7 @@ def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Cal
     for text in (header, xml):
         assert digest in text
         assert "95 % 0.169 to 0.171" in text
-        assert "LACKS backlash" in text
+        assert "LACKS backlash 0.01" in text
     assert f'#define RIG_MOTOR_RUN "{run.name}"' in header
 
 
@@ -226,7 +226,8 @@ def test_the_command_names_what_it_wrote_and_what_is_lacking(
     monkeypatch.chdir(tmp_path)
     said = rig("export", run, "--to", "c")
     files = ["rig_motor.h", "rig_controller.h", "rig_controller.c", "real_motor.h", "real_motor.c"]
-    assert said.stdout.splitlines() == ["LACKS backlash: the sensor follows the motor without play", *files]
+    lacks = "LACKS backlash 0.01 V, 95 % 0 to 1: the sensor follows the motor without play"
+    assert said.stdout.splitlines() == [lacks, *files]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
     again = rig("export", run, "--to", "c")
     assert (again.exit_code, again.stderr.splitlines()[0]) == (2, "rig: rig_motor.h: is there already")

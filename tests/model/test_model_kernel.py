@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from numba.core import config
 
-from rig.identify.ready import make_ready
 from rig.model.compiled.kernel import compiling, kernel
 
 
@@ -28,10 +27,3 @@ def test_a_loop_is_announced_once_it_is_compiled_and_not_when_it_is_loaded(
         assert told == ["compiles"]
     kernel(doubled)(1)
     assert told == ["compiles"]
-
-
-def test_what_is_ready_says_nothing() -> None:
-    make_ready(lambda words: None)
-    told: list[str] = []
-    make_ready(told.append)
-    assert told == []

@@ -144,11 +144,14 @@ export class Runs {
   }
 
   #numbers(runs) {
-    const head = element("tr", {}, ...["Run", "First switch at", ...PARAMETERS.map((p) => `${p.symbol}, ${p.unit}`)].map((text) => element("th", { textContent: text, scope: "col" })));
+    const titles = ["Run", "First switch at", ...PARAMETERS.map((p) => `${p.symbol}, ${p.unit}`)];
+    const head = element("tr", {}, ...titles.map((text) => element("th", { textContent: text, scope: "col" })));
     const rows = runs.map((run, k) => {
       const key = element("span", { className: `swatch run-${k + 1}` });
       const first = Number.isFinite(run.first_switch_s) ? `${fixed(run.first_switch_s, 2)} s` : "no switch: its start";
-      return element("tr", {}, element("td", {}, key, run.name), element("td", { textContent: first }), ...PARAMETERS.map((p) => element("td", { textContent: withInterval(run.estimate?.[p.key]) })));
+      const row = element("tr", {}, element("td", {}, key, run.name), element("td", { textContent: first }), ...PARAMETERS.map((p) => element("td", { textContent: withInterval(run.estimate?.[p.key]) })));
+      [...row.cells].forEach((cell, at) => (cell.dataset.label = titles[at])); // a narrow page has no head
+      return row;
     });
     byId("overlay-table").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
   }
