@@ -29,6 +29,7 @@ from rig.control.trajectory import SumOfSines
 from rig.estimators import LEADING
 from rig.experiment.free_running import free_running
 from rig.experiment.in_device import relay_in_device
+from rig.experiment.which_way import strokes_move_against
 from rig.faults import Fault
 from rig.identify import Identification, identify
 from rig.identify.preprocessing import from_recording
@@ -227,6 +228,10 @@ def _look_at_bridge(session: Session, noise_rad: float, delay: BenchDelay) -> No
 def _explain_by_delay(session: Session, fault: Fault) -> None:
     """Raise Fault DELAY if the strokes did move the shaft, but later than the check looks; ``fault`` is what it saw."""
     noise_rad = max(session.loop.guard.settings.noise_rad, session.experiment.sensor.curve.lsb_rad)
+    if session.delay is None:  # in a replay the run has answered this: with an event of its delay, or without one
+        session.recorder.drain()
+        if strokes_move_against(session.read(), noise_rad):
+            return
     delay = _delay_of(session, 0.0, noise_rad)
     if delay.is_shown:
         raise Fault("DELAY", f"{no_room_words(session.experiment, delay)}; the check said {fault.code}") from fault
