@@ -72,6 +72,7 @@ Ending = Literal["its end", "a fault", "no end"]
 _P = TypeVar("_P", bound=Part)
 
 _WITHOUT_FURTHER_PAIRS = "balanced pairs"  # a breakaway law
+_WITHOUT_REPEATS = "balanced pairs, further ones"  # an older breakaway law
 _RECORD_AGAIN = "record the run again with this version"
 
 
@@ -337,6 +338,8 @@ def _advice(decided: Decided, strokes: tuple[Stroke, ...]) -> Advice:
     test: PlannedTest
     if decided.what == "stop":
         return Advice(None, stop=decided.why)
+    if decided.what == "rest" and decided.rest_s is not None:
+        return Advice(None, rest_s=decided.rest_s)
     if decided.what == "relay" and decided.h1_V is not None and decided.h2_V is not None:
         test = RelayGains(decided.h1_V, decided.h2_V)
     elif decided.what == "strokes" and decided.longest_stroke_s is not None:
@@ -382,6 +385,8 @@ def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> Bre
         return None
     if what.breakaway == _WITHOUT_FURTHER_PAIRS:
         return stages.breakaway_check(e, further=False)
+    if what.breakaway == _WITHOUT_REPEATS:
+        return stages.breakaway_check(e, repeats=False)
     if what.breakaway is None:
         b = e.breakaway
         return OneWayCheck(b.ramp_V_s, b.max_V, b.motion_rad, b.rest_s)

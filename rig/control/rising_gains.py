@@ -22,6 +22,7 @@ class SwingRoom:
     h_max_V          largest h1 and largest h2
     sum_max_V        largest h1 + h2
     motion_rad       a reading that stays within this span shows a shaft that sticks
+    first_sum_V      largest h1 + h2 to begin with: the breakaway level of a fast motor is shown too high
     """
 
     friction_V: float
@@ -30,6 +31,7 @@ class SwingRoom:
     h_max_V: float
     sum_max_V: float
     motion_rad: float
+    first_sum_V: float = math.inf
 
 
 class RisingGains(RelayLaw[DualChannelRelay]):
@@ -63,8 +65,8 @@ class RisingGains(RelayLaw[DualChannelRelay]):
         self.room = room
         self.steps: list[SearchStep] = []  # the gains that are over, and why they ended
         self._swings = Swings(detector.min_amplitude_rad)
-        self._friction_V = room.friction_V
-        self._x_V = self.START * room.friction_V
+        self._friction_V = min(room.friction_V, room.first_sum_V / (1.0 + self.START + _H1_LEAST))
+        self._x_V = self.START * self._friction_V
         self._widest_V = math.inf  # the x that was too much
         self._wide = False
         self._small = False

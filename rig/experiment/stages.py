@@ -287,12 +287,12 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
 
 
-def breakaway_check(e: Experiment, *, further: bool = True) -> BreakawayCheck:
-    """The breakaway check of a config; ``further`` as ``breakaway_strokes`` takes it.
+def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True) -> BreakawayCheck:
+    """The breakaway check of a config; ``further`` and ``repeats`` as ``breakaway_strokes`` takes them.
 
     Raises Fault CONFIG_MISMATCH if its unseen travel has no bound.
     """
-    strokes = None if e.motor is None else breakaway_strokes(e, further=further)
+    strokes = None if e.motor is None else breakaway_strokes(e, further=further, repeats=repeats)
     if strokes is None:
         raise Fault(
             "CONFIG_MISMATCH",
@@ -305,7 +305,14 @@ def breakaway_check(e: Experiment, *, further: bool = True) -> BreakawayCheck:
         b.max_V,
         b.motion_rad,
         b.rest_s,
-        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s, strokes.further),
+        StrokePlan(
+            strokes.strokes_s,
+            strokes.pause_s,
+            strokes.watchdog_s,
+            strokes.further,
+            strokes.in_all,
+            strokes.top_pause_s,
+        ),
         e.period_s,
     )
 
@@ -327,7 +334,9 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     session.found.breakaway = check
     guard = session.loop.guard
     guard.learn(guard_settings_of(e, check.noise_rad))
-    guard.static_V = max(check.plus_V, check.minus_V)
+    # noise may have looked like a first motion: then the drives just above that level need not move the shaft
+    sure_V = check.surely_V if isinstance(check, BreakawayCheck) else 0.0
+    guard.static_V = max(check.plus_V, check.minus_V, sure_V)
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:

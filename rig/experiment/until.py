@@ -6,6 +6,7 @@ any row, by advice, by the guard or by the bounds of the config. So the guard an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import RelayTest
 from rig.control.law import Law, Rest
 from rig.control.rising_gains import RisingGains, SwingRoom
+from rig.control.slow_down import SlowDown
 from rig.control.strokes import StrokeTest, StrokeTiming
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
@@ -42,7 +44,10 @@ AWAIT_DESIGN_S = 10.0  # at rest, for the first test of a known model
 AFTER_BRAKING_S = 3.0  # at rest, for another test than the one in which the guard had to brake
 REACH = 0.85  # of the distance to the nearer soft limit, for the start without a model
 FAST = 0.95  # of the largest speed
+FIRST_FRICTION = 0.5  # of the breakaway level: friction of a fast motor may be that low
+FIRST_SPEED = 2.0  # of the largest speed: where the first gains of the start would end
 TOO_FAST = 1.05  # of it: more than the noise of a velocity; at 1.2 the guard ends the run
+SPARE_REST_S = 1.5  # beyond a rest that the advisers asked for: they say at once what follows
 LONG_S = 3600.0  # a test goes on until something ends it
 
 
@@ -72,11 +77,15 @@ def drive_until(
 
 
 class _Next(NamedTuple):
-    """What follows a law: a test, a rest, the start without a model; or the end, and why."""
+    """What follows a law: a test, a rest of so many seconds, the start without a model; or the end, and why.
+
+    at_once   whether the law ends now, and not where the shaft may coast
+    """
 
     test: PlannedTest | None = None
-    rests: bool = False
+    rest_s: float = 0.0
     stop: str = ""
+    at_once: bool = False
 
 
 class _Tests:
@@ -92,20 +101,31 @@ class _Tests:
         self._number = 0
         self._searched = False
         self._last: LiveEstimate | None = None
-        self._next = _Next(rests=is_known)
+        self._next = _Next(rest_s=AWAIT_DESIGN_S if is_known else 0.0)
         self._live: list[LiveResult] = []
         self._trouble = ""  # of the advisers, as noted last
 
     def run(self) -> None:
         """Drive until the end."""
         while not self._next.stop:
-            if self._next.rests:
-                law: Law = Rest(AFTER_BRAKING_S if self._number else AWAIT_DESIGN_S)
-                self._drive(Bounded(law, self._bounds if self._number else None), str(StageKind.REST))
+            if self._next.rest_s > 0.0:
+                awaits = self._number == 0 and not self._searched  # the bounds are those of the tests
+                law = Bounded(self._rest(self._next), None if awaits else self._bounds)
+                self._drive(law, str(StageKind.REST))
             elif self._next.test is None:
                 self._search()
             else:
                 self._test(self._next.test)
+
+    def _rest(self, what: _Next) -> Law:
+        """A rest: after a test that was broken off in its swing, the shaft is first kept from coasting too far."""
+        e = self._session.experiment
+        check = self._session.found.breakaway
+        if not what.at_once or e.motor is None or check is None:
+            return Rest(what.rest_s)
+        slope_V_s_rad = e.drive.supply_V / e.motor.no_load_speed_rad_s
+        moves_V = max(check.plus_V, check.minus_V)
+        return SlowDown(self._session.loop.guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
 
     def _search(self) -> None:
         """The start without a model."""
@@ -114,16 +134,19 @@ class _Tests:
         if check is None:
             raise ValueError("the start needs a breakaway check")
         self._relay.restart()
+        friction_V = 0.5 * (check.plus_V + check.minus_V)
+        sheet_V = math.inf if e.motor is None else e.drive.supply_V / e.motor.no_load_speed_rad_s
         law = RisingGains(
             self._relay,
             self._detector,
             SwingRoom(
-                0.5 * (check.plus_V + check.minus_V),
+                friction_V,
                 REACH * swing_rad(e),
                 FAST * e.limits.max_speed_rad_s,
                 e.relay.search.h_max_V,
                 e.drive.max_V,
                 e.breakaway.motion_rad,
+                FIRST_FRICTION * friction_V + FIRST_SPEED * e.limits.max_speed_rad_s * sheet_V,
             ),
         )
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
@@ -171,7 +194,10 @@ class _Tests:
             command, on_counts = strokes_in_device(session, test.strokes, timing)
             self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
             return
-        law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad)
+        check = session.found.breakaway
+        # a test may be designed for a shaft that breaks away sooner than the check has seen it to
+        moves_V = 0.0 if check is None else max(check.plus_V, check.minus_V)
+        law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V)
         self._drive(Bounded(law, self._bounds), stage, guarded=True)
 
     def _numbered(self, kind: StageKind) -> str:
@@ -203,8 +229,8 @@ class _Tests:
                 return  # of a law in the device some more rows come
             if self._next == _Next():
                 decide(t_s)
-            # a rest follows the last test: the shaft coasts
-            ends = self._next.test is not None or self._next.rests or (self._next.stop != "" and self._may_coast())
+            coasts = self._next.rest_s > 0.0 or self._next.stop != ""
+            ends = self._next.test is not None or self._next.at_once or (coasts and self._may_coast())
             law.finished = ends or law.failed != ""
 
         def decide(t_s: float) -> None:
@@ -237,7 +263,7 @@ class _Tests:
         self._who.braked()
         self._session.note("decided", row=row, by="loop", what="rest", why=why)
         self._session.found.notes.append(f"a designed test was broken off: {why}")
-        self._next = _Next(rests=True)
+        self._next = _Next(rest_s=AFTER_BRAKING_S, at_once=True)
 
     def _end(self, row: int, why: str, *, known: bool) -> None:
         """The tests end."""
@@ -269,6 +295,10 @@ class _Tests:
             self._session.note("live", **live.model_dump())
         if advice.stop is not None:
             self._end(row, advice.stop, known=True)
+        elif advice.rest_s > 0.0:
+            why = "the residual is a little too large: rig measures the noise at rest again"
+            self._session.note("decided", row=row, by="advice", what="rest", why=why, rest_s=advice.rest_s)
+            self._next = _Next(rest_s=advice.rest_s + SPARE_REST_S)
         elif advice.design is not None and self._number < MOST_TESTS:
             test, design = advice.design.test, advice.design
             what = "relay" if isinstance(test, RelayGains) else "strokes"
