@@ -53,6 +53,8 @@ class RestingCheck:
 
     motion_rad  displacement that counts as motion
     rest_s      rest before and after; the first one measures the noise
+
+    longest_same_s  longest time so far for which the reading has not changed at all, s
     """
 
     z_rad_s = math.nan
@@ -66,7 +68,15 @@ class RestingCheck:
         self.minus_V = math.nan
         self.noise_rad = math.nan
         self.reported_delay_s = 0.0
+        self.longest_same_s = 0.0
+        self._same: tuple[int, float] | None = None  # the last reading, counts, and since when it is the same
         self._rest_y: list[float] = []
+
+    def _watch_flicker(self, sample: Sample) -> None:
+        """Note for how long the reading stays the same."""
+        if self._same is None or sample.y_counts != self._same[0]:
+            self._same = sample.y_counts, sample.t_s
+        self.longest_same_s = max(self.longest_same_s, sample.t_s - self._same[1])
 
     def _stands(self, sample: Sample, elapsed_s: float, *, first: bool) -> float | None:
         """Take a sample at 0 V. Returns the position at which the shaft stands, rad; None while it still turns.
@@ -217,6 +227,7 @@ class BreakawayCheck(RestingCheck):
             self._since_s = sample.t_s
         elapsed_s = sample.t_s - self._since_s
         self._watch_drive(sample)
+        self._watch_flicker(sample)
         if self._phase == "stroke":
             # a tick may come up to half a period early or late
             if elapsed_s < self._meant_s - 0.5 * self._period_s:

@@ -26,6 +26,7 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
+from rig.control.unshown import STILL_S, Flicker, UnshownMotion
 from rig.estimators import LEADING
 from rig.experiment.free_running import free_running
 from rig.experiment.in_device import relay_in_device
@@ -51,6 +52,7 @@ from rig.session import FADE_S, Session, beside_data_sheet
 from rig.signals import BenchDelay
 
 REST_S = 0.7
+FLICKERS_LSB = 0.7  # noise of a reading that, in 30 samples at rest, stays the same less often than once in 10^5
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
@@ -334,9 +336,7 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     session.found.breakaway = check
     guard = session.loop.guard
     guard.learn(guard_settings_of(e, check.noise_rad))
-    # noise may have looked like a first motion: then the drives just above that level need not move the shaft
-    sure_V = check.surely_V if isinstance(check, BreakawayCheck) else 0.0
-    guard.static_V = max(check.plus_V, check.minus_V, sure_V)
+    guard.static_V = max(check.plus_V, check.minus_V)
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:
@@ -346,6 +346,23 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
             "a stuck or uncoupled sensor this shaft could turn farther than `rig check` says: lower breakaway.max_V"
         )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
+
+
+def flicker_of(session: Session) -> Flicker:
+    """How long a reading of this bench may stay the same while the motor is driven, by the breakaway check."""
+    check, still_s = session.found.breakaway, STILL_S + session.loop.guard.settings.delay_s
+    if not isinstance(check, BreakawayCheck) or check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad:
+        return Flicker(math.inf)
+    return Flicker(max(still_s, 3.0 * check.longest_same_s))
+
+
+def unshown_motion(session: Session, from_V: float = 0.0) -> UnshownMotion | None:
+    """What finds a reading that stands still under drives; None without a breakaway check; as ``UnshownMotion``."""
+    check, settings = session.found.breakaway, session.loop.guard.settings
+    if check is None:
+        return None
+    moves_V = max(check.plus_V, check.minus_V)
+    return UnshownMotion(moves_V, settings.motion_rad, settings.delay_s, flicker_of(session), from_V)
 
 
 def test_relays(session: Session, most: int | None = None) -> None:
@@ -403,6 +420,7 @@ def _test_relay(
         run_in_device(session, pair_V, detector, timeout_s, stage, watch)
     else:
         law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
+        law.unshown = unshown_motion(session, session.loop.guard.static_V)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
         session.loop.run(law, stage, watch)
@@ -430,6 +448,7 @@ def run_in_device(
     e = session.experiment
     command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
     test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
+    test.unshown = unshown_motion(session, session.loop.guard.static_V)
     session.loop.run_in_device(test, command, stage, watch)
     if relay.bound_reached:
         session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")

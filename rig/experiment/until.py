@@ -14,12 +14,13 @@ from typing import NamedTuple
 from rig.backends.driver import RelayCommand, StrokesCommand
 from rig.config.schema import UntilSection
 from rig.control.bounded import Bounded, Bounds
-from rig.control.breakaway import BreakawayLaw
+from rig.control.breakaway import BreakawayCheck, BreakawayLaw
 from rig.control.excitation import RelayTest
 from rig.control.law import Law, Rest
-from rig.control.rising_gains import RisingGains, SwingRoom
+from rig.control.rising_gains import FIRST, RisingGains, SwingRoom
 from rig.control.slow_down import SlowDown
 from rig.control.strokes import StrokeTest, StrokeTiming
+from rig.control.unshown import STILL_S, STRONGEST, Pushes
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
 from rig.experiment.advisers import Advisers, advisers_of, advisor_settings
@@ -27,10 +28,12 @@ from rig.experiment.in_device import relay_in_device, strokes_in_device
 from rig.experiment.stages import (
     REST_S,
     armed_check,
+    flicker_of,
     integral_bound_rad_s,
     prepared,
     relay_and_detector,
     test_hysteretic,
+    unshown_motion,
 )
 from rig.identify.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
@@ -71,8 +74,9 @@ def drive_until(
         if advisers is None:
             who.begin(advisor_settings(session, known))  # in the pause: it takes longer than a tick
         with session.loop.armed(e.device_limits):
-            _Tests(session, who, known is not None).run()
-            session.loop.run(Rest(REST_S), "rest")
+            tests = _Tests(session, who, known is not None)
+            tests.run()
+            session.loop.run(tests.last_rest(), "rest")
             test_hysteretic(session)
 
 
@@ -80,12 +84,14 @@ class _Next(NamedTuple):
     """What follows a law: a test, a rest of so many seconds, the start without a model; or the end, and why.
 
     at_once   whether the law ends now, and not where the shaft may coast
+    proves    whether pushes prove the sensor first: the last law gave up
     """
 
     test: PlannedTest | None = None
     rest_s: float = 0.0
     stop: str = ""
     at_once: bool = False
+    proves: bool = False
 
 
 class _Tests:
@@ -100,6 +106,7 @@ class _Tests:
         self._bounds = Bounds(self._until.longest_s, self._until.most_cycles, self._detector.min_amplitude_rad)
         self._number = 0
         self._searched = False
+        self._first_sum_V = math.nan  # of the next search
         self._last: LiveEstimate | None = None
         self._next = _Next(rest_s=AWAIT_DESIGN_S if is_known else 0.0)
         self._live: list[LiveResult] = []
@@ -108,7 +115,10 @@ class _Tests:
     def run(self) -> None:
         """Drive until the end."""
         while not self._next.stop:
-            if self._next.rest_s > 0.0:
+            if self._next.proves:
+                self._next = self._next._replace(proves=False)
+                self._prove(math.inf)
+            elif self._next.rest_s > 0.0:
                 awaits = self._number == 0 and not self._searched  # the bounds are those of the tests
                 law = Bounded(self._rest(self._next), None if awaits else self._bounds)
                 self._drive(law, str(StageKind.REST))
@@ -117,15 +127,42 @@ class _Tests:
             else:
                 self._test(self._next.test)
 
+    def last_rest(self) -> Law:
+        """The rest after the tests."""
+        return self._rest(self._next._replace(rest_s=REST_S))
+
     def _rest(self, what: _Next) -> Law:
         """A rest: after a test that was broken off in its swing, the shaft is first kept from coasting too far."""
-        e = self._session.experiment
+        e, guard = self._session.experiment, self._session.loop.guard
         check = self._session.found.breakaway
         if not what.at_once or e.motor is None or check is None:
             return Rest(what.rest_s)
         slope_V_s_rad = e.drive.supply_V / e.motor.no_load_speed_rad_s
         moves_V = max(check.plus_V, check.minus_V)
-        return SlowDown(self._session.loop.guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
+        return SlowDown(guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
+
+    def _prove(self, first_V: float) -> float:
+        """Prove by pushes that the reading shows the shaft's motion. Returns the level that moved it, V.
+
+        first_V  first level, V; inf: the level at which no healthy shaft stands still
+        Raises Fault SENSOR_STUCK.
+        """
+        session, e, check = self._session, self._session.experiment, self._session.found.breakaway
+        if check is None:
+            return first_V
+        moves_V, settings = max(check.plus_V, check.minus_V), session.loop.guard.settings
+        # noise may have looked like a first motion: then the drives just above that level need not move the shaft
+        sure_V = check.surely_V if isinstance(check, BreakawayCheck) else moves_V
+        last_V = max(sure_V, moves_V if math.isfinite(first_V) else STRONGEST * moves_V)
+        law = Pushes(
+            min(first_V, last_V, e.drive.max_V) if math.isinf(first_V) else min(first_V, e.drive.max_V),
+            min(last_V, e.drive.max_V),
+            STILL_S + settings.delay_s,
+            e.breakaway.motion_rad,
+            flicker_of(session),
+        )
+        session.loop.run(Bounded(law, self._bounds), str(StageKind.SEARCH))
+        return law.moved_V
 
     def _search(self) -> None:
         """The start without a model."""
@@ -133,9 +170,14 @@ class _Tests:
         check = found.breakaway
         if check is None:
             raise ValueError("the start needs a breakaway check")
-        self._relay.restart()
         friction_V = 0.5 * (check.plus_V + check.minus_V)
-        sheet_V = math.inf if e.motor is None else e.drive.supply_V / e.motor.no_load_speed_rad_s
+        if math.isnan(self._first_sum_V):
+            # short strokes show a fast motor's friction too high
+            sheet_V = math.inf if e.motor is None else e.drive.supply_V / e.motor.no_load_speed_rad_s
+            fast_V = FIRST_FRICTION * friction_V + FIRST_SPEED * e.limits.max_speed_rad_s * sheet_V
+            self._first_sum_V = min(FIRST * friction_V, fast_V)
+        first_sum_V = self._prove(self._first_sum_V)
+        self._relay.restart()
         law = RisingGains(
             self._relay,
             self._detector,
@@ -146,7 +188,7 @@ class _Tests:
                 e.relay.search.h_max_V,
                 e.drive.max_V,
                 e.breakaway.motion_rad,
-                FIRST_FRICTION * friction_V + FIRST_SPEED * e.limits.max_speed_rad_s * sheet_V,
+                first_sum_V,
             ),
         )
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
@@ -163,7 +205,8 @@ class _Tests:
                 session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
             noted = len(law.steps)
 
-        self._drive(Bounded(law, self._bounds), stage, watch)
+        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, watch)
+        self._first_sum_V = max(first_sum_V, law.relay.h1_V + law.relay.h2_V)
 
     def _test(self, test: PlannedTest) -> None:
         """A designed test."""
@@ -179,26 +222,26 @@ class _Tests:
         if e.relay.where == "device":
             command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
             on_counts = RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
-            self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
+            self._drive(Bounded(on_counts, self._bounds, unshown_motion(session)), stage, guarded=True, command=command)
             return
         self._relay.restart()  # as designed, and as in a device: its integral begins at 0
         law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
-        self._drive(Bounded(law, self._bounds), stage, guarded=True)
+        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
 
     def _stroke_test(self, test: Strokes) -> None:
         session, e = self._session, self._session.experiment
         stage, timing = self._numbered(StageKind.STROKES), StrokeTiming(LONG_S, test.longest_stroke_s)
         if e.relay.where == "device":
             command, on_counts = strokes_in_device(session, test.strokes, timing)
-            self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
+            self._drive(Bounded(on_counts, self._bounds, unshown_motion(session)), stage, guarded=True, command=command)
             return
         check = session.found.breakaway
         # a test may be designed for a shaft that breaks away sooner than the check has seen it to
         moves_V = 0.0 if check is None else max(check.plus_V, check.minus_V)
         law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V)
-        self._drive(Bounded(law, self._bounds), stage, guarded=True)
+        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
 
     def _numbered(self, kind: StageKind) -> str:
         self._number += 1
@@ -227,25 +270,35 @@ class _Tests:
                 watch()
             if law.finished and not law.failed:
                 return  # of a law in the device some more rows come
-            if self._next == _Next():
-                decide(t_s)
+            decide(t_s)
             coasts = self._next.rest_s > 0.0 or self._next.stop != ""
             ends = self._next.test is not None or self._next.at_once or (coasts and self._may_coast())
             law.finished = ends or law.failed != ""
 
         def decide(t_s: float) -> None:
-            row = session.loop.rows - 1
-            if law.failed:
-                self._give_up(row, law.failed)
-            elif guarded and guard.braked_ticks + guard.clipped_ticks > before:
-                self._give_up(row, "the guard had to brake: the motor is another one than that of the design")
-            elif guarded and abs(guard.velocity_rad_s) > TOO_FAST * guard.settings.max_speed_rad_s:
-                self._give_up(row, "the shaft got too fast: the motor is another one than that of the design")
+            row, pending = session.loop.rows - 1, self._next
+            why = law.failed or (misfit() if guarded else "")
+            if why and pending.stop:
+                self._next = pending._replace(at_once=True)  # it is known: no other test
+            elif why and guarded:
+                self._give_up(row, why, stood=law.failed != "")
+            elif why:
+                self._next = _Next(proves=True)
+            elif pending.stop or pending.at_once or pending.test is not None:
+                return
             elif self._bounds.reached:
                 self._end(row, self._bounds.reached, known=False)
-            else:
+            elif pending == _Next():
                 self._take(self._who.advice(row, t_s), row)
                 self._note_trouble()
+
+        def misfit() -> str:
+            """Why the motor is another one than that of the design, in words; empty if it need not be."""
+            if guard.braked_ticks + guard.clipped_ticks > before:
+                return "the guard had to brake: the motor is another one than that of the design"
+            if abs(guard.velocity_rad_s) > TOO_FAST * guard.settings.max_speed_rad_s:
+                return "the shaft got too fast: the motor is another one than that of the design"
+            return ""
 
         if command is None:
             session.loop.run(law, stage, after)
@@ -258,12 +311,15 @@ class _Tests:
         low_rad, high_rad = guard.settings.limits.soft_rad
         return low_rad <= guard.predicted_stop_rad <= high_rad
 
-    def _give_up(self, row: int, why: str) -> None:
-        """Break a designed test off: rest, and let the next one be designed for less room."""
+    def _give_up(self, row: int, why: str, *, stood: bool) -> None:
+        """Break a designed test off: rest, and let the next one be designed for less room.
+
+        stood  whether the law gave up: then its reading is proven first
+        """
         self._who.braked()
         self._session.note("decided", row=row, by="loop", what="rest", why=why)
         self._session.found.notes.append(f"a designed test was broken off: {why}")
-        self._next = _Next(rest_s=AFTER_BRAKING_S, at_once=True)
+        self._next = _Next(rest_s=AFTER_BRAKING_S, at_once=True, proves=stood)
 
     def _end(self, row: int, why: str, *, known: bool) -> None:
         """The tests end."""
