@@ -55,6 +55,7 @@ class Bounded:
 
     unshown  gives the law up where the reading stands still under its drives; None: nothing does
 
+    last_V  the law's last drive, V
     failed  why the law itself gave up, in words: this test does not work on this motor; empty if it did not
     """
 
@@ -62,6 +63,7 @@ class Bounded:
         self._law = law
         self._bounds = bounds
         self._unshown = unshown
+        self.last_V = 0.0
         self.failed = ""
         self.finished = False
         self.z_rad_s, self.yd_rad = law.z_rad_s, law.yd_rad
@@ -78,6 +80,7 @@ class Bounded:
             self.failed, self.finished = fault.detail, True
             return 0.0
         self.z_rad_s, self.yd_rad = self._law.z_rad_s, self._law.yd_rad
+        self.last_V = u_V
         stood = "" if self._unshown is None else self._unshown.step(sample, u_V)
         if stood:
             self.failed, self.finished = stood, True

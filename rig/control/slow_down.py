@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from rig.control.guard import Guard, velocity_noise_rad_s
+from rig.control.guard import WINDOW_S, Guard, velocity_noise_rad_s
 from rig.signals import Sample
 
+LATEST_PERIODS = 2.0  # of the guard's delay
 CLEAR = 2.5  # standard deviations of the guard's velocity: slower than that the shaft does not coast far
 
 
@@ -14,7 +15,9 @@ class SlowDown:
     """0 V for a while; before that, once, a drive against the motion if the shaft would coast beyond a soft limit.
 
     The drive is what friction takes, and what the motor itself needs for its speed. So it falls with the speed, and a
-    reading that lags a little does no more than turn the shaft back.
+    reading that lags a little does no more than turn the shaft back. It ends one window of the guard's velocity after
+    the reading last went farther out: a velocity alone may be an old one. Where drives act more than ``LATEST_PERIODS``
+    late there is none: the shaft would have turned back before rig saw it.
 
     guard          of the loop: it knows the velocity, and where the shaft would stop
     rest_s         how long all of it takes, s, > 0
@@ -39,7 +42,12 @@ class SlowDown:
         self._max_V = max_V
         self._period_s = period_s
         self._since_s = math.nan
-        self._way = self._way_out()  # direction of the motion that goes too far, +1 or -1; 0: none, or no longer
+        late = guard.settings.delay_s > LATEST_PERIODS * period_s
+        self._way = (
+            0 if late else self._way_out()
+        )  # direction of the motion that goes too far, +1 or -1; 0: none, or no longer
+        self._furthest_rad = -math.inf  # reading along that way
+        self._seen_s = math.nan  # when it last went on
         self.finished = False
         self.braked_ticks = 0
 
@@ -48,7 +56,10 @@ class SlowDown:
         if math.isnan(self._since_s):
             self._since_s = sample.t_s
         self.finished = sample.t_s - self._since_s >= self._rest_s
-        if self._way == 0 or self._way_out() != self._way:
+        if sample.y_rad * self._way > self._furthest_rad + self._guard.settings.noise_rad:
+            self._furthest_rad, self._seen_s = sample.y_rad * self._way, sample.t_s
+        unseen_s = sample.t_s - self._seen_s + self._period_s  # once this drive has acted for its period
+        if self._way == 0 or unseen_s > WINDOW_S + 0.5 * self._period_s or self._way_out() != self._way:
             self._way = 0  # never again: near a standstill the velocity is noise
             return 0.0
         self.braked_ticks += 1

@@ -16,6 +16,7 @@ STILL_S = 0.3  # as the guard's: for which a drive above friction may leave the 
 FRICTION = 0.5  # of the level that moves the shaft, at least
 STRONGEST = 1.4  # times that level: the guard itself watches drives above it
 START = 1.55  # times that level: a relay's first drive
+TO_AND_FRO = 4.0
 _MEAN_OF = 3  # readings: their mean, else noise looks like motion once in some hundred standstills
 _LONGER, _MOST = 2.0, 4.0  # times the longest that ended in motion, and of the first bound: as the guard's
 
@@ -49,9 +50,10 @@ class Flicker:
 class UnshownMotion:
     """Finds a reading that stands still for so long under drives that they may have turned the shaft far.
 
-    If friction is half of ``moves_V``, a drive u turns the shaft at up to K (|u| - moves_V/2). Added up over one
-    standstill, whatever the drives' signs, that may be as much as a start at ``START`` times ``moves_V`` gives in
-    ``STILL_S``; and twice what a standstill that ended in motion has had, but at most four times as much.
+    If friction is half of ``moves_V``, a drive u turns the shaft at up to K (|u| - moves_V/2). Over one standstill that
+    may add up to as much as a start at ``START`` times ``moves_V`` gives in ``STILL_S``, drives to the other side
+    taken off; and to ``TO_AND_FRO`` times as much without taking them off. Where a standstill has ended in motion the
+    next may have twice what that one had, but at most four times the first bound.
 
     moves_V     level at which the breakaway check saw the shaft move, V, > 0
     motion_rad  a reading within this span stands still, rad, > 0
@@ -72,7 +74,8 @@ class UnshownMotion:
         self._last: deque[float] = deque(maxlen=_MEAN_OF)
         self._last_s = math.nan
         self._u_V = 0.0
-        self._driven_s = 0.0
+        self._driven_s = 0.0  # in units of moves_V; > 0: towards rising positions
+        self._to_and_fro_s = 0.0
         self._longest_s = 0.0
 
     def step(self, sample: Sample, u_V: float) -> str:
@@ -84,14 +87,17 @@ class UnshownMotion:
         self._last.append(sample.y_rad)
         still_s = self.standstill.step(sample.t_s, sum(self._last) / len(self._last), self.motion_rad)
         if still_s == 0.0:
-            self._longest_s, self._driven_s = max(self._longest_s, self._driven_s), 0.0
+            self._longest_s = max(self._longest_s, abs(self._driven_s))
+            self._driven_s = self._to_and_fro_s = 0.0
         elif not math.isnan(self._last_s):
             share = min(abs(self._u_V) / self.moves_V, STRONGEST) - FRICTION
             if abs(self._u_V) >= self.from_V:
-                self._driven_s += max(share, 0.0) * (sample.t_s - self._last_s)
+                driven_s = max(share, 0.0) * (sample.t_s - self._last_s)
+                self._driven_s += math.copysign(driven_s, self._u_V)
+                self._to_and_fro_s += driven_s
         self._last_s, self._u_V = sample.t_s, u_V
         allowed_s = min(max(self.allowed_s, _LONGER * self._longest_s), _MOST * self.allowed_s)
-        if self._driven_s <= allowed_s:
+        if abs(self._driven_s) <= allowed_s and self._to_and_fro_s <= TO_AND_FRO * allowed_s:
             return ""
         return (
             f"the reading stood still for {still_s:.2f} s under {abs(u_V):.2f} V; the shaft broke away at "
@@ -100,12 +106,13 @@ class UnshownMotion:
 
 
 class Pushes:
-    """Equal pushes to and fro, the first inward, until the reading shows that they move the shaft.
+    """Equal pushes to and fro until the reading shows that they move the shaft.
 
     first_V, last_V  levels, V, > 0: a pair that moves nothing is followed by one ``GROWTH`` times as strong
     push_s           length of a push, s, > 0
     motion_rad       the reading has to move by that in one push, rad, > 0
     flicker          of the reading
+    way              direction of the first push, +1 or -1; 0: inward
 
     moved_V          level that has moved the shaft, once finished, V
 
@@ -116,7 +123,9 @@ class Pushes:
     z_rad_s = math.nan
     yd_rad = math.nan
 
-    def __init__(self, first_V: float, last_V: float, push_s: float, motion_rad: float, flicker: Flicker) -> None:
+    def __init__(
+        self, first_V: float, last_V: float, push_s: float, motion_rad: float, flicker: Flicker, way: int = 0
+    ) -> None:
         self.level_V = first_V
         self.last_V = max(first_V, last_V)
         self.push_s = push_s
@@ -124,7 +133,7 @@ class Pushes:
         self.flicker = flicker
         self.finished = False
         self.moved_V = math.nan
-        self._way = 0
+        self._way = way
         self._since_s = math.nan
         self._is_second = False
         self._last: deque[float] = deque(maxlen=_MEAN_OF)
@@ -133,8 +142,10 @@ class Pushes:
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault SENSOR_STUCK."""
         t_s = sample.t_s
+        if math.isnan(self._since_s):
+            self._since_s = t_s
         if self._way == 0:
-            self._way, self._since_s = -1 if sample.y_rad > 0.0 else 1, t_s
+            self._way = -1 if sample.y_rad > 0.0 else 1
         self._last.append(sample.y_rad)
         self._standstill.step(t_s, sum(self._last) / len(self._last), self.motion_rad)
         if self._standstill.longest_s > 0.0:

@@ -351,7 +351,10 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
 def flicker_of(session: Session) -> Flicker:
     """How long a reading of this bench may stay the same while the motor is driven, by the breakaway check."""
     check, still_s = session.found.breakaway, STILL_S + session.loop.guard.settings.delay_s
-    if not isinstance(check, BreakawayCheck) or check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad:
+    if (
+        not isinstance(check, BreakawayCheck)
+        or check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad
+    ):
         return Flicker(math.inf)
     return Flicker(max(still_s, 3.0 * check.longest_same_s))
 

@@ -85,6 +85,7 @@ class _Next(NamedTuple):
 
     at_once   whether the law ends now, and not where the shaft may coast
     proves    whether pushes prove the sensor first: the last law gave up
+    way       direction of the first of them, +1 or -1: against the last drive; 0: inward
     """
 
     test: PlannedTest | None = None
@@ -92,6 +93,7 @@ class _Next(NamedTuple):
     stop: str = ""
     at_once: bool = False
     proves: bool = False
+    way: int = 0
 
 
 class _Tests:
@@ -116,8 +118,8 @@ class _Tests:
         """Drive until the end."""
         while not self._next.stop:
             if self._next.proves:
+                self._prove(math.inf, self._next.way)
                 self._next = self._next._replace(proves=False)
-                self._prove(math.inf)
             elif self._next.rest_s > 0.0:
                 awaits = self._number == 0 and not self._searched  # the bounds are those of the tests
                 law = Bounded(self._rest(self._next), None if awaits else self._bounds)
@@ -141,10 +143,11 @@ class _Tests:
         moves_V = max(check.plus_V, check.minus_V)
         return SlowDown(guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
 
-    def _prove(self, first_V: float) -> float:
+    def _prove(self, first_V: float, way: int = 0) -> float:
         """Prove by pushes that the reading shows the shaft's motion. Returns the level that moved it, V.
 
         first_V  first level, V; inf: the level at which no healthy shaft stands still
+        way      direction of the first push; 0: inward
         Raises Fault SENSOR_STUCK.
         """
         session, e, check = self._session, self._session.experiment, self._session.found.breakaway
@@ -153,13 +156,14 @@ class _Tests:
         moves_V, settings = max(check.plus_V, check.minus_V), session.loop.guard.settings
         # noise may have looked like a first motion: then the drives just above that level need not move the shaft
         sure_V = check.surely_V if isinstance(check, BreakawayCheck) else moves_V
-        last_V = max(sure_V, moves_V if math.isfinite(first_V) else STRONGEST * moves_V)
+        last_V = min(max(sure_V, STRONGEST * moves_V if math.isinf(first_V) else moves_V), e.drive.max_V)
         law = Pushes(
-            min(first_V, last_V, e.drive.max_V) if math.isinf(first_V) else min(first_V, e.drive.max_V),
-            min(last_V, e.drive.max_V),
+            last_V if math.isinf(first_V) else min(first_V, e.drive.max_V),
+            last_V,
             STILL_S + settings.delay_s,
             e.breakaway.motion_rad,
             flicker_of(session),
+            way,
         )
         session.loop.run(Bounded(law, self._bounds), str(StageKind.SEARCH))
         return law.moved_V
@@ -281,9 +285,10 @@ class _Tests:
             if why and pending.stop:
                 self._next = pending._replace(at_once=True)  # it is known: no other test
             elif why and guarded:
-                self._give_up(row, why, stood=law.failed != "")
+                self._give_up(row, why)
+                self._next = self._next._replace(proves=law.failed != "", way=against())
             elif why:
-                self._next = _Next(proves=True)
+                self._next = _Next(proves=True, way=against())
             elif pending.stop or pending.at_once or pending.test is not None:
                 return
             elif self._bounds.reached:
@@ -291,6 +296,9 @@ class _Tests:
             elif pending == _Next():
                 self._take(self._who.advice(row, t_s), row)
                 self._note_trouble()
+
+        def against() -> int:
+            return 0 if law.last_V == 0.0 else -int(math.copysign(1.0, law.last_V))
 
         def misfit() -> str:
             """Why the motor is another one than that of the design, in words; empty if it need not be."""
@@ -311,15 +319,12 @@ class _Tests:
         low_rad, high_rad = guard.settings.limits.soft_rad
         return low_rad <= guard.predicted_stop_rad <= high_rad
 
-    def _give_up(self, row: int, why: str, *, stood: bool) -> None:
-        """Break a designed test off: rest, and let the next one be designed for less room.
-
-        stood  whether the law gave up: then its reading is proven first
-        """
+    def _give_up(self, row: int, why: str) -> None:
+        """Break a designed test off: rest, and let the next one be designed for less room."""
         self._who.braked()
         self._session.note("decided", row=row, by="loop", what="rest", why=why)
         self._session.found.notes.append(f"a designed test was broken off: {why}")
-        self._next = _Next(rest_s=AFTER_BRAKING_S, at_once=True, proves=stood)
+        self._next = _Next(rest_s=AFTER_BRAKING_S, at_once=True)
 
     def _end(self, row: int, why: str, *, known: bool) -> None:
         """The tests end."""

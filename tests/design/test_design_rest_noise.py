@@ -30,6 +30,18 @@ def test_a_shaft_that_still_moves_teaches_nothing(moves_rad: np.ndarray) -> None
     assert (noise.std_rad, noise.error) == (0.003, 0.06)
 
 
+@pytest.mark.parametrize("share", [0.6, 0.9, -0.6])
+def test_noise_whose_readings_depend_on_each_other_teaches_nothing(share: float) -> None:
+    """As of a filter in the sensor: a pause shows too little of it, and the residual would seem too large for ever."""
+    white, coloured = RNG.standard_normal(200), [0.0]
+    for one in white:
+        coloured.append(share * coloured[-1] + math.sqrt(1.0 - share**2) * float(one))
+    noise = RestNoise(0.003, 0.06)
+    assert not noise.take(0.3 + 0.003 * np.array(coloured[1:]))
+    assert (noise.std_rad, noise.error) == (0.003, 0.06)
+    assert noise.take(0.3 + 0.003 * white)
+
+
 def test_a_known_noise_and_a_short_pause_change_nothing() -> None:
     assert not RestNoise(0.003, 0.0).take(0.003 * RNG.standard_normal(200))
     assert not RestNoise(0.003, 0.06).take(0.003 * RNG.standard_normal(30))
