@@ -17,6 +17,7 @@ FRICTION = 0.5  # of the level that moves the shaft, at least
 STRONGEST = 1.4  # times that level: the guard itself watches drives above it
 START = 1.55  # times that level: a relay's first drive
 TO_AND_FRO = 4.0
+_ROUNDING_S = 1e-9
 _MEAN_OF = 3  # readings: their mean, else noise looks like motion once in some hundred standstills
 _LONGER, _MOST = 2.0, 4.0  # times the longest that ended in motion, and of the first bound: as the guard's
 
@@ -150,7 +151,7 @@ class Pushes:
         self._standstill.step(t_s, sum(self._last) / len(self._last), self.motion_rad)
         if self._standstill.longest_s > 0.0:
             self.finished, self.moved_V = True, self.level_V
-        elif t_s - self._since_s >= self.push_s:
+        elif t_s - self._since_s >= self.push_s - _ROUNDING_S:
             self._next_push(t_s)
         self.flicker.step(sample, self._way * self.level_V)
         return self._way * self.level_V
