@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import random
 from collections.abc import Callable
@@ -32,6 +33,9 @@ from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
 from rig.experiment import stages, until
 from rig.faults import Fault
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.model.real_motor import Frame, FramedMotor, plain
 from rig.recording.reader import read_run
 from rig.session import Session
 from rig.testing.line import on_device
@@ -287,3 +291,37 @@ def test_a_test_that_does_not_fit_is_broken_off_although_its_end_waits_for_the_s
     assert says.broken_off == (pending == "rest")
     assert "at_once=True" in session.found.notes[-1]
     assert ("stop='it is known'" in session.found.notes[-1]) == (pending == "stop")
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.0 / 3.0], ids=["known motor", "three times the gain that is believed"])
+def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits(gain: float) -> None:
+    """A stop or a fault sets 0 V, and nothing brakes; the pin keeps the last drive for two more periods before."""
+    number = 5
+    one = draw(CAMPAIGN, number)
+    bench = Bench(0.01, one.delay_s, 0.003, CAMPAIGN.sensor.lsb_rad, one.offset_rad)
+    e = config_of(one, bench)
+    soft_rad = e.limits.soft_rad[1]
+    hard_rad = soft_rad + 0.15  # with hard limits far away it coasts up to 0.23 rad beyond the soft ones
+    limits = e.limits.model_copy(update={"hard_rad": (-hard_rad, hard_rad)})
+    e = e.model_copy(update={"limits": limits, "relay": RelaySection(until=UntilSection(longest_s=6.0))})
+    device, shaft = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, number)
+    model = FramedMotor(plain(Motor(one.tau_s, gain * one.K_rad_s_V, coulomb(one.fc_V), 0.0)), Frame())
+    furthest_rad: list[float] = []
+    reads = shaft.read_counts
+
+    def read_and_stop_a_copy() -> int:
+        if shaft.pin_counts != 0.0 and len(furthest_rad) < 2000:
+            stopped = copy.copy(shaft)
+            stopped._shaft = copy.deepcopy(shaft._shaft)
+            stopped.furthest_rad = 0.0
+            stopped.advance(2.0 * e.period_s)
+            stopped.pin_counts = 0.0
+            for _ in range(20):
+                stopped.advance(0.1)
+            furthest_rad.append(stopped.furthest_rad)
+        return reads()
+
+    shaft.read_counts = read_and_stop_a_copy  # type: ignore[method-assign]
+    _, fault = driven(e, device, lambda session: until.drive_until(session, model))
+    assert fault is None and len(furthest_rad) > 100
+    assert max(furthest_rad) < hard_rad
