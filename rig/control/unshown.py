@@ -1,6 +1,7 @@
 """Motion that the reading does not show: how far a drive may turn the shaft unseen, and the pushes that prove a sensor.
 
-Both count on a friction of at least half of the level at which the breakaway check saw the shaft move (docs/theory.md 4.5).
+Both count on a friction of at least half of the level at which the breakaway check saw the shaft move
+(docs/theory.md 4.5).
 """
 
 from __future__ import annotations
