@@ -32,6 +32,7 @@ from rig.control.unshown import FRICTION, START, STILL_S
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
 from rig.experiment import stages, until
+from rig.experiment.stages import armed_check, prepared
 from rig.faults import Fault
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -132,7 +133,7 @@ def fail_at(session: Session, sensor: Sensor, stage: str, after_s: float = 0.0) 
         sensor.has_failed = sensor.has_failed or (name == stage and after_s == 0.0)
         run(law, name, look)
 
-    session.loop.run = run_on  # type: ignore[method-assign]
+    session.loop.run = run_on  # type: ignore[assignment,method-assign]
 
 
 def unseen_V_s(drive_V: list[float], moves_V: float) -> float:
@@ -188,8 +189,8 @@ def test_a_reading_that_fails_in_strokes_or_a_relay_test_ends_the_run(
         check_and_test(session)
 
     def check_and_test(session: Session) -> None:
-        with until.prepared(session):
-            until.armed_check(session, None)
+        with prepared(session):
+            armed_check(session, None)
             u_V = level * session.loop.guard.static_V
             test: PlannedTest = Strokes((Stroke(u_V, 0.2), Stroke(-u_V, -0.2)), 2.0)
             if after_s == 0.13:
@@ -227,9 +228,11 @@ def test_a_relay_test_whose_first_cycle_never_comes_ends_with_a_stuck_sensor(
 
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.15, h2_V=0.5),), cycles=5)
     e = e.model_copy(update={"relay": relay})
+    assert e.emulated is not None
     with on_device(board_of):
         check = read_run(rig.experiment.run_breakaway(e, tmp_path).folder)
     fails_s = float(check.t_s[-1])
+    assert e.emulated is not None
     wires = e.emulated.wiring.model_copy(update={"sensor": "stuck", "fault_after_s": fails_s})
     e = e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wires})})
     with on_device(board_of):
@@ -278,8 +281,8 @@ def test_a_test_that_does_not_fit_is_broken_off_although_its_end_waits_for_the_s
     monkeypatch.setattr(until._Tests, "_may_coast", not_yet)
 
     def script(session: Session) -> None:
-        with until.prepared(session):
-            until.armed_check(session, None)
+        with prepared(session):
+            armed_check(session, None)
             with session.loop.armed(e.device_limits):
                 tests = until._Tests(session, says, is_known=True)
                 tests._next = until._Next(Strokes((Stroke(1.2, 0.5), Stroke(-1.2, -0.5)), 2.0))
