@@ -182,7 +182,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         difference=difference,
         ending=ending,
         fault=fault,
-        notes=recording.notes,
+        notes=(*recording.notes, *_older_search(recording, e)),
     )
 
 
@@ -377,6 +377,17 @@ def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLa
         raise RecordingError(
             recording.source / CONFIG, f"its law cannot be made: {error}", "install the package that offers it"
         ) from error
+
+
+def _older_search(recording: Recording, e: Experiment) -> tuple[str, ...]:
+    """A note, if an older version searched with ``relay.until``: its search had no pushes."""
+    what = _meta_with(recording, "script").script
+    if what is None or what.breakaway == BREAKAWAY_LAW or e.relay.until is None:
+        return ()
+    return (
+        "an older version recorded this run, whose search began without pushes that prove the sensor: from the search "
+        f"on the drive may differ; to compare all of it, {_RECORD_AGAIN}",
+    )
 
 
 def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> BreakawayLaw | None:

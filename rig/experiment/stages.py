@@ -53,6 +53,7 @@ from rig.signals import BenchDelay
 
 REST_S = 0.7
 FLICKERS_LSB = 0.7  # noise of a reading that, in 30 samples at rest, stays the same less often than once in 10^5
+FLICKER_SAMPLES = 30  # the same reading in so many samples is what FLICKERS_LSB says
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
@@ -356,7 +357,8 @@ def flicker_of(session: Session) -> Flicker:
         or check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad
     ):
         return Flicker(math.inf)
-    return Flicker(max(still_s, 3.0 * check.longest_same_s))
+    samples_s = FLICKER_SAMPLES * session.experiment.period_s
+    return Flicker(max(still_s, samples_s, 3.0 * check.longest_same_s))
 
 
 def unshown_motion(session: Session, from_V: float = 0.0) -> UnshownMotion | None:

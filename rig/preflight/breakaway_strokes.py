@@ -96,10 +96,9 @@ def breakaway_strokes(
     a busier host; a shorter one allows longer strokes. The function takes the longest watchdog time with which the
     reference motor clearly moves, else the shortest.
 
-    Where it does not clearly move the bench is fast: its strokes have one period each, and max_V is little above
-    friction. Then planned pairs repeat max_V within the same bound, with longer pauses for the noise, at the cost of
-    shorter strokes at lower levels; that choice is for a motor with three quarters of max_V as its friction. Further
-    pairs may follow: many there, a few elsewhere.
+    Where it does not clearly move further pairs may follow. If the strokes at max_V have one period only the bench is
+    fast, and max_V is little above friction. Then planned pairs repeat max_V within the same bound, with longer pauses for the noise, at the cost of
+    shorter strokes at lower levels; that choice is for a motor with three quarters of max_V as its friction.
     """
     if e.motor is None:
         raise ValueError("the config does not say motor.no_load_speed_rad_s")
@@ -116,7 +115,7 @@ def breakaway_strokes(
             return best._replace(further=few, in_all=few)
     if best is None or not further:
         return best
-    if not repeats:
+    if not repeats or best.strokes_s[-1] > 1.5 * e.period_s:
         best = max(tried, key=lambda one: _moved_rad(e, one, max_V, beyond_noise=True))
         pairs = _further(e, best, max_V)
         return best._replace(further=pairs, in_all=pairs)

@@ -347,6 +347,15 @@ def test_pairs_go_on_only_while_the_sensor_shows_motion_and_none_of_their_series
     assert 0.8 * UNSEEN_RAD < unseen_rad <= UNSEEN_RAD
 
 
+def test_a_slow_bench_keeps_its_long_strokes() -> None:
+    """Only strokes of one period give way to pairs that repeat max_V: on a slow bench they would see too little."""
+    e = config.load(ROOT / "config/limit-cycle.yaml")
+    e = e.model_copy(update={"limits": e.limits.model_copy(update={"coast_tau_s": 0.5, "max_speed_rad_s": 3.0})})
+    strokes = breakaway_strokes(e)
+    assert strokes is not None and strokes.strokes_s[-1] > 1.5 * e.period_s
+    assert strokes == breakaway_strokes(e, repeats=False)
+
+
 def test_for_the_check_the_device_is_armed_with_the_watchdog_that_its_bound_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
