@@ -72,6 +72,7 @@ Ending = Literal["its end", "a fault", "no end"]
 _P = TypeVar("_P", bound=Part)
 
 _WITHOUT_FURTHER_PAIRS = "balanced pairs"  # a breakaway law
+_WITHOUT_REPEATS = "balanced pairs, further ones"  # an older breakaway law
 _RECORD_AGAIN = "record the run again with this version"
 
 
@@ -181,7 +182,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         difference=difference,
         ending=ending,
         fault=fault,
-        notes=recording.notes,
+        notes=(*recording.notes, *_older_search(recording, e)),
     )
 
 
@@ -337,6 +338,8 @@ def _advice(decided: Decided, strokes: tuple[Stroke, ...]) -> Advice:
     test: PlannedTest
     if decided.what == "stop":
         return Advice(None, stop=decided.why)
+    if decided.what == "rest" and decided.rest_s is not None:
+        return Advice(None, rest_s=decided.rest_s)
     if decided.what == "relay" and decided.h1_V is not None and decided.h2_V is not None:
         test = RelayGains(decided.h1_V, decided.h2_V)
     elif decided.what == "strokes" and decided.longest_stroke_s is not None:
@@ -376,12 +379,25 @@ def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLa
         ) from error
 
 
+def _older_search(recording: Recording, e: Experiment) -> tuple[str, ...]:
+    """A note, if an older version searched with ``relay.until``: its search had no pushes."""
+    what = _meta_with(recording, "script").script
+    if what is None or what.breakaway == BREAKAWAY_LAW or e.relay.until is None:
+        return ()
+    return (
+        "an older version recorded this run, whose search began without pushes that prove the sensor: from the search "
+        f"on the drive may differ; to compare all of it, {_RECORD_AGAIN}",
+    )
+
+
 def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> BreakawayLaw | None:
     """The breakaway law that ran, if an older version's; None: this version's."""
     if what.breakaway == BREAKAWAY_LAW:
         return None
     if what.breakaway == _WITHOUT_FURTHER_PAIRS:
         return stages.breakaway_check(e, further=False)
+    if what.breakaway == _WITHOUT_REPEATS:
+        return stages.breakaway_check(e, repeats=False)
     if what.breakaway is None:
         b = e.breakaway
         return OneWayCheck(b.ramp_V_s, b.max_V, b.motion_rad, b.rest_s)

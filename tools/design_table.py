@@ -7,6 +7,7 @@ that begins with the best strokes. Nobody can drive it without knowing the answe
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -156,9 +157,28 @@ def line(name: str, seconds: Sequence[float]) -> tuple[str, ...]:
     return name, *quantiles, str(sum(map(math.isinf, seconds)))
 
 
+def listed(numbers: Sequence[int], rows: Sequence[Row]) -> str:
+    """Each motor's share of the free optimum's information per second by its strokes, and the median, as text."""
+    shares = np.array([[one.free_s / seconds for seconds in one.strokes_s] for one in rows])
+    known = "  ".join(f"{doubt:3g} %" for doubt in DOUBTS_PERCENT)
+    lines = ["share of the free optimum's information per second that strokes reach, for a motor known to"]
+    lines.append(f"motor   free optimum  {known}")
+    for number, one, each in zip(numbers, rows, shares, strict=True):
+        lines.append(f"{number:5d}  {one.free_s:11.1f} s  " + "  ".join(f"{share:5.2f}" for share in each))
+    lines.append("median                " + "  ".join(f"{share:5.2f}" for share in np.median(shares, axis=0)))
+    return "\n".join(lines)
+
+
 def main() -> int:
-    """Design for every motor, and write the page."""
-    rows = in_order(row_of, [(number,) for number in range(MOTORS)], jobs=1)
+    """Design for every motor, and write the page; with ``--motors`` only print the shares of some motors."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--motors", type=int, help="print the shares of the first so many motors, and write no page")
+    some: int | None = parser.parse_args().motors
+    numbers = range(MOTORS if some is None else some)
+    rows = in_order(row_of, [(number,) for number in numbers], jobs=1)
+    if some is not None:
+        print(listed(numbers, rows))
+        return 0
     tests = {
         "two tests at one period, as without a design": [one.now_s for one in rows],
         "best single pair of gains": [one.single_s for one in rows],

@@ -6,6 +6,7 @@ import math
 
 from rig.control.law import Law
 from rig.control.motion import Swings
+from rig.control.unshown import UnshownMotion
 from rig.faults import Fault
 from rig.signals import Sample
 
@@ -52,18 +53,23 @@ class Bounds:
 class Bounded:
     """A law that something else may end at any tick: ``finished`` may be set from outside. It feeds the bounds.
 
+    unshown  gives the law up where the reading stands still under its drives; None: nothing does
+
+    last_V  the law's last drive, V
     failed  why the law itself gave up, in words: this test does not work on this motor; empty if it did not
     """
 
-    def __init__(self, law: Law, bounds: Bounds | None) -> None:
+    def __init__(self, law: Law, bounds: Bounds | None, unshown: UnshownMotion | None = None) -> None:
         self._law = law
         self._bounds = bounds
+        self._unshown = unshown
+        self.last_V = 0.0
         self.failed = ""
         self.finished = False
         self.z_rad_s, self.yd_rad = law.z_rad_s, law.yd_rad
 
     def step(self, sample: Sample) -> float:
-        """The law's drive, V; 0 V where it gives up."""
+        """The law's drive, V; 0 V where it gives up. Raises Fault as the law, but for NO_CYCLE, and as ``unshown``."""
         if self._bounds is not None:
             self._bounds.take(sample)
         try:
@@ -74,5 +80,10 @@ class Bounded:
             self.failed, self.finished = fault.detail, True
             return 0.0
         self.z_rad_s, self.yd_rad = self._law.z_rad_s, self._law.yd_rad
+        self.last_V = u_V
+        stood = "" if self._unshown is None else self._unshown.step(sample, u_V)
+        if stood:
+            self.failed, self.finished = stood, True
+            return 0.0
         self.finished = self.finished or self._law.finished
         return u_V

@@ -15,6 +15,7 @@ _QUEUED = 1.5  # periods; a device that acts later keeps drives waiting, and its
 _SEEN_PERIODS = 4  # that a stroke and the report of its end have, at least, before the next one
 _LONGEST_WAIT_S = 0.3  # for the report of the first stroke, before it counts as lost
 _ROUNDING = 1e-9
+SURELY = 0.5  # of motion_rad: displacements to which noise adds up once in e^6 strokes
 _LEFT_OVER = 0.55  # periods; a stroke lasts whole periods, so one that takes back another is off by up to half of one
 
 
@@ -52,6 +53,8 @@ class RestingCheck:
 
     motion_rad  displacement that counts as motion
     rest_s      rest before and after; the first one measures the noise
+
+    longest_same_s  longest time so far for which the reading has not changed at all, s
     """
 
     z_rad_s = math.nan
@@ -65,7 +68,15 @@ class RestingCheck:
         self.minus_V = math.nan
         self.noise_rad = math.nan
         self.reported_delay_s = 0.0
+        self.longest_same_s = 0.0
+        self._same: tuple[int, float] | None = None  # the last reading, counts, and since when it is the same
         self._rest_y: list[float] = []
+
+    def _watch_flicker(self, sample: Sample) -> None:
+        """Note for how long the reading stays the same."""
+        if self._same is None or sample.y_counts != self._same[0]:
+            self._same = sample.y_counts, sample.t_s
+        self.longest_same_s = max(self.longest_same_s, sample.t_s - self._same[1])
 
     def _stands(self, sample: Sample, elapsed_s: float, *, first: bool) -> float | None:
         """Take a sample at 0 V. Returns the position at which the shaft stands, rad; None while it still turns.
@@ -115,7 +126,9 @@ class StrokePlan:
 
     strokes_s   length for each pair, weakest pair first, at least one period; further pairs use the last length
     further     pairs at the largest level that may follow a motion that was seen
+    in_all      further pairs at most, however often a motion is seen between them
     pause_s     pause after each stroke, at least four periods; it lasts longer if the shaft still coasts
+    top_pause_s the same, for pairs that repeat the largest level; None: ``pause_s``
     late_s      how much longer than planned all strokes together may be; less than half a period does not count
     """
 
@@ -123,6 +136,8 @@ class StrokePlan:
     pause_s: float
     late_s: float
     further: int = 0
+    in_all: int = 0
+    top_pause_s: float | None = None
 
 
 class BreakawayCheck(RestingCheck):
@@ -138,8 +153,9 @@ class BreakawayCheck(RestingCheck):
     than planned by ``plan.late_s``.
 
     The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
-    sensor shows its motion. After the planned pairs the check then goes on at ``max_V``, by ``plan.further`` pairs at
-    most, and no more than these since such a motion was last seen: planned pairs count by the lengths of their strokes.
+    sensor shows its motion. After the planned pairs the check then goes on at ``max_V``: by no more than
+    ``plan.further`` pairs since such a motion was last seen, where planned pairs count by the lengths of their strokes,
+    and by ``plan.in_all`` pairs at most.
 
     step_V      how much the level rises from pair to pair; a stroke rises from the last pair's level to its own
     max_V       largest level; Fault NO_MOTION if the pairs up to it have not moved the shaft in both directions
@@ -154,6 +170,8 @@ class BreakawayCheck(RestingCheck):
     Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each halfway between the last level without visible motion
     and the next level; ``noise_rad``, the sensor's standard deviation at rest; ``reported_delay_s``. Both levels may
     lie above static friction, since the level rises until the motion exceeds the noise; identification corrects that.
+    They may lie below it, too, where noise looks like a first motion. ``surely_V`` is at least the larger of both, and
+    so high that noise alone hardly explains the motion below it: what a guard may expect to move the shaft.
 
     Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LATE.
     """
@@ -172,6 +190,7 @@ class BreakawayCheck(RestingCheck):
         self._step_V = step_V
         self._strokes_s = tuple(plan.strokes_s)
         self._pause_s = plan.pause_s
+        self._top_pause_s = plan.pause_s if plan.top_pause_s is None else plan.top_pause_s
         self._period_s = period_s
         self._late_s = plan.late_s
         self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
@@ -194,11 +213,13 @@ class BreakawayCheck(RestingCheck):
         self._pause_y: list[float] = []
         self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
         self._against = {1: 0.0, -1: 0.0}
-        self._further = plan.further
+        self._further, self._in_all = plan.further, plan.in_all
         self._shown_rad = 0.0  # displacement along the strokes of both directions since the last proof
         self._proven: int | None = None  # pair after which the sensor had shown motion_rad
         self._still_V = {1: 0.0, -1: 0.0}  # last level without displacement beyond the noise
+        self._unsure_V = {1: 0.0, -1: 0.0}  # last level with so little displacement that noise may have gathered to it
         self._found_V: dict[int, float] = {}
+        self.surely_V = math.nan
 
     def step(self, sample: Sample) -> float:
         """Drive at this sample, V; 0 V while resting."""
@@ -206,6 +227,7 @@ class BreakawayCheck(RestingCheck):
             self._since_s = sample.t_s
         elapsed_s = sample.t_s - self._since_s
         self._watch_drive(sample)
+        self._watch_flicker(sample)
         if self._phase == "stroke":
             # a tick may come up to half a period early or late
             if elapsed_s < self._meant_s - 0.5 * self._period_s:
@@ -284,11 +306,11 @@ class BreakawayCheck(RestingCheck):
         """Whether one more pair at ``max_V`` keeps what could be unseen within the bound."""
         planned, last_s = len(self._strokes_s), self._strokes_s[-1]
         further = self._pair - planned
-        if further < 0 or self._proven is None:
+        if further < 0 or self._proven is None or further >= self._in_all:
             return further < 0
         # a pair at a lower level drifts no faster than one at max_V, but for as long as its stroke lasts
         unseen_s = sum(self._strokes_s[self._proven :]) + (self._pair - max(self._proven, planned)) * last_s
-        return max(further * last_s, unseen_s) + last_s <= self._further * last_s * (1.0 + _ROUNDING)
+        return unseen_s + last_s <= self._further * last_s * (1.0 + _ROUNDING)
 
     def _ask(self, sample: Sample, elapsed_s: float) -> float:
         """The stroke's drive at this sample, V; noted."""
@@ -319,15 +341,18 @@ class BreakawayCheck(RestingCheck):
         self._balance()
         if not self._needed and len(self._found_V) == 2:
             self.plus_V, self.minus_V = self._found_V[1], self._found_V[-1]
+            self.surely_V = max(*self._found_V.values(), *(V + 0.5 * self._step_V for V in self._unsure_V.values()))
             self._begin("last rest", sample)
             return 0.0
         return self._next_stroke(sample, stood_rad)
 
     def _least_pause_s(self) -> float:
         """Length of this pause, s: the plan's, or until the device has reported the stroke."""
+        repeats = (self._pair - 1) * self._step_V >= self.max_V
+        pause_s = self._top_pause_s if repeats else self._pause_s
         if self._delays_s:
-            return max(self._pause_s, self.reported_delay_s + _SEEN_PERIODS * self._period_s)
-        return max(self._pause_s, _LONGEST_WAIT_S) if self._has_times and math.isnan(self._begun_s) else self._pause_s
+            return max(pause_s, self.reported_delay_s + _SEEN_PERIODS * self._period_s)
+        return max(pause_s, _LONGEST_WAIT_S) if self._has_times and math.isnan(self._begun_s) else pause_s
 
     def _balance(self) -> None:
         """Plan the strokes that the pair still needs, by how long this one really acted. Raises Fault LATE."""
@@ -375,5 +400,7 @@ class BreakawayCheck(RestingCheck):
             )
         if along[way] < max(2.5 * math.sqrt(variance), 0.15 * self.motion_rad):
             self._still_V[way] = self._level_V
+        if along[way] < SURELY * self.motion_rad:
+            self._unsure_V[way] = self._level_V
         if along[way] > self.motion_rad:
             self._found_V.setdefault(way, self._still_V[way] + 0.5 * self._step_V)

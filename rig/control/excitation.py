@@ -9,6 +9,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 from rig.control.guard import VelocityWindow
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
+from rig.control.unshown import UnshownMotion
 from rig.faults import Fault
 from rig.model.cycle_detector import CycleDetector
 from rig.model.describing_function import Oscillation, gains_for, linear_part
@@ -299,7 +300,11 @@ class RelayTest(RelayLaw[Relay]):
 
     Once finished, settled_start_s and settled_end_s are the times between which they lie. Raises Fault NO_CYCLE if
     ``timeout_s`` passes first; SENSOR_STUCK if the reading stands still for longer than a cycle can (``CycleWatch``).
+
+    unshown  raises SENSOR_STUCK where the reading stands still before the first period is over; None: nothing does
     """
+
+    unshown: UnshownMotion | None = None
 
     def __init__(
         self,
@@ -322,6 +327,10 @@ class RelayTest(RelayLaw[Relay]):
         """Drive of the relay at this sample, V."""
         u_V, completed = self._run_relay(sample)
         self.watch.step(sample, u_V)
+        if self.unshown is not None and not self.detector.cycles:
+            stood = self.unshown.step(sample, u_V)
+            if stood:
+                raise Fault("SENSOR_STUCK", stood)
         if sample.t_s - self._start_s > self.timeout_s:
             seen = self.detector.cycles
             last = f"; last: {seen[-1].reason}" if seen and seen[-1].reason else ""

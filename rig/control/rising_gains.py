@@ -22,6 +22,7 @@ class SwingRoom:
     h_max_V          largest h1 and largest h2
     sum_max_V        largest h1 + h2
     motion_rad       a reading that stays within this span shows a shaft that sticks
+    first_sum_V      h1 + h2 to begin with; nan: ``FIRST`` times friction_V
     """
 
     friction_V: float
@@ -30,6 +31,7 @@ class SwingRoom:
     h_max_V: float
     sum_max_V: float
     motion_rad: float
+    first_sum_V: float = math.nan
 
 
 class RisingGains(RelayLaw[DualChannelRelay]):
@@ -63,8 +65,8 @@ class RisingGains(RelayLaw[DualChannelRelay]):
         self.room = room
         self.steps: list[SearchStep] = []  # the gains that are over, and why they ended
         self._swings = Swings(detector.min_amplitude_rad)
-        self._friction_V = room.friction_V
-        self._x_V = self.START * room.friction_V
+        self._friction_V = room.friction_V if math.isnan(room.first_sum_V) else room.first_sum_V / FIRST
+        self._x_V = self.START * self._friction_V
         self._widest_V = math.inf  # the x that was too much
         self._wide = False
         self._small = False
@@ -164,3 +166,4 @@ class RisingGains(RelayLaw[DualChannelRelay]):
 
 _H1_SHARE = 0.6  # of x: then T ~ 10 tau
 _H1_LEAST = 0.4  # of the breakaway level: below, the position's relay would hardly brake
+FIRST = 1.0 + RisingGains.START + _H1_LEAST  # of the breakaway level: first h1 + h2

@@ -41,11 +41,12 @@ class StrokeTest:
     strokes     at least two; the drives change their sign from each to the next, and from the last to the first
     timing      how long it may take
     motion_rad  a reading within this span stands still, rad, > 0
+    moves_V     level that is known to move the shaft, V, >= 0: where a weaker stroke fails the shaft may stick
 
     The first stroke is inward: of the first two, the one that drives towards 0 rad. At most one stroke ends at each
     sample. A stroke that does not come to its turning point in time ends all the same: the next one drives back, so a
     shaft whose reading does not show its motion comes back too. After a second one in a row the test raises Fault
-    SENSOR_STUCK if the reading stood still in both, else NO_CYCLE.
+    SENSOR_STUCK if the reading stood still in both, and both drives were known to move the shaft; else NO_CYCLE.
     Raises ValueError for other strokes and times.
 
     ended          strokes that came to their turning point
@@ -55,7 +56,9 @@ class StrokeTest:
     z_rad_s = math.nan
     yd_rad = math.nan
 
-    def __init__(self, strokes: Sequence[Stroke], timing: StrokeTiming, motion_rad: float) -> None:
+    def __init__(
+        self, strokes: Sequence[Stroke], timing: StrokeTiming, motion_rad: float, moves_V: float = 0.0
+    ) -> None:
         drives = [stroke.u_V for stroke in strokes]
         if len(drives) < 2 or any(a * b >= 0.0 for a, b in zip(drives, drives[1:] + drives[:1], strict=True)):
             raise ValueError("a stroke test needs two strokes or more whose drives change their sign each time")
@@ -64,6 +67,7 @@ class StrokeTest:
         self.strokes = tuple(strokes)
         self.timing = timing
         self.motion_rad = motion_rad
+        self.moves_V = moves_V
         self.finished = False
         self.ended = 0
         self.settled_start_s = math.nan
@@ -94,7 +98,8 @@ class StrokeTest:
             self.settled_end_s = t_s
             self._turn(t_s)
         elif still_s > self.timing.still_s:
-            self._fail(t_s, "SENSOR_STUCK", f"the reading stood still for {still_s:.2f} s; {self._standstill.words()}")
+            code = "SENSOR_STUCK" if abs(self.stroke.u_V) >= self.moves_V else "NO_CYCLE"
+            self._fail(t_s, code, f"the reading stood still for {still_s:.2f} s; {self._standstill.words()}")
         elif t_s - self._stroke_s > self.timing.stroke_s:
             self._fail(t_s, "NO_CYCLE", f"it was at {y_rad:.3f} rad after {t_s - self._stroke_s:.2f} s")
         return self.stroke.u_V

@@ -13,12 +13,17 @@ from rig.design.belief import Belief
 from rig.design.best_test import KINDS, Kind, best_test
 from rig.design.outlook import Task, law_of, told
 from rig.design.planned_test import Design, PlannedTest, RelayGains
+from rig.design.rest_noise import RestNoise
 from rig.design.room import Reading, Room
 from rig.design.stop_rule import StopRule
+from rig.identify.breakaway import breakaway
+from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.identify.preprocessing import from_recording
 from rig.model.step import State
+from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
-from rig.recording.stage import Stage
+from rig.recording.stage import Stage, StageKind
 
 Array = NDArray[np.float64]
 
@@ -28,6 +33,11 @@ LEAST_TURNS = 2  # turning points in that test
 TOO_SLOW_S = 5.0  # a test that has not swung by then tells too little
 BETTER = 0.8  # another test must need less than this share of the time that the present one still needs
 LESS_ROOM = 0.85  # after the guard had to brake
+REST_S = 2.0  # at rest, to know its noise better
+MOST_RESTS = 3
+STATIC = (
+    1.1  # times friction in motion: level that the shaft breaks away at, where the strokes do not show a higher one
+)
 
 
 @dataclass(frozen=True)
@@ -40,6 +50,8 @@ class AdvisorSettings:
     turn_rad          a way back shorter than this is no turning point
     noise_error       standard error of the noise at rest, as a share of it
     kinds             of tests that the bench can drive
+    knows_static      whether a test may count on a shaft that breaks away below ``room.static_V``, if the estimate says
+                      so; a test that sticks must then be no fault
     """
 
     interval_percent: float
@@ -49,6 +61,7 @@ class AdvisorSettings:
     turn_rad: float
     noise_error: float = 0.0
     kinds: tuple[Kind, ...] = KINDS
+    knows_static: bool = True
 
 
 @dataclass(frozen=True)
@@ -58,11 +71,13 @@ class Advice:
     estimate  the motor by the rows so far, or as it was known before; None: the advice is a recorded one
     design    the test to go over to, and what it should bring; None: go on with the present one
     stop      why it is enough, in words; None: it is not
+    rest_s    rest for so long, s, so that the noise at rest is known better; 0: no need to
     """
 
     estimate: LiveEstimate | None
     design: Design | None = None
     stop: str | None = None
+    rest_s: float = 0.0
 
 
 class Advisor:
@@ -73,6 +88,10 @@ class Advisor:
         self._room = settings.room
         self._fit = LiveFit(settings.live)
         self._rule = StopRule(settings.interval_percent, settings.noise_error)
+        self._noise = RestNoise(max(settings.live.noise_rad, 1e-12), settings.noise_error)
+        self._recording: Recording | None = None
+        self._rests = 0  # that were asked for
+        self._rests_from: int | None = None  # row after which the last one was, until its rows have come
         self._rows = 0
         self._stage = ""
         self._stage_s = math.nan  # its first row
@@ -82,13 +101,14 @@ class Advisor:
         self._given: Design | None = None  # the design given last
         self._given_in = ""  # the stage at that time: rows of another one are of the test given
         self._must_change = False
+        self._knows_static = settings.knows_static
 
     def take(self, recording: Recording) -> None:
         """Take the rows that have come since the last call; ``recording``: all rows so far."""
         new = slice(self._rows, len(recording))
         if new.start >= new.stop:
             return
-        self._rows = new.stop
+        self._rows, self._recording = new.stop, recording
         stages = recording.stage[new]
         columns = (recording.t_s[new].tolist(), recording.y_rad[new].tolist(), stages.tolist())
         for t_s, y_rad, name in zip(*columns, strict=True):
@@ -109,7 +129,11 @@ class Advisor:
         )
 
     def braked(self) -> None:
-        """The guard had to brake: from now on design for less room, and another test at once."""
+        """A test was broken off: from now on design for less room, and another test at once.
+
+        It may have stuck, too: from now on the shaft breaks away where the check has seen it to.
+        """
+        self._knows_static = False
         room = self._room
         self._room = replace(
             room,
@@ -124,10 +148,41 @@ class Advisor:
         estimate = self._fit.estimate()
         if estimate is None:
             return None
-        stop = self._rule.take(estimate)
+        if self._rests_from is not None:
+            if not self._has_rested():
+                return Advice(estimate)
+            stop = self._rule.enough()
+        else:
+            stop = self._rule.take(estimate)
         if stop is not None:
             return Advice(estimate, stop=stop)
+        if self._rule.noise_in_doubt and self._can_rest:
+            self._rests += 1
+            self._rests_from = self._rows
+            return Advice(estimate, rest_s=REST_S)
         return Advice(estimate, self._next(estimate))
+
+    @property
+    def _can_rest(self) -> bool:
+        """Whether a rest would tell the noise: not where the sensor's steps hide it, and not again and again."""
+        live = self._settings.live
+        return self._rests < MOST_RESTS and self._settings.noise_error > 0.0 and live.noise_rad >= 0.5 * live.lsb_rad
+
+    def _has_rested(self) -> bool:
+        """Whether the rest that was asked for is over; then its noise is known."""
+        recording, first = self._recording, self._rests_from
+        if recording is None or first is None:
+            return False
+        rests = np.flatnonzero((recording.stage[first:] == str(StageKind.REST)) & (recording.u_V[first:] == 0.0))
+        if rests.size == 0:
+            return False  # the test goes on until the shaft may coast
+        y_rad, t_s = recording.y_rad[first:][rests], recording.t_s[first:][rests]
+        if self._stage == str(StageKind.REST) and t_s[-1] - t_s[0] < REST_S - 2.0 * self._settings.live.period_s:
+            return False
+        self._rests_from = None
+        if self._noise.take(y_rad):
+            self._rule.learn(self._noise.std_rad / self._settings.live.noise_rad, self._noise.error)
+        return True
 
     def _next(self, estimate: LiveEstimate) -> Design | None:
         """The test to go over to; None: go on with the present one."""
@@ -146,12 +201,40 @@ class Advisor:
             wanted_percent = LESS_ROOM * estimate.worst_percent
             kinds = tuple(kind for kind in s.kinds if kind != kind_of(self._given.test)) or s.kinds
         belief = belief_of(estimate)
-        task = Task(belief, information_of(belief), self._room, s.reading, wanted_percent, self._start())
+        room = replace(self._room, static_V=self._static_V(estimate))
+        task = Task(belief, information_of(belief), room, s.reading, wanted_percent, self._start())
         design = best_test(task, kinds)
         if design is None or (kinds == s.kinds and not self._is_better(design, task)):
             return None
         self._given, self._given_in, self._must_change = design, self._stage, False
         return design
+
+    def _static_V(self, estimate: LiveEstimate) -> float:
+        """The level that the shaft breaks away at, V, at most.
+
+        The strokes of the breakaway check show a fast motor's too high: each moves it little. Beside the estimate they
+        say more: a level below which the shaft would have moved in them, as it did.
+        """
+        seen_V, recording = self._room.static_V, self._recording
+        if recording is None or not (self._knows_static and estimate.worst_percent <= KNOWN_PERCENT):
+            return seen_V
+        stage = str(StageKind.BREAKAWAY)
+        if stage not in recording.stages():
+            return seen_V
+        try:
+            strokes, _ = from_recording(recording, recording.stage_rows(stage), stage)
+        except IdentifyError:
+            return seen_V
+        motor = Estimate("live", *(getattr(estimate, name) for name in PARAMETERS))
+        found = breakaway(strokes, motor, self._noise.std_rad)
+        if found.plus is None or found.minus is None:
+            return seen_V
+        moving_V = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
+        levels_V = (
+            ramp.high_V if ramp.low_V > moving else min(ramp.high_V, STATIC * moving)
+            for ramp, moving in zip((found.plus, found.minus), moving_V, strict=True)
+        )
+        return min(seen_V, max(levels_V))
 
     def _start(self) -> State:
         """Where a test would begin: at rest, where the shaft stands, or about where it turns next."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Protocol
 
 MOST_RESIDUAL = 1.04  # of the noise at rest
 SIGMAS = 2.0  # by which that ratio may be larger, by the few rows that it comes from
 IN_A_ROW = 2  # estimates
+DOUBT_SIGMAS = 4.0  # by which the ratio may be larger, and the noise be to blame as well as the motor
 
 
 class Judged(Protocol):
@@ -42,25 +44,53 @@ class StopRule:
     def __init__(self, interval_percent: float, noise_error: float = 0.0) -> None:
         self.interval_percent = interval_percent
         self.noise_error = noise_error
-        self._in_a_row = 0
+        self._noise_ratio = 1.0  # of the noise at rest as it is known now to that of the estimates' residuals
+        self._last: deque[Judged] = deque(maxlen=IN_A_ROW)
 
     def take(self, estimate: Judged) -> str | None:
         """Take the next estimate. Returns why it is enough, in words, or None."""
-        self._in_a_row = self._in_a_row + 1 if self.lacks(estimate) is None else 0
-        if self._in_a_row < IN_A_ROW:
+        self._last.append(estimate)
+        return self.enough()
+
+    def learn(self, noise_ratio: float, noise_error: float) -> None:
+        """Know the noise at rest better from now on.
+
+        noise_ratio  of the noise at rest to the one that the estimates measure their residuals in, 1
+        noise_error  its standard error, as a share of it, 1
+        """
+        self._noise_ratio, self.noise_error = noise_ratio, noise_error
+
+    def enough(self) -> str | None:
+        """Why the last estimates are enough, in words, by what is known of the noise now; None if they are not."""
+        if len(self._last) < IN_A_ROW or any(self.lacks(estimate) is not None for estimate in self._last):
             return None
+        estimate = self._last[-1]
         return (
             f"tau, K and f_c are known to {estimate.worst_percent:.2f} %, {self.interval_percent:g} % were asked for; "
-            f"the residual is {estimate.residual_over_noise:.2f} of the noise at rest"
+            f"the residual is {self._residual(estimate):.2f} of the noise at rest"
         )
+
+    @property
+    def noise_in_doubt(self) -> bool:
+        """Whether the last estimates lack nothing but a smaller residual, and the noise at rest may be to blame."""
+        return (
+            len(self._last) == IN_A_ROW
+            and all(each.worst_percent <= self.interval_percent and each.drives_differ for each in self._last)
+            and any(self.lacks(each) is not None for each in self._last)
+            and all(self._residual(each) <= self._most(each, DOUBT_SIGMAS) for each in self._last)
+        )
+
+    def _residual(self, estimate: Judged) -> float:
+        """RMS residual over the noise at rest as it is known now."""
+        return estimate.residual_over_noise / self._noise_ratio
+
+    def _most(self, estimate: Judged, sigmas: float) -> float:
+        return MOST_RESIDUAL + sigmas * math.hypot(estimate.residual_error, self.noise_error)
 
     def lacks(self, estimate: Judged) -> str | None:
         """What an estimate lacks, in words; None if it has all."""
         if not estimate.worst_percent <= self.interval_percent:  # nan lacks, too
             return f"tau, K and f_c are known to {estimate.worst_percent:.2g} %"
-        most = MOST_RESIDUAL + SIGMAS * math.hypot(estimate.residual_error, self.noise_error)
-        if not estimate.residual_over_noise <= most:
-            return (
-                f"the residual is {estimate.residual_over_noise:.2f} of the noise at rest: the model leaves a part out"
-            )
+        if not self._residual(estimate) <= self._most(estimate, SIGMAS):
+            return f"the residual is {self._residual(estimate):.2f} of the noise at rest: the model leaves a part out"
         return None if estimate.drives_differ else "the drives were too much alike"

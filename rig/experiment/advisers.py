@@ -109,7 +109,7 @@ class AtTurns:
     def advice(self, row: int, t_s: float) -> Advice | None:
         """As ``Advisers``: the estimate and the end at once, a test once the shaft turns."""
         new = self._of.advice(row, t_s)
-        if new is not None and (new.stop is not None or new.design is not None):
+        if new is not None and (new.stop is not None or new.design is not None or new.rest_s > 0.0):
             self._design = new.design
         v_rad_s, before_rad_s = self._guard.velocity_rad_s, self._before_rad_s
         self._before_rad_s = v_rad_s
@@ -159,4 +159,5 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
         reading_of(e, noise.std_rad, 0.0 if late else session.loop.latency_s),
         SMALLEST_TURN_LSB * e.sensor.curve.lsb_rad,
         noise.error,
+        knows_static=e.relay.where == "host",  # a device calls a stroke that sticks a sensor that is stuck
     )

@@ -26,6 +26,7 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
+from rig.control.unshown import STILL_S, Flicker, UnshownMotion
 from rig.estimators import LEADING
 from rig.experiment.free_running import free_running
 from rig.experiment.in_device import relay_in_device
@@ -52,6 +53,8 @@ from rig.session import FADE_S, Session, beside_data_sheet
 from rig.signals import BenchDelay
 
 REST_S = 0.7
+FLICKERS_LSB = 0.7  # noise of a reading that, in 30 samples at rest, stays the same less often than once in 10^5
+FLICKER_SAMPLES = 30  # the same reading in so many samples is what FLICKERS_LSB says
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
@@ -292,12 +295,12 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
 
 
-def breakaway_check(e: Experiment, *, further: bool = True) -> BreakawayCheck:
-    """The breakaway check of a config; ``further`` as ``breakaway_strokes`` takes it.
+def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True) -> BreakawayCheck:
+    """The breakaway check of a config; ``further`` and ``repeats`` as ``breakaway_strokes`` takes them.
 
     Raises Fault CONFIG_MISMATCH if its unseen travel has no bound.
     """
-    strokes = None if e.motor is None else breakaway_strokes(e, further=further)
+    strokes = None if e.motor is None else breakaway_strokes(e, further=further, repeats=repeats)
     if strokes is None:
         raise Fault(
             "CONFIG_MISMATCH",
@@ -310,7 +313,14 @@ def breakaway_check(e: Experiment, *, further: bool = True) -> BreakawayCheck:
         b.max_V,
         b.motion_rad,
         b.rest_s,
-        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s, strokes.further),
+        StrokePlan(
+            strokes.strokes_s,
+            strokes.pause_s,
+            strokes.watchdog_s,
+            strokes.further,
+            strokes.in_all,
+            strokes.top_pause_s,
+        ),
         e.period_s,
     )
 
@@ -342,6 +352,27 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
             "a stuck or uncoupled sensor this shaft could turn farther than `rig check` says: lower breakaway.max_V"
         )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
+
+
+def flicker_of(session: Session) -> Flicker:
+    """How long a reading of this bench may stay the same while the motor is driven, by the breakaway check."""
+    check, still_s = session.found.breakaway, STILL_S + session.loop.guard.settings.delay_s
+    if (
+        not isinstance(check, BreakawayCheck)
+        or check.noise_rad < FLICKERS_LSB * session.experiment.sensor.curve.lsb_rad
+    ):
+        return Flicker(math.inf)
+    samples_s = FLICKER_SAMPLES * session.experiment.period_s
+    return Flicker(max(still_s, samples_s, 3.0 * check.longest_same_s))
+
+
+def unshown_motion(session: Session, from_V: float = 0.0) -> UnshownMotion | None:
+    """What finds a reading that stands still under drives; None without a breakaway check; as ``UnshownMotion``."""
+    check, settings = session.found.breakaway, session.loop.guard.settings
+    if check is None:
+        return None
+    moves_V = max(check.plus_V, check.minus_V)
+    return UnshownMotion(moves_V, settings.motion_rad, settings.delay_s, flicker_of(session), from_V)
 
 
 def test_relays(session: Session, most: int | None = None) -> None:
@@ -399,6 +430,7 @@ def _test_relay(
         run_in_device(session, pair_V, detector, timeout_s, stage, watch)
     else:
         law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
+        law.unshown = unshown_motion(session, session.loop.guard.static_V)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
         session.loop.run(law, stage, watch)
@@ -426,6 +458,7 @@ def run_in_device(
     e = session.experiment
     command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
     test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
+    test.unshown = unshown_motion(session, session.loop.guard.static_V)
     session.loop.run_in_device(test, command, stage, watch)
     if relay.bound_reached:
         session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")

@@ -6,6 +6,7 @@ any row, by advice, by the guard or by the bounds of the config. So the guard an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import NamedTuple
@@ -13,11 +14,13 @@ from typing import NamedTuple
 from rig.backends.driver import RelayCommand, StrokesCommand
 from rig.config.schema import UntilSection
 from rig.control.bounded import Bounded, Bounds
-from rig.control.breakaway import BreakawayLaw
+from rig.control.breakaway import BreakawayCheck, BreakawayLaw
 from rig.control.excitation import RelayTest
 from rig.control.law import Law, Rest
-from rig.control.rising_gains import RisingGains, SwingRoom
+from rig.control.rising_gains import FIRST, RisingGains, SwingRoom
+from rig.control.slow_down import SlowDown
 from rig.control.strokes import StrokeTest, StrokeTiming
+from rig.control.unshown import STILL_S, STRONGEST, Pushes
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
 from rig.experiment.advisers import Advisers, advisers_of, advisor_settings
@@ -25,10 +28,12 @@ from rig.experiment.in_device import relay_in_device, strokes_in_device
 from rig.experiment.stages import (
     REST_S,
     armed_check,
+    flicker_of,
     integral_bound_rad_s,
     prepared,
     relay_and_detector,
     test_hysteretic,
+    unshown_motion,
 )
 from rig.identify.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
@@ -42,7 +47,10 @@ AWAIT_DESIGN_S = 10.0  # at rest, for the first test of a known model
 AFTER_BRAKING_S = 3.0  # at rest, for another test than the one in which the guard had to brake
 REACH = 0.85  # of the distance to the nearer soft limit, for the start without a model
 FAST = 0.95  # of the largest speed
+FIRST_FRICTION = 0.5  # of the breakaway level: friction of a fast motor may be that low
+FIRST_SPEED = 2.0  # of the largest speed: where the first gains of the start would end
 TOO_FAST = 1.05  # of it: more than the noise of a velocity; at 1.2 the guard ends the run
+SPARE_REST_S = 1.5  # beyond a rest that the advisers asked for: they say at once what follows
 LONG_S = 3600.0  # a test goes on until something ends it
 
 
@@ -66,17 +74,26 @@ def drive_until(
         if advisers is None:
             who.begin(advisor_settings(session, known))  # in the pause: it takes longer than a tick
         with session.loop.armed(e.device_limits):
-            _Tests(session, who, known is not None).run()
-            session.loop.run(Rest(REST_S), "rest")
+            tests = _Tests(session, who, known is not None)
+            tests.run()
+            session.loop.run(tests.last_rest(), "rest")
             test_hysteretic(session)
 
 
 class _Next(NamedTuple):
-    """What follows a law: a test, a rest, the start without a model; or the end, and why."""
+    """What follows a law: a test, a rest of so many seconds, the start without a model; or the end, and why.
+
+    at_once   whether the law ends now, and not where the shaft may coast
+    proves    whether pushes prove the sensor first: the last law gave up
+    way       direction of the first of them, +1 or -1: against the last drive; 0: inward
+    """
 
     test: PlannedTest | None = None
-    rests: bool = False
+    rest_s: float = 0.0
     stop: str = ""
+    at_once: bool = False
+    proves: bool = False
+    way: int = 0
 
 
 class _Tests:
@@ -91,21 +108,65 @@ class _Tests:
         self._bounds = Bounds(self._until.longest_s, self._until.most_cycles, self._detector.min_amplitude_rad)
         self._number = 0
         self._searched = False
+        self._first_sum_V = math.nan  # of the next search
         self._last: LiveEstimate | None = None
-        self._next = _Next(rests=is_known)
+        self._next = _Next(rest_s=AWAIT_DESIGN_S if is_known else 0.0)
         self._live: list[LiveResult] = []
         self._trouble = ""  # of the advisers, as noted last
 
     def run(self) -> None:
         """Drive until the end."""
         while not self._next.stop:
-            if self._next.rests:
-                law: Law = Rest(AFTER_BRAKING_S if self._number else AWAIT_DESIGN_S)
-                self._drive(Bounded(law, self._bounds if self._number else None), str(StageKind.REST))
+            if self._next.proves:
+                self._prove(math.inf, self._next.way)
+                self._next = self._next._replace(proves=False)
+            elif self._next.rest_s > 0.0:
+                awaits = self._number == 0 and not self._searched  # the bounds are those of the tests
+                law = Bounded(self._rest(self._next), None if awaits else self._bounds)
+                self._drive(law, str(StageKind.REST))
             elif self._next.test is None:
                 self._search()
             else:
                 self._test(self._next.test)
+
+    def last_rest(self) -> Law:
+        """The rest after the tests."""
+        return self._rest(self._next._replace(rest_s=REST_S))
+
+    def _rest(self, what: _Next) -> Law:
+        """A rest: after a test that was broken off in its swing, the shaft is first kept from coasting too far."""
+        e, guard = self._session.experiment, self._session.loop.guard
+        check = self._session.found.breakaway
+        if not what.at_once or e.motor is None or check is None:
+            return Rest(what.rest_s)
+        slope_V_s_rad = e.drive.supply_V / e.motor.no_load_speed_rad_s
+        moves_V = max(check.plus_V, check.minus_V)
+        return SlowDown(guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
+
+    def _prove(self, first_V: float, way: int = 0) -> float:
+        """Prove by pushes that the reading shows the shaft's motion. Returns the level that moved it, V.
+
+        first_V  first level, V; inf: the level at which no healthy shaft stands still
+        way      direction of the first push; 0: inward
+        Raises Fault SENSOR_STUCK.
+        """
+        session, e, check = self._session, self._session.experiment, self._session.found.breakaway
+        if check is None:
+            return first_V
+        moves_V, settings = max(check.plus_V, check.minus_V), session.loop.guard.settings
+        # noise may have looked like a first motion: then the drives just above that level need not move the shaft
+        sure_V = check.surely_V if isinstance(check, BreakawayCheck) else moves_V
+        last_V = min(max(sure_V, STRONGEST * moves_V if math.isinf(first_V) else moves_V), e.drive.max_V)
+        law = Pushes(
+            last_V if math.isinf(first_V) else min(first_V, e.drive.max_V),
+            last_V,
+            STILL_S + settings.delay_s,
+            e.breakaway.motion_rad,
+            flicker_of(session),
+            way,
+        )
+        session.loop.run(Bounded(law, self._bounds), str(StageKind.SEARCH))
+        return law.moved_V
 
     def _search(self) -> None:
         """The start without a model."""
@@ -113,17 +174,25 @@ class _Tests:
         check = found.breakaway
         if check is None:
             raise ValueError("the start needs a breakaway check")
+        friction_V = 0.5 * (check.plus_V + check.minus_V)
+        if math.isnan(self._first_sum_V):
+            # short strokes show a fast motor's friction too high
+            sheet_V = math.inf if e.motor is None else e.drive.supply_V / e.motor.no_load_speed_rad_s
+            fast_V = FIRST_FRICTION * friction_V + FIRST_SPEED * e.limits.max_speed_rad_s * sheet_V
+            self._first_sum_V = min(FIRST * friction_V, fast_V)
+        first_sum_V = self._prove(self._first_sum_V)
         self._relay.restart()
         law = RisingGains(
             self._relay,
             self._detector,
             SwingRoom(
-                0.5 * (check.plus_V + check.minus_V),
+                friction_V,
                 REACH * swing_rad(e),
                 FAST * e.limits.max_speed_rad_s,
                 e.relay.search.h_max_V,
                 e.drive.max_V,
                 e.breakaway.motion_rad,
+                first_sum_V,
             ),
         )
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
@@ -140,7 +209,8 @@ class _Tests:
                 session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
             noted = len(law.steps)
 
-        self._drive(Bounded(law, self._bounds), stage, watch)
+        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, watch)
+        self._first_sum_V = max(first_sum_V, law.relay.h1_V + law.relay.h2_V)
 
     def _test(self, test: PlannedTest) -> None:
         """A designed test."""
@@ -156,23 +226,26 @@ class _Tests:
         if e.relay.where == "device":
             command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
             on_counts = RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
-            self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
+            self._drive(Bounded(on_counts, self._bounds, unshown_motion(session)), stage, guarded=True, command=command)
             return
         self._relay.restart()  # as designed, and as in a device: its integral begins at 0
         law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
-        self._drive(Bounded(law, self._bounds), stage, guarded=True)
+        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
 
     def _stroke_test(self, test: Strokes) -> None:
         session, e = self._session, self._session.experiment
         stage, timing = self._numbered(StageKind.STROKES), StrokeTiming(LONG_S, test.longest_stroke_s)
         if e.relay.where == "device":
             command, on_counts = strokes_in_device(session, test.strokes, timing)
-            self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
+            self._drive(Bounded(on_counts, self._bounds, unshown_motion(session)), stage, guarded=True, command=command)
             return
-        law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad)
-        self._drive(Bounded(law, self._bounds), stage, guarded=True)
+        check = session.found.breakaway
+        # a test may be designed for a shaft that breaks away sooner than the check has seen it to
+        moves_V = 0.0 if check is None else max(check.plus_V, check.minus_V)
+        law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V)
+        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
 
     def _numbered(self, kind: StageKind) -> str:
         self._number += 1
@@ -201,25 +274,39 @@ class _Tests:
                 watch()
             if law.finished and not law.failed:
                 return  # of a law in the device some more rows come
-            if self._next == _Next():
-                decide(t_s)
-            # a rest follows the last test: the shaft coasts
-            ends = self._next.test is not None or self._next.rests or (self._next.stop != "" and self._may_coast())
+            decide(t_s)
+            coasts = self._next.rest_s > 0.0 or self._next.stop != ""
+            ends = self._next.test is not None or self._next.at_once or (coasts and self._may_coast())
             law.finished = ends or law.failed != ""
 
         def decide(t_s: float) -> None:
-            row = session.loop.rows - 1
-            if law.failed:
-                self._give_up(row, law.failed)
-            elif guarded and guard.braked_ticks + guard.clipped_ticks > before:
-                self._give_up(row, "the guard had to brake: the motor is another one than that of the design")
-            elif guarded and abs(guard.velocity_rad_s) > TOO_FAST * guard.settings.max_speed_rad_s:
-                self._give_up(row, "the shaft got too fast: the motor is another one than that of the design")
+            row, pending = session.loop.rows - 1, self._next
+            why = law.failed or (misfit() if guarded else "")
+            if why and pending.stop:
+                self._next = pending._replace(at_once=True)  # it is known: no other test
+            elif why and guarded:
+                self._give_up(row, why)
+                self._next = self._next._replace(proves=law.failed != "", way=against())
+            elif why:
+                self._next = _Next(proves=True, way=against())
+            elif pending.stop or pending.at_once or pending.test is not None:
+                return
             elif self._bounds.reached:
                 self._end(row, self._bounds.reached, known=False)
-            else:
+            elif pending == _Next():
                 self._take(self._who.advice(row, t_s), row)
                 self._note_trouble()
+
+        def against() -> int:
+            return 0 if law.last_V == 0.0 else -int(math.copysign(1.0, law.last_V))
+
+        def misfit() -> str:
+            """Why the motor is another one than that of the design, in words; empty if it need not be."""
+            if guard.braked_ticks + guard.clipped_ticks > before:
+                return "the guard had to brake: the motor is another one than that of the design"
+            if abs(guard.velocity_rad_s) > TOO_FAST * guard.settings.max_speed_rad_s:
+                return "the shaft got too fast: the motor is another one than that of the design"
+            return ""
 
         if command is None:
             session.loop.run(law, stage, after)
@@ -237,7 +324,7 @@ class _Tests:
         self._who.braked()
         self._session.note("decided", row=row, by="loop", what="rest", why=why)
         self._session.found.notes.append(f"a designed test was broken off: {why}")
-        self._next = _Next(rests=True)
+        self._next = _Next(rest_s=AFTER_BRAKING_S, at_once=True)
 
     def _end(self, row: int, why: str, *, known: bool) -> None:
         """The tests end."""
@@ -269,6 +356,10 @@ class _Tests:
             self._session.note("live", **live.model_dump())
         if advice.stop is not None:
             self._end(row, advice.stop, known=True)
+        elif advice.rest_s > 0.0:
+            why = "the residual is a little too large: rig measures the noise at rest again"
+            self._session.note("decided", row=row, by="advice", what="rest", why=why, rest_s=advice.rest_s)
+            self._next = _Next(rest_s=advice.rest_s + SPARE_REST_S)
         elif advice.design is not None and self._number < MOST_TESTS:
             test, design = advice.design.test, advice.design
             what = "relay" if isinstance(test, RelayGains) else "strokes"

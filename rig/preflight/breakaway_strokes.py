@@ -6,6 +6,7 @@ Arithmetic on the config (docs/theory.md 10.1). ``e`` is the experiment througho
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from math import ceil
 from typing import NamedTuple
 
@@ -22,7 +23,12 @@ _CHECK_WATCHDOG_S = 0.04  # of the device in the breakaway check, unless that is
 _SHORTER_S = 0.005  # step to the next shorter watchdog time to try, where no stroke is short enough
 _LEAST_WATCHDOG_PERIODS = 2
 _CLEARLY = 2.0  # times breakaway.motion_rad
-_MOST_FURTHER = 20  # pairs at max_V
+_MOST_FURTHER = 20  # pairs at max_V that nothing need have shown between
+_FEW_LEVELS = 100  # more take too long to search through
+_MOST_IN_ALL = 30  # further pairs: the longest check that was seen took 45 s
+_FEW_FURTHER = 4  # where the reference motor clearly moves without
+_REPEATS = range(17)  # numbers of planned pairs at max_V to try, beside the first one there
+_TOP_PAUSE_S = 0.5  # after each stroke of a pair that repeats max_V: their means are less noisy
 _FRICTION_STEPS = 24  # frictions at which the bound is computed
 _FINEST = 12  # halvings
 _ROUNDING = 1e-9
@@ -38,6 +44,8 @@ class BreakawayStrokes(NamedTuple):
                 the longest delay of a tick that the bound allows
     unseen_rad  farthest that the shaft turns in the check if the sensor shows nothing
     further     pairs at breakaway.max_V that may follow a motion that was seen: the same bound holds for them alone
+    in_all      further pairs at most, however often a motion is seen between them
+    top_pause_s after each stroke of a pair that repeats breakaway.max_V, whole periods
     """
 
     strokes_s: tuple[float, ...]
@@ -46,18 +54,34 @@ class BreakawayStrokes(NamedTuple):
     watchdog_s: float
     unseen_rad: float
     further: int = 0
+    in_all: int = 0
+    top_pause_s: float = 0.0
 
     @property
     def pairs(self) -> int:
-        """Number of pairs until breakaway.max_V."""
+        """Number of planned pairs: those until breakaway.max_V, and those that repeat it."""
         return len(self.strokes_s)
 
+    def levels(self, max_V: float) -> int:
+        """Number of different levels up to ``max_V``: the planned pairs without those that repeat the last one."""
+        return max(ceil(max_V / self.step_V - _ROUNDING), 1)
 
-def breakaway_strokes(e: Experiment, max_V: float | None = None, *, further: bool = True) -> BreakawayStrokes | None:
+    def longest_s(self, max_V: float) -> float:
+        """How long all pairs take at most, s."""
+        first_at_top = self.levels(max_V)
+        strokes_s = (*self.strokes_s, *self.strokes_s[-1:] * self.in_all)
+        pauses_s = (self.pause_s if k < first_at_top else self.top_pause_s for k in range(len(strokes_s)))
+        return 2.0 * (sum(strokes_s) + sum(pauses_s))
+
+
+def breakaway_strokes(
+    e: Experiment, max_V: float | None = None, *, further: bool = True, repeats: bool = True
+) -> BreakawayStrokes | None:
     """Strokes whose unseen travel is within ``UNSEEN_RAD``; None where those of one period exceed it.
 
     max_V    instead of the config's
     further  whether pairs may follow that need a motion that was seen; older versions had none
+    repeats  whether planned pairs may repeat max_V, and every check may have further ones; older versions had neither
     Raises ValueError where the config does not tell the motor's speed.
 
     A stroke of level u and length s moves a shaft of gain K from rest by at most K (u - f) s, whatever its time
@@ -70,25 +94,40 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None, *, further: boo
     travels farther than a given distance. Of the possible longest strokes, the function takes the one that moves a
     reference motor farthest: friction half of max_V, time constant limits.coast_tau_s. A longer watchdog time tolerates
     a busier host; a shorter one allows longer strokes. The function takes the longest watchdog time with which the
-    reference motor clearly moves, else the shortest. Where it does not clearly move, noise counts in that choice, and
-    further pairs may follow.
+    reference motor clearly moves, else the shortest.
+
+    Where it does not clearly move further pairs may follow. If the strokes at max_V have one period only the bench is
+    fast, and max_V is little above friction. Then planned pairs repeat max_V within the same bound, with longer pauses for the noise, at the cost of
+    shorter strokes at lower levels; that choice is for a motor with three quarters of max_V as its friction.
     """
     if e.motor is None:
         raise ValueError("the config does not say motor.no_load_speed_rad_s")
     max_V = e.breakaway.max_V if max_V is None else max_V
     best: BreakawayStrokes | None = None
     tried: list[BreakawayStrokes] = []
+    longest = max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)
     for watchdog_s in _check_watchdogs_s(e):
-        lengths = _lengths(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1))
-        found = [_strokes_up_to(periods, e, max_V, watchdog_s) for periods in lengths]
+        found = [_strokes_up_to(periods, e, max_V, watchdog_s) for periods in _lengths(longest)]
         tried += (strokes for strokes in found if strokes is not None)
         best = max(tried, key=lambda one: _moved_rad(e, one, max_V), default=None)
         if best is not None and _moved_rad(e, best, max_V) > _CLEARLY * e.breakaway.motion_rad:
-            return best
+            few = min(_further(e, best, max_V), _FEW_FURTHER) if further and repeats else 0
+            return best._replace(further=few, in_all=few)
     if best is None or not further:
         return best
-    best = max(tried, key=lambda one: _moved_rad(e, one, max_V, beyond_noise=True))
-    return best._replace(further=_further(e, best, max_V))
+    if not repeats or best.strokes_s[-1] > 1.5 * e.period_s:
+        best = max(tried, key=lambda one: _moved_rad(e, one, max_V, beyond_noise=True))
+        pairs = _further(e, best, max_V)
+        return best._replace(further=pairs, in_all=pairs)
+    tried += (
+        strokes
+        for periods, more in product(_lengths(longest), _REPEATS[1:] if best.pairs <= _FEW_LEVELS else ())
+        if (strokes := _strokes_up_to(periods, e, max_V, _check_watchdogs_s(e)[-1], more)) is not None
+    )
+    tried = [one._replace(top_pause_s=max(_TOP_PAUSE_S, one.pause_s)) for one in tried]
+    best = max(tried, key=lambda one: _moved_rad(e, one, max_V, friction=0.75, beyond_noise=True))
+    pairs = _further(e, best, max_V)
+    return best._replace(further=pairs, in_all=_MOST_IN_ALL if pairs else 0)
 
 
 def _further(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> int:
@@ -107,23 +146,36 @@ def _lengths(longest: int) -> Iterator[int]:
         periods = min(periods - 1, int(0.8 * periods) if periods > 10 else periods)
 
 
-def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float, *, beyond_noise: bool = False) -> float:
-    """Rough travel of the slow reference motor by all strokes of one way, rad.
+def _moved_rad(
+    e: Experiment,
+    strokes: BreakawayStrokes,
+    max_V: float,
+    *,
+    friction: float = 0.5,
+    beyond_noise: bool = False,
+) -> float:
+    """Rough travel of a slow reference motor by all strokes of one way, rad.
 
     From rest it speeds up evenly by K (u - f) / tau, and slows down by K f / tau after the stroke.
 
+    friction      of the motor, as a share of max_V
     beyond_noise  less what the check takes off each stroke for a noise of a sixth of breakaway.motion_rad
     """
     assert e.motor is not None
+    first_at_top = max(ceil(max_V / strokes.step_V - _ROUNDING), 1)
     levels = _levels(strokes.pairs, strokes.step_V, max_V)
-    by_driven_rad = 0.5 * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s
-    samples = max(2.0 * strokes.pause_s / e.period_s / 3.0, 1.0)  # that the check takes the mean of
+    driven_rad_s2 = 0.5 / friction * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s
     noise_rad = e.breakaway.motion_rad / 6.0
-    off_rad = 12.0 * noise_rad**2 / samples / e.breakaway.motion_rad if beyond_noise else 0.0
+
+    def off_rad(pair: int) -> float:
+        pause_s = strokes.pause_s if pair < first_at_top else strokes.top_pause_s
+        samples = max(2.0 * pause_s / e.period_s / 3.0, 1.0)  # that the check takes the mean of
+        return 12.0 * noise_rad**2 / samples / e.breakaway.motion_rad if beyond_noise else 0.0
+
     return sum(
-        max(by_driven_rad * 2.0 * (level - 0.5) * level * stroke_s**2 - off_rad, 0.0)
-        for level, stroke_s in zip(levels, strokes.strokes_s, strict=True)
-        if level > 0.5
+        max(driven_rad_s2 * (level - friction) * level * stroke_s**2 - off_rad(pair), 0.0)
+        for pair, (level, stroke_s) in enumerate(zip(levels, strokes.strokes_s, strict=True))
+        if level > friction
     )
 
 
@@ -155,13 +207,18 @@ def _levels(pairs: int, step_V: float, max_V: float) -> list[float]:
     return [min((k + 1) * step_V / max_V, 1.0) for k in range(pairs)]
 
 
-def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float) -> BreakawayStrokes | None:
-    """Strokes of at most so many periods, shorter at higher levels; None where nothing is within the bound."""
+def _strokes_up_to(
+    periods: int, e: Experiment, max_V: float, watchdog_s: float, repeats: int = 0
+) -> BreakawayStrokes | None:
+    """Strokes of at most so many periods, shorter at higher levels; None where nothing is within the bound.
+
+    repeats  further planned pairs at max_V
+    """
     cycle = max(2 * periods, periods + _LEAST_PAUSE_PERIODS, ceil(_CYCLE_S / e.period_s - _ROUNDING))
     step_V = e.breakaway.ramp_V_s * cycle * e.period_s
     if max_V > _MOST_PAIRS * step_V or min(max_V, step_V) <= 0.0:
         return None  # it would take too long, or the voltage is too small to divide
-    pairs = max(ceil(max_V / step_V - _ROUNDING), 1)
+    pairs = max(ceil(max_V / step_V - _ROUNDING), 1) + repeats
     levels = _levels(pairs, step_V, max_V)
 
     def shaped_s(top_s: float) -> tuple[float, ...]:
@@ -170,7 +227,8 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
 
     def strokes(strokes_s: tuple[float, ...]) -> BreakawayStrokes:
         unseen_rad = _unseen_rad(e, max_V, levels, strokes_s, watchdog_s)
-        return BreakawayStrokes(strokes_s, (cycle - periods) * e.period_s, step_V, watchdog_s, unseen_rad)
+        pause_s = (cycle - periods) * e.period_s
+        return BreakawayStrokes(strokes_s, pause_s, step_V, watchdog_s, unseen_rad, top_pause_s=pause_s)
 
     low, high = 0.0, (periods * e.period_s + watchdog_s) * (1.0 + _ROUNDING)
     longest = strokes(shaped_s(high))

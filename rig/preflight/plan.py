@@ -133,7 +133,7 @@ def _breakaway(e: Experiment) -> _Stage:
     strokes = None if e.motor is None else breakaway_strokes(e)
     if strokes is None:
         return _Stage((), longest_s)
-    longest_s *= 1.0 + strokes.further / strokes.pairs
+    longest_s = 2.0 * b.rest_s + strokes.longest_s(b.max_V)
     longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
     lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
     lines = (

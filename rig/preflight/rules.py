@@ -225,12 +225,12 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
             + "a shorter period_s, or a faster breakaway.ramp_V_s"
             + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),
         )
-    elif strokes.pairs < _FEWEST_PAIRS:
+    elif strokes.levels(b.max_V) < _FEWEST_PAIRS:
         slower = b.ramp_V_s * (b.max_V / _FEWEST_PAIRS) / strokes.step_V
         yield wrong(
             "breakaway.ramp_V_s",
-            f"{b.ramp_V_s:g} V/s reaches breakaway.max_V in {strokes.pairs} strokes each way: too few to measure "
-            "static friction",
+            f"{b.ramp_V_s:g} V/s reaches breakaway.max_V in {strokes.levels(b.max_V)} strokes each way: too few to "
+            "measure static friction",
             f"at most {_floor(0.75 * slower):g} V/s",
         )
 

@@ -59,6 +59,7 @@ class Decided(Part):
     h1_V: Number = None
     h2_V: Number = None
     longest_stroke_s: Number = None
+    rest_s: Number = None
 
 
 class JoggedLease(Part):

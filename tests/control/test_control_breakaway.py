@@ -311,10 +311,10 @@ def test_planned_pairs_with_longer_strokes_count_as_more_further_ones() -> None:
     e = suited(config.load(ROOT / "config/demo.yaml"), 260.0, 0.42)
     limits = e.limits.model_copy(update={"coast_tau_s": 0.264})
     e = e.model_copy(update={"breakaway": e.breakaway.model_copy(update={"max_V": 0.63}), "limits": limits})
-    strokes = breakaway_strokes(e)
+    strokes = breakaway_strokes(e, repeats=False)
     assert strokes is not None and strokes.further > 5 and strokes.strokes_s[0] > strokes.strokes_s[-1]
     for proven in range(1, strokes.pairs + 1):
-        law = check_of(e)
+        law = check_of(e, repeats=False)
         law._proven, law._pair = proven, strokes.pairs
         while law._may_go_on():
             law._pair += 1
@@ -322,6 +322,38 @@ def test_planned_pairs_with_longer_strokes_count_as_more_further_ones() -> None:
         lengths_s = (*strokes.strokes_s, *strokes.strokes_s[-1:] * strokes.further)[proven : law._pair]
         assert _unseen_rad(e, 0.63, levels, lengths_s, strokes.watchdog_s) <= UNSEEN_RAD
         assert law._pair == strokes.pairs + strokes.further or proven < strokes.pairs
+
+
+def test_pairs_go_on_only_while_the_sensor_shows_motion_and_none_of_their_series_exceeds_the_bound(
+    fast: tuple[Motor, config.Experiment],
+) -> None:
+    _, e = fast
+    strokes = breakaway_strokes(e)
+    assert strokes is not None and strokes.strokes_s == (strokes.strokes_s[0],) * strokes.pairs
+    first_at_top = math.ceil(e.breakaway.max_V / strokes.step_V)
+    assert strokes.pairs > first_at_top  # planned pairs repeat the largest level
+    law = check_of(e)
+    law._pair = strokes.pairs
+    assert not law._may_go_on()  # nothing was seen
+    series: list[int] = []
+    while len(series) < 10:  # the sensor shows a motion as late as it may, again and again
+        law._proven = proven = law._pair
+        while law._may_go_on():
+            law._pair += 1
+        series.append(law._pair - proven)
+    stroke_s, further = strokes.strokes_s[-1], strokes.further
+    assert max(series) == further and sum(series) == strokes.in_all
+    unseen_rad = _unseen_rad(e, e.breakaway.max_V, [1.0] * further, (stroke_s,) * further, strokes.watchdog_s)
+    assert 0.8 * UNSEEN_RAD < unseen_rad <= UNSEEN_RAD
+
+
+def test_a_slow_bench_keeps_its_long_strokes() -> None:
+    """Only strokes of one period give way to pairs that repeat max_V: on a slow bench they would see too little."""
+    e = config.load(ROOT / "config/limit-cycle.yaml")
+    e = e.model_copy(update={"limits": e.limits.model_copy(update={"coast_tau_s": 0.5, "max_speed_rad_s": 3.0})})
+    strokes = breakaway_strokes(e)
+    assert strokes is not None and strokes.strokes_s[-1] > 1.5 * e.period_s
+    assert strokes == breakaway_strokes(e, repeats=False)
 
 
 def test_for_the_check_the_device_is_armed_with_the_watchdog_that_its_bound_counts(

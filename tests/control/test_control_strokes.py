@@ -76,6 +76,14 @@ def test_a_reading_that_stands_still_in_both_directions_is_a_stuck_sensor() -> N
     assert caught.value.code == "SENSOR_STUCK"
 
 
+def test_a_reading_that_stands_still_under_drives_that_need_not_move_the_shaft_is_no_stuck_sensor() -> None:
+    """Both drives have to be known to move it: where one is not the shaft may stick."""
+    for moves_V, code in ((0.6, "SENSOR_STUCK"), (0.7, "NO_CYCLE"), (1.1, "NO_CYCLE")):
+        with pytest.raises(Fault, match=r"stood still for 0\.31 s") as caught:
+            drives(StrokeTest(PLAN, TIMING, 0.02, moves_V), [0.1] * 100)
+        assert caught.value.code == code
+
+
 @pytest.mark.parametrize(
     ("plan", "timing", "motion_rad"),
     [

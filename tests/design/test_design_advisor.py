@@ -81,8 +81,15 @@ class Bench:
     def drive(self, stage: str, seconds: float) -> None:
         """So many seconds of a swing every second."""
         for _ in range(round(10 * seconds)):
-            k = len(self.rows)
+            k = round(10 * self.rows[-1][0]) + 1 if self.rows else 0
             self.rows.append((0.1 * k, 0.3 * float(np.sin(2 * np.pi * 0.1 * k)), stage))
+        self.advisor.take(self.recording)
+
+    def rest(self, seconds: float, noise_rad: float) -> None:
+        """So many seconds at rest, 0.01 s a row."""
+        rng, t_s = np.random.default_rng(3), self.rows[-1][0]
+        for k in range(round(100 * seconds)):
+            self.rows.append((t_s + 0.01 * (k + 1), noise_rad * float(rng.standard_normal()), "rest"))
         self.advisor.take(self.recording)
 
     @property
@@ -186,3 +193,34 @@ def test_without_any_test_that_fits_the_present_one_goes_on(bench: Bench) -> Non
     bench.design, bench.says = None, estimate(3.0)
     advice = bench.advisor.advise()
     assert advice is not None and advice.design is None and advice.stop is None
+
+
+def test_before_more_is_driven_the_noise_is_measured_again_and_the_estimates_judged_anew(bench: Bench) -> None:
+    """The residual is 1.18 of a noise at rest that is known to 6 %; a rest shows that noise to be larger."""
+    one = Bench(replace(bench.settings, noise_error=0.06), bench.monkeypatch)
+    started(one)
+    one.says = estimate(0.8, residual=1.18)
+    first, second = one.advisor.advise(), one.advisor.advise()
+    assert first is not None and first.rest_s == 0.0
+    assert second is not None and second.rest_s > 0.0 and second.stop is None and second.design is None
+    one.drive("strokes-1", 0.5)  # until the shaft may coast
+    waits = one.advisor.advise()
+    assert waits is not None and waits.rest_s == 0.0 and waits.stop is None
+    one.rest(second.rest_s + 0.2, noise_rad=0.0036)
+    after = one.advisor.advise()
+    assert after is not None and after.stop is not None
+
+
+def test_it_is_not_measured_again_and_again(bench: Bench) -> None:
+    one = Bench(replace(bench.settings, noise_error=0.06), bench.monkeypatch)
+    started(one)
+    one.says = estimate(0.8, residual=1.18)
+    rests = 0
+    for _ in range(20):
+        advice = one.advisor.advise()
+        assert advice is not None and advice.stop is None
+        if advice.rest_s > 0.0:
+            rests += 1
+            one.rest(advice.rest_s + 0.2, noise_rad=0.0026)
+        one.drive("relay-2", 1.0)
+    assert 1 <= rests <= 3

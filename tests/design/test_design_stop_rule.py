@@ -47,3 +47,30 @@ def test_the_residual_may_be_larger_by_what_few_rows_make_of_it() -> None:
     few, many = Seen(residual_over_noise=1.09, residual_error=0.03), Seen(residual_over_noise=1.09, residual_error=0.01)
     assert StopRule(1.0).lacks(few) is None and StopRule(1.0).lacks(many) is not None
     assert StopRule(1.0, noise_error=0.04).lacks(many) is None  # so does a noise at rest that few rows tell
+
+
+def test_a_residual_that_is_a_little_too_large_may_be_the_noises_fault_and_is_judged_again() -> None:
+    """The noise at rest, known to 6 %, came out 15 % too small."""
+    rule, seen = StopRule(1.0, 0.06), Seen(residual_over_noise=1.0 / 0.85)
+    doubts = []
+    for _ in range(2):
+        assert rule.take(seen) is None
+        doubts.append(rule.noise_in_doubt)
+    assert doubts == [False, True]  # one estimate is not enough
+    rule.learn(1.0 / 0.85, 0.04)
+    why = rule.enough()
+    assert why is not None and "the residual is 1.00 of the noise" in why
+    rule.learn(1.0, 0.02)  # it was right
+    doubts.append(rule.noise_in_doubt)
+    assert rule.enough() is None and not doubts[-1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"worst_percent": 1.2}, {"drives_differ": False}, {"residual_over_noise": 1.0}, {"residual_over_noise": 1.6}],
+)
+def test_the_noise_is_in_doubt_only_if_nothing_else_lacks_and_it_may_be_to_blame(change: dict[str, float]) -> None:
+    rule = StopRule(1.0, 0.06)
+    for _ in range(2):
+        rule.take(replace(Seen(residual_over_noise=1.0 / 0.85), **change))  # type: ignore[arg-type]
+    assert not rule.noise_in_doubt

@@ -19,7 +19,8 @@ from rig.loop.replayed_rows import ReplayedRows
 from rig.loop.stop_request import StopRequest
 from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.reader import read_run
-from rig.replay import replay
+from rig.replay import _advice, replay
+from rig.results.event import Decided
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
 
 RELAYS = {"simulated": "relay-2", "host-board": "relay-1", "chip": "relay-1", "modbus": "relay-1"}
@@ -281,3 +282,11 @@ def test_a_torn_last_line_is_left_out_and_said(tmp_path: Path) -> None:
     done = replay(run.folder)
     assert done.is_same and done.ending == "no end" and done.rows == len(run.rows) - 1
     assert len(done.notes) == 1 and "torn" in done.notes[0]
+
+
+def test_a_rest_that_the_advisers_asked_for_is_replayed_as_their_advice() -> None:
+    decided = Decided.model_validate({"row": 7, "by": "advice", "what": "rest", "why": "noise", "rest_s": 2.0})
+    advice = _advice(decided, ())
+    assert advice.rest_s == 2.0 and advice.stop is None and advice.design is None
+    with pytest.raises(ValueError, match="rest"):  # an event that lacks the number
+        _advice(decided.model_copy(update={"rest_s": None}), ())

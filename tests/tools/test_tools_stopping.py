@@ -5,10 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from campaign_real.kinds import KINDS
+from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
+from campaign_real.departing_motor import Bench
+from campaign_real.kinds import KINDS, departures_of
+from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
+from rig.config.schema import RelaySection, UntilSection
+from rig.control.law import Rest
+from rig.experiment import until
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.model.real_motor import Frame, FramedMotor, plain
 from stopping import __main__ as command
+from stopping.in_memory import driven
 from stopping.rows import Asked, row
 
 CAMPAIGN = Campaign(name="stopping", experiments=4, seed=3)
@@ -23,6 +34,42 @@ def test_a_plain_motor_is_known_within_seconds_and_its_intervals_hold() -> None:
     assert max(map(abs, one.error)) < 0.015
     assert one.beyond_rad == 0.0
     assert row(CAMPAIGN, 3, (), Asked()).error == one.error  # a seed gives the same run
+
+
+@pytest.mark.parametrize(
+    ("number", "most_s"),
+    [
+        (122, 8.0),  # fast: the breakaway check sees it only because its strokes repeat the largest level
+        (40, 12.0),  # fast: breakaway strokes show its friction at 1.7 times what it is; 25 s with that level
+        (186, 20.0),  # slow: noise looked like a first motion at 0.75 of its friction; the guard said SENSOR_STUCK
+        (307, 10.0),  # its noise at rest comes out at 0.84 of what it is; without another look 41.5 s, and not known
+    ],
+)
+def test_healthy_motors_that_are_hard_to_see_are_known_in_time(number: int, most_s: float) -> None:
+    one = row(CAMPAIGN, number, (), Asked())
+    assert one.fault is None and one.known, one.why
+    assert one.tests_s is not None and one.tests_s < most_s  # of virtual time
+    assert one.error is not None and max(map(abs, one.error)) < 0.02
+    assert one.beyond_rad == 0.0
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_a_test_that_is_broken_off_leaves_the_shaft_within_the_soft_limits(
+    monkeypatch: pytest.MonkeyPatch, *, brakes: bool
+) -> None:
+    """A model with a third of the motor's gain: the shaft is too far out and too fast when rig notices."""
+    if not brakes:  # the shaft would coast out
+        monkeypatch.setattr(until, "SlowDown", lambda guard, rest_s, *more: Rest(rest_s))
+    one = draw(CAMPAIGN, 5)
+    bench = Bench(0.01, one.delay_s, 0.003, CAMPAIGN.sensor.lsb_rad, one.offset_rad)
+    tests = RelaySection(until=UntilSection(interval_percent=1.0, longest_s=6.0))
+    e = config_of(one, bench).model_copy(update={"relay": tests})
+    opened, shaft = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, 5)
+    wrong = FramedMotor(plain(Motor(one.tau_s, one.K_rad_s_V / 3.0, coulomb(one.fc_V), 0.0)), Frame())
+    session, fault = driven(e, opened, lambda session: until.drive_until(session, wrong))
+    assert fault is None and any("was broken off" in note for note in session.found.notes)
+    beyond_rad = shaft.furthest_rad - REACH_RAD
+    assert beyond_rad <= 0.0 if brakes else beyond_rad > 0.05
 
 
 def test_a_motor_with_a_departure_is_identified_with_its_law() -> None:

@@ -22,7 +22,7 @@ from stopping.rows import OF, Asked, Row, row
 HERE = Path(__file__).resolve().parents[2]
 PAGE = HERE / "docs" / "stopping-table.md"
 MADE_BY = (  # rows of another code start anew
-    *(f"rig/{room}" for room in ("control", "design", "experiment", "identify", "loop", "model")),
+    *(f"rig/{room}" for room in ("control", "design", "experiment", "identify", "loop", "model", "preflight")),
     "tools/stopping/rows.py",
     "tools/stopping/in_memory.py",
     *(f"tools/campaign_real/{name}.py" for name in ("departing_bench", "departing_motor", "kinds")),

@@ -13,6 +13,7 @@ from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
 from campaign_real.departing_motor import Bench, Departures
 from campaign_real.kinds import Kind, departures_of, truth_of
 from rig.campaign.grid import Draw, draw
+from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
 from rig.estimators import LEADING
@@ -21,6 +22,7 @@ from rig.experiment.until import drive_until
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
+from rig.preflight.breakaway_strokes import breakaway_strokes
 from rig.recording.recording import Recording
 from rig.session import Session
 from stopping.in_memory import driven
@@ -30,6 +32,7 @@ Array = NDArray[np.float64]
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 PERCENT_OF = {"tau_s": "tau_percent", "K_rad_s_V": "K_percent", "fc_V": "fc_percent"}
 LONGEST_S = 60.0  # of the tests; friction drifts over it
+FASTEST_MOTORS_V, LEAST_V = 0.5, 0.01  # of breakaway.max_V: from there on down, in these steps
 DOUBT = 0.30  # a model that is known beforehand is off by at most that: relay.until.model_doubt_percent
 
 
@@ -99,7 +102,7 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         if asked.identified:
             identify_recorded(session)
 
-    e = config_of(one, bench).model_copy(update={"relay": RelaySection(until=until)})
+    e = checked(config_of(one, bench)).model_copy(update={"relay": RelaySection(until=until)})
     opened, shaft = open_bench(e, one, departures, bench, LONGEST_S, campaign.seed * 1_000_003 + number)
     session, fault = driven(e, opened, script)
     recording = session.read()
@@ -139,6 +142,14 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         None if fault is None else fault.code,
         time.perf_counter() - began,
     )
+
+
+def checked(e: Experiment) -> Experiment:
+    """The config with a breakaway.max_V that `rig check` accepts: the fastest motors need less than 0.5 V."""
+    max_V = e.breakaway.max_V if breakaway_strokes(e) is not None else FASTEST_MOTORS_V
+    while breakaway_strokes(e, max_V) is None and max_V > LEAST_V:
+        max_V = round(max_V - LEAST_V, 3)
+    return e.model_copy(update={"breakaway": e.breakaway.model_copy(update={"max_V": max_V})})
 
 
 def _truth(one: Draw, departures: Departures, recording: Recording) -> Array:
