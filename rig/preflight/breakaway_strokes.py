@@ -97,8 +97,9 @@ def breakaway_strokes(
     reference motor clearly moves, else the shortest.
 
     Where it does not clearly move further pairs may follow. If the strokes at max_V have one period only the bench is
-    fast, and max_V is little above friction. Then planned pairs repeat max_V within the same bound, with longer pauses for the noise, at the cost of
-    shorter strokes at lower levels; that choice is for a motor with three quarters of max_V as its friction.
+    fast, and max_V is little above friction. Then planned pairs repeat max_V within the same bound, with longer pauses
+    for the noise, at the cost of shorter strokes at lower levels; that choice is for a motor with three quarters of
+    max_V as its friction.
     """
     if e.motor is None:
         raise ValueError("the config does not say motor.no_load_speed_rad_s")
