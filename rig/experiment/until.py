@@ -281,6 +281,8 @@ class _Tests:
 
         def decide(t_s: float) -> None:
             row, pending = session.loop.rows - 1, self._next
+            if pending.at_once:
+                return  # decided: of a law in the device some more rows come
             why = law.failed or (misfit() if guarded else "")
             if why and pending.stop:
                 self._next = pending._replace(at_once=True)  # it is known: no other test
@@ -289,7 +291,7 @@ class _Tests:
                 self._next = self._next._replace(proves=law.failed != "", way=against())
             elif why:
                 self._next = _Next(proves=True, way=against())
-            elif pending.stop or pending.at_once or pending.test is not None:
+            elif pending.stop or pending.test is not None:
                 return
             elif self._bounds.reached:
                 self._end(row, self._bounds.reached, known=False)
