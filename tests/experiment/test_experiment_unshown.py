@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rig.experiment
-from campaign_real.departing_bench import config_of, open_bench
+from campaign_real.departing_bench import DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench
 from campaign_real.kinds import departures_of
 from rig import config
@@ -22,12 +22,12 @@ from rig.backends.registry import Bench as OpenBench
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.simulated.backend import SIMULATED
 from rig.backends.simulated.driver import SimulatedDriver
-from rig.campaign.grid import draw
+from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelayGainsSection, RelaySection, UntilSection
 from rig.control.law import Law
-from rig.control.strokes import Stroke
+from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.control.unshown import FRICTION, START, STILL_S
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains, Strokes
@@ -296,19 +296,11 @@ def test_a_test_that_does_not_fit_is_broken_off_although_its_end_waits_for_the_s
     assert ("stop='it is known'" in session.found.notes[-1]) == (pending == "stop")
 
 
-@pytest.mark.parametrize("gain", [1.0, 1.0 / 3.0], ids=["known motor", "three times the gain that is believed"])
-def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits(gain: float) -> None:
-    """A stop or a fault sets 0 V, and nothing brakes; the pin keeps the last drive for two more periods before."""
-    number = 5
-    one = draw(CAMPAIGN, number)
-    bench = Bench(0.01, one.delay_s, 0.003, CAMPAIGN.sensor.lsb_rad, one.offset_rad)
-    e = config_of(one, bench)
-    soft_rad = e.limits.soft_rad[1]
-    hard_rad = soft_rad + 0.15  # with hard limits far away it coasts up to 0.23 rad beyond the soft ones
-    limits = e.limits.model_copy(update={"hard_rad": (-hard_rad, hard_rad)})
-    e = e.model_copy(update={"limits": limits, "relay": RelaySection(until=UntilSection(longest_s=6.0))})
-    device, shaft = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, number)
-    model = FramedMotor(plain(Motor(one.tau_s, gain * one.K_rad_s_V, coulomb(one.fc_V), 0.0)), Frame())
+def stopped_at_each_reading(e: Experiment, shaft: DepartingShaft) -> list[float]:
+    """How far a copy of the shaft turns in all if the run stops at that reading while it drives, rad; grows by itself.
+
+    Nothing brakes then, and the pin keeps the last drive for two more periods.
+    """
     furthest_rad: list[float] = []
     reads = shaft.read_counts
 
@@ -325,6 +317,43 @@ def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits(gain
         return reads()
 
     shaft.read_counts = read_and_stop_a_copy  # type: ignore[method-assign]
-    _, fault = driven(e, device, lambda session: until.drive_until(session, model))
-    assert fault is None and len(furthest_rad) > 100
-    assert max(furthest_rad) < hard_rad
+    return furthest_rad
+
+
+def plain_bench(number: int) -> tuple[Draw, Bench, Experiment]:
+    """A motor of the campaign, what its bench is, and its config."""
+    one = draw(CAMPAIGN, number)
+    bench = Bench(0.01, one.delay_s, 0.003, CAMPAIGN.sensor.lsb_rad, one.offset_rad)
+    return one, bench, config_of(one, bench)
+
+
+def test_where_designed_tests_are_stopped_the_shaft_coasts_as_far_beyond_the_soft_limits_as_the_docs_say() -> None:
+    one, bench, e = plain_bench(5)
+    e = e.model_copy(update={"relay": RelaySection(until=UntilSection(longest_s=6.0))})
+    device, shaft = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, 5)
+    furthest_rad = stopped_at_each_reading(e, shaft)
+    model = FramedMotor(plain(Motor(one.tau_s, one.K_rad_s_V, coulomb(one.fc_V), 0.0)), Frame())
+    session, fault = driven(e, device, lambda session: until.drive_until(session, model))
+    assert fault is None and "strokes-1" in session.read().stages()
+    assert 0.0 < max(furthest_rad) - e.limits.soft_rad[1] < 0.24
+
+
+def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits() -> None:
+    """Strokes that would go far beyond them, and would end there without the guard's brake."""
+    one, bench, e = plain_bench(5)
+    hard_rad = e.limits.soft_rad[1] + 0.3
+    e = e.model_copy(update={"limits": e.limits.model_copy(update={"hard_rad": (-hard_rad, hard_rad)})})
+    device, shaft = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, 5)
+    furthest_rad = stopped_at_each_reading(e, shaft)
+    u_V = one.fc_V + 0.7 * e.limits.max_speed_rad_s / one.K_rad_s_V
+
+    def script(session: Session) -> None:
+        with prepared(session):
+            armed_check(session, None)
+            with session.loop.armed(e.device_limits):
+                strokes = (Stroke(u_V, 9.0), Stroke(-u_V, -9.0))
+                law = StrokeTest(strokes, StrokeTiming(8.0, 1.5), e.breakaway.motion_rad)
+                session.loop.run(law, "strokes-1")
+
+    driven(e, device, script)
+    assert e.limits.soft_rad[1] < max(furthest_rad) < hard_rad
