@@ -13,8 +13,10 @@ import numpy as np
 from rich.progress import track
 from scipy.stats import binom
 
+from campaign_real.kinds import KINDS
 from campaign_real.rows import Row, kinds_of, row
 from campaign_real.shown import expected_gains
+from campaign_real.whole_run import row_of_run
 from rig.config.campaign import Campaign
 from rig.config.load import load_campaign
 from rig.identify.departures.choice import ASKED
@@ -30,6 +32,17 @@ MADE_BY = (  # rows of another code start anew
     "rig/recording",
     *(f"tools/campaign_real/{name}.py" for name in ("before_the_tests", "departing_motor", "kinds", "rows", "shown")),
 )
+MADE_BY_RUNS = (
+    *MADE_BY,
+    "rig/control",
+    "rig/experiment/stages.py",
+    "rig/preflight",
+    "tools/campaign_real/whole_run.py",
+)
+RECORDS = {
+    False: "identified as `rig identify` does two CSV files.",
+    True: "identified as `rig run` does: with the breakaway check and the gain search before them.",
+}
 Found = dict[bool, dict[int, Row]]  # by whether it is a pair, and by number
 Shown = dict[tuple[bool, int], dict[str, float]]  # what each law could gain, by the same
 WRONG = 0.05  # relative error beyond which a number called ok is wrong
@@ -42,6 +55,8 @@ def main() -> int:
     parser.add_argument("--motors", type=int, help="number of motors with one departure; default: experiments")
     parser.add_argument("--pairs", type=int, help="number of motors with two; default: experiments")
     parser.add_argument("--seed", type=int, help="another seed")
+    parser.add_argument("--runs", action="store_true", help="with breakaway check and gain search, as rig run records")
+    parser.add_argument("--kind", choices=[kind.name for kind in KINDS], help="only motors that have this departure")
     parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
@@ -50,22 +65,28 @@ def main() -> int:
         config = config.model_copy(update={"seed": given.seed})
     motors = config.experiments if given.motors is None else given.motors
     pairs = config.experiments if given.pairs is None else given.pairs
-    file = RowsFile(f"campaign-real-{config.seed}", MADE_BY)
+    name = f"campaign-real-{config.seed}"
+    file = RowsFile(f"{name}-runs", MADE_BY_RUNS) if given.runs else RowsFile(name, MADE_BY)
     began = time.time()
     found: Found = {False: {}, True: {}}
     for told in file.read():
         pair = told.pop("pair")
         found[pair][told["number"]] = Row(**told)
-    jobs = [(config, k, False) for k in range(motors) if k not in found[False]]
-    jobs += [(config, k, True) for k in range(pairs) if k not in found[True]]
-    for _, one in track(spread(row, jobs), "motors", total=len(jobs), disable=not sys.stderr.isatty()):
+    wanted = [(k, pair) for pair, count in ((False, motors), (True, pairs)) for k in range(count)]
+    if given.kind is not None:
+        wanted = [(k, pair) for k, pair in wanted if given.kind in [one.name for one in kinds_of(k, pair, config.seed)]]
+        found = {p: {k: one for k, one in rows.items() if given.kind in one.kinds} for p, rows in found.items()}
+    jobs = [(config, k, pair) for k, pair in wanted if k not in found[pair]]
+    make = row_of_run if given.runs else row
+    for _, one in track(spread(make, jobs), "motors", total=len(jobs), disable=not sys.stderr.isatty()):
         pair = len(one.kinds) > 1
         file.add({**one.as_json(), "pair": pair})
         found[pair][one.number] = one
     if given.keep:
         file.keep()
     shown = _shown(config, found)
-    text = page(config, found, shown, commit(MADE_BY), time.time() - began, len(jobs))
+    made = commit(MADE_BY_RUNS if given.runs else MADE_BY)
+    text = page(config, found, shown, made, time.time() - began, len(jobs), runs=given.runs, kind=given.kind)
     given.page.write_text(text, encoding="utf-8")
     print(text)
     failed = [one for rows in found.values() for one in rows.values() if one.verdict == "failed"]
@@ -88,14 +109,29 @@ def _shown(config: Campaign, found: Found) -> Shown:
     return shown
 
 
-def page(config: Campaign, found: Found, shown: Shown, made_at: str, took_s: float, new: int) -> str:
-    """The table as Markdown."""
+def page(
+    config: Campaign,
+    found: Found,
+    shown: Shown,
+    made_at: str,
+    took_s: float,
+    new: int,
+    *,
+    runs: bool = False,
+    kind: str | None = None,
+) -> str:
+    """The table as Markdown.
+
+    runs   whether the motors have all the records of a run
+    kind   the departure that all of them have
+    """
     lines = [
         "# Motors that are not what the plain model says",
         "",
         f"Made by `make campaign-real`: seed {config.seed}, commit {made_at}, {took_s:.0f} s for {new} motors.",
         "Two relay tests of each motor (10 ms, 3 mrad of noise, 10 bits, unknown delay), simulated by a program of",
-        "its own (tools/campaign_real), identified as `rig identify` does two CSV files.",
+        f"its own (tools/campaign_real), {RECORDS[runs]}",
+        *([f"Only motors with a {kind}."] if kind else []),
         "",
         "*wrong*: called ok, and tau, K or f_c more than 5 % off. *inside*: share of u95 that hold the truth, of those",
         "called ok, for tau, K, f_c. *named*: laws that are found, alone or in a group of at most three, of those that",
@@ -107,7 +143,10 @@ def page(config: Campaign, found: Found, shown: Shown, made_at: str, took_s: flo
     for pair, title in ((False, "One departure"), (True, "Two departures")):
         rows = sorted(found[pair].values(), key=lambda one: one.number)
         if rows:
-            lines += [f"## {title}", "", *_table(rows, shown, pair), "", *_asked(rows, shown, pair), ""]
+            lines += [f"## {title}", "", *_table(rows, shown, pair), ""]
+            lines += _held(kind, rows) if kind else [*_asked(rows, shown, pair), ""]
+            if pair and not kind:
+                lines += ["The pairs that have a departure, whatever the other one is:", "", *_parts(rows), ""]
     return "\n".join(lines)
 
 
@@ -119,6 +158,32 @@ def _table(rows: list[Row], shown: Shown, pair: bool) -> list[str]:
     if not pair:
         groups.append(("all", rows))
     return lines + ["| " + " | ".join(_cells(name, some, shown)) + " |" for name, some in groups]
+
+
+def _parts(rows: Sequence[Row]) -> list[str]:
+    """Of each departure, the motors that have it beside another."""
+    lines = ["| departure | motors | ok | wrong | inside |", "|---|---|---|---|---|"]
+    for name in sorted({kind for one in rows for kind in one.kinds}):
+        some = [one for one in rows if name in one.kinds]
+        cells = [name, str(len(some)), str(len(called_ok(some))), str(sum(map(is_wrong, some))), _inside(some)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def _held(kind: str, rows: Sequence[Row]) -> list[str]:
+    """How often u95 holds where all motors have one departure, and whether that is less than 90 %."""
+    held = [inside for one in called_ok(rows) for inside in one.inside or ()]
+    if not held:
+        return []
+    chance = float(binom.cdf(sum(held), len(held), 0.9))
+    verdict = "less than 90 %" if is_narrow(kind, rows) else "90 % is not rejected at 0.001"
+    return [f"u95 holds {sum(held)} of {len(held)} true values: {verdict} (p = {chance:.2g}).", ""]
+
+
+def _inside(some: Sequence[Row]) -> str:
+    """Share of u95 of tau, K and f_c that hold the truth, of those called ok."""
+    shares = [one.inside or () for one in called_ok(some)]
+    return ", ".join(f"{100 * share:.0f} %" for share in np.mean(shares, axis=0)) if shares else "-"
 
 
 def _asked(rows: list[Row], shown: Shown, pair: bool) -> list[str]:
@@ -187,7 +252,6 @@ def is_narrow(kind: str, rows: Sequence[Row]) -> bool:
 
 def _cells(name: str, some: list[Row], shown: Shown) -> list[str]:
     ok = called_ok(some)
-    inside = np.mean([one.inside or () for one in ok], axis=0) if ok else np.full(3, np.nan)
     errors = 100.0 * np.median(np.abs([one.error or () for one in ok]), axis=0) if ok else np.full(3, np.nan)
     u95 = 100.0 * np.median([one.u95 or () for one in ok], axis=0) if ok else np.full(3, np.nan)
     named = "{} of {}".format(*named_of(some, shown))
@@ -198,7 +262,7 @@ def _cells(name: str, some: list[Row], shown: Shown) -> list[str]:
         str(len(some)),
         str(len(ok)),
         str(sum(map(is_wrong, some))),
-        ", ".join(f"{100 * share:.0f} %" for share in inside) if ok else "-",
+        _inside(some),
         named,
         ", ".join(f"{share:.1f}" for share in u95) if ok else "-",
         ", ".join(f"{error:.2f}" for error in errors) if ok else "-",
