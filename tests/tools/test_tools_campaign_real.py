@@ -118,6 +118,15 @@ def test_the_page_counts_and_bounds() -> None:
     assert "| 100 of 100: 100.0 % | yes |" in text
 
 
+def test_the_page_counts_each_departure_of_the_pairs() -> None:
+    rows = {k: replace(_row(k, "sag 3", 0.0), kinds=("sag 3", "lag 2" if k else "lag 5")) for k in range(4)}
+    rows[1] = replace(rows[1], inside=(True, False, True))
+    rows[2] = replace(rows[2], verdict="doubtful")
+    text = command.page(CAMPAIGN, {False: {}, True: rows}, {(True, k): {} for k in rows}, "abc", 1.0, 4)
+    assert "| sag 3 | 4 | 3 | 0 | 100 %, 67 %, 100 % |" in text
+    assert "| lag 2 | 3 | 2 | 0 | 100 %, 50 %, 100 % |" in text
+
+
 def test_a_kind_is_narrow_only_where_chance_does_not_explain_it() -> None:
     held = [replace(_row(k, "sag 3", 0.0), inside=(k % 5 > 0, True, True)) for k in range(30)]
     assert not command.is_narrow("sag 3", held)  # 84 of 90: binom.cdf(84, 90, 0.9) = 0.9
