@@ -13,6 +13,7 @@ from campaign_real import __main__ as command
 from campaign_real.kinds import KINDS, case
 from campaign_real.rows import Row, kinds_of, row
 from campaign_real.shown import expected_gains
+from campaign_real.whole_run import row_of_run
 from rig.config.campaign import Campaign
 from rig.estimators import LEADING
 from rig.identify import identify
@@ -84,6 +85,15 @@ def test_a_law_that_predicts_less_than_is_asked_is_dropped() -> None:
 
     assert names(ASKED) == ["gain_by_sign"]
     assert names(ASKED._replace(predicts=1e9)) == []
+
+
+def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
+    campaign = CAMPAIGN.model_copy(update={"seed": 16})
+    one = row_of_run(campaign, 716, False)
+    assert one.kinds == ("drag 0.01",)
+    assert one.found == ("drag",)
+    assert one.error is not None
+    assert max(map(abs, one.error)) < 0.01  # 4 % with the two tests alone, and then no drag is found
 
 
 def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:

@@ -126,9 +126,10 @@ def page(
     kind   the departure that all of them have
     """
     lines = [
-        "# Motors that are not what the plain model says",
+        f"# Motors that are not what the plain model says{_which(config.seed, runs, kind)}",
         "",
-        f"Made by `make campaign-real`: seed {config.seed}, commit {made_at}, {took_s:.0f} s for {new} motors.",
+        f"Made by `{_command(config.seed, runs, kind)}`: commit {made_at}, "
+        + (f"{took_s:.0f} s for {new} motors." if new else "from rows that were kept."),
         "Two relay tests of each motor (10 ms, 3 mrad of noise, 10 bits, unknown delay), simulated by a program of",
         f"its own (tools/campaign_real), {RECORDS[runs]}",
         *([f"Only motors with a {kind}."] if kind else []),
@@ -148,6 +149,14 @@ def page(
             if pair and not kind:
                 lines += ["The pairs that have a departure, whatever the other one is:", "", *_parts(rows), ""]
     return "\n".join(lines)
+
+
+def _command(seed: int, runs: bool, kind: str | None) -> str:
+    return f"make campaign-real SEED={seed}" + " RUNS=1" * runs + (f' KIND="{kind}"' if kind else "")
+
+
+def _which(seed: int, runs: bool, kind: str | None) -> str:
+    return f": seed {seed}" + ", whole runs" * runs + (f", {kind}" if kind else "")
 
 
 def _table(rows: list[Row], shown: Shown, pair: bool) -> list[str]:
