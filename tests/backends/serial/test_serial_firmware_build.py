@@ -48,7 +48,7 @@ def test_builds_at_the_same_time_wait_for_each_other(tmp_path: Path) -> None:
 
 
 def test_a_build_that_takes_long_says_so_while_it_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """This compiler's make goes on until three sentences have been said."""
+    """Here make goes on until three sentences have been said."""
     slow = tmp_path / "make"
     slow.write_text(f"#!/bin/sh\nuntil [ -e {tmp_path}/said ]; do sleep 0.01; done\n")
     slow.chmod(0o755)
