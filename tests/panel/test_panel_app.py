@@ -219,7 +219,12 @@ def test_whoever_reads_much_keeps_neither_a_check_nor_a_stop_waiting(
 def test_a_stop_whose_request_never_ends_stops(out: Path, monkeypatch: pytest.MonkeyPatch, goes: bool) -> None:
     panel = Panel.of(Access(HERE), out)
     stopped: list[str | None] = []
-    monkeypatch.setattr(panel.bench, "stop", lambda run: stopped.append(run) or StopAnswer((), 0, ""))
+
+    def stop(run: str | None) -> StopAnswer:
+        stopped.append(run)
+        return StopAnswer((), 0, "")
+
+    monkeypatch.setattr(panel.bench, "stop", stop)
     headers = [(b"host", b"127.0.0.1:8470"), (b"origin", ORIGIN["origin"].encode()), (b"content-length", b"40")]
     scope = {"type": "http", "method": "POST", "path": "/api/stop", "query_string": b"", "headers": headers}
     messages = [{"type": "http.request", "body": b'{"run": "2026', "more_body": True}]
@@ -232,7 +237,10 @@ def test_a_stop_whose_request_never_ends_stops(out: Path, monkeypatch: pytest.Mo
     async def send(message: Any) -> None:
         pass
 
-    asyncio.run(make_app(panel)(scope, receive, send))
+    async def ask() -> None:
+        await make_app(panel)(scope, receive, send)
+
+    asyncio.run(ask())
     assert stopped == [None]
 
 
