@@ -125,5 +125,5 @@ clean:  ## remove what was built; run folders stay
 	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules tools/uplot/node_modules rig/panel/static/vendor
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/uplot/package-lock.json tools/setup.sh
+.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/uplot/package-lock.json tools/setup.sh tools/uplot.sh
 	./tools/setup.sh

@@ -30,7 +30,7 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         if version == "editable":
             return
         if not (Path(self.root) / UPLOT).is_file():
-            self._lack(f"{UPLOT} missing: the panel of this wheel draws no curves", "run tools/setup.sh")
+            self._lack(f"{UPLOT} missing: the panel of this wheel draws no curves", "run tools/uplot.sh")
         missing = [tool for tool in TOOLS if shutil.which(tool) is None]
         if missing:
             self._lack(

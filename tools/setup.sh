@@ -66,16 +66,12 @@ VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
 # so that no first run waits for it
 .venv/bin/python -m rig.experiment.ready &
 compiled=$!
-# the second emulator of the Uno's chip, the Pico's, uPlot, what drives the browser; npm keeps its own stamp of what it
-# has installed
-for folder in tests/hil/avr8js firmware/emulator/pico tools/uplot tests/panel/browser; do
+# the second emulator of the Uno's chip, the Pico's, what drives the browser; npm keeps its own stamp of what it has
+# installed
+for folder in tests/hil/avr8js firmware/emulator/pico tests/panel/browser; do
     [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
         (cd "$folder" && npm ci --loglevel=error >/dev/null)
 done
-# uPlot goes where the panel serves it from, with its license; the wheel takes it from there
-uplot=tools/uplot/node_modules/uplot vendor=rig/panel/static/vendor
-mkdir -p "$vendor"
-cp "$uplot/dist/uPlot.esm.js" "$uplot/dist/uPlot.min.css" "$vendor/"
-cp "$uplot/LICENSE" "$vendor/uPlot-LICENSE"
+tools/uplot.sh
 wait "$compiled"
 touch .venv/.ready

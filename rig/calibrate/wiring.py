@@ -117,24 +117,26 @@ def text(w: Wiring) -> str:
     return "\n".join(lines)
 
 
-_ROW, _TOP, _BOX, _GAP = 44, 64, 210, 160  # px
+# px; as narrow as the longest names allow, so that they can be read on a telephone, too
+_ROW, _TOP, _BOX, _GAP = 42, 40, 168, 64
 
 
 def svg(w: Wiring) -> str:
-    """The drawing as SVG. It takes the colour of the text around it; what to look at is in ``--accent``, or red."""
+    """The drawing as SVG; what to do is its name, for the page to write above it.
+
+    It takes the colour of the text around it; what to look at is in ``--accent``, or red.
+    """
     width, height = 2 * _BOX + _GAP, _TOP + _ROW * len(w.wires) + 12
     inner, outer = _BOX, _BOX + _GAP
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
-        f'font-family="system-ui, sans-serif" font-size="15" fill="currentColor">',
+        f'font-family="system-ui, sans-serif" font-size="16" fill="currentColor">',
         f"<title>{escape(w.title)}</title>",
-        f'<text x="{width / 2:g}" y="20" text-anchor="middle" font-weight="600">{escape(w.title)}</text>',
     ]
     for x, name, middle in ((1, w.left, _BOX / 2), (outer, w.right, outer + _BOX / 2)):
         parts += [
-            f'<rect x="{x}" y="34" width="{_BOX - 2}" height="{height - 40}" rx="8" fill="none" '
-            'stroke="currentColor"/>',
-            f'<text x="{middle:g}" y="56" text-anchor="middle" font-weight="600">{escape(name)}</text>',
+            f'<rect x="{x}" y="8" width="{_BOX - 2}" height="{height - 14}" rx="8" fill="none" stroke="currentColor"/>',
+            f'<text x="{middle:g}" y="31" text-anchor="middle" font-weight="600">{escape(name)}</text>',
         ]
     y = [_TOP + _ROW * (row + 0.5) for row in range(len(w.wires))]
     for row in range(len(w.wires)):

@@ -12,11 +12,13 @@ from rig.export.motor import IdentifiedMotor
 from rig.export.whole_run import ExportedRun
 from rig.package import FOLDER
 
-# What has no inverse, and no state in a model of velocity and position.
+# A model has no first day: what drifts from the start of the tests to their end.
+NO_DRIFT: Final = {"drift": "friction stays at its mean over the tests"}
+# And what has no state in a model of velocity and position, and no inverse.
 NOT_RIGID: Final = {
     "bristle": "the shaft is rigid where friction holds it: it does not bend",
     "backlash": "the sensor follows the motor without play",
-    "drift": "friction stays at its mean over the tests",
+    **NO_DRIFT,
 }
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 import secrets
 import time
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -33,6 +35,8 @@ STATIC: Final = FOLDER / "panel" / "static"
 UPLOT: Final = STATIC / "vendor" / "uPlot.esm.js"
 
 _MOST_COMPARED: Final = 6  # as many colours as the page has
+_MOST_WAITING: Final = 8  # requests for what a process reads or compares: each takes seconds of it
+_STOP_WAITS_S: Final = 0.25  # for the rest of its request
 _POLICY: Final = 1008  # WebSocket close codes
 _TOO_MANY: Final = 1013
 _KINDS: Final[dict[str, Kind]] = {"GET": "read", "HEAD": "read", "POST": "write"}
@@ -133,7 +137,8 @@ class _Pages:
 
     def __init__(self, panel: Panel) -> None:
         self._panel = panel
-        self._one_at_a_time = asyncio.Lock()  # of the processes that read or check
+        self._one_at_a_time = asyncio.Lock()  # of the processes that check
+        self._readers = _Queue()  # who only watches never keeps the operator waiting
 
     async def page(self, request: Request) -> Response:
         """The page. A token in its URL becomes a session, and leaves the URL."""
@@ -194,10 +199,10 @@ class _Pages:
         return JSONResponse(await asyncio.to_thread(self._panel.bench.start, asked.get("confirmation")))
 
     async def stop(self, request: Request) -> Response:
-        """Stop. It needs no session and asks nothing; a body that is no JSON stops all the same."""
+        """Stop. It needs no session and asks nothing; a body that is no JSON, or does not come, stops all the same."""
         name = None
-        with contextlib.suppress(RefusedError):
-            name = (await _json_of(request)).get("run")
+        with contextlib.suppress(RefusedError, ClientDisconnect, TimeoutError):
+            name = (await asyncio.wait_for(_json_of(request), _STOP_WAITS_S)).get("run")
         return JSONResponse(await _stop(self._panel, name if isinstance(name, str) else None))
 
     async def start_jog(self, request: Request) -> Response:
@@ -244,7 +249,7 @@ class _Pages:
         self._require_reader(request)
         runs = self._panel.runs
         folder = await asyncio.to_thread(runs.find, request.path_params["name"])
-        async with self._one_at_a_time:
+        async with self._readers.turn():
             drawn = await answer_of("rig.panel.series", folder)
         return JSONResponse({**await asyncio.to_thread(runs.row, folder), **drawn})
 
@@ -255,7 +260,7 @@ class _Pages:
         if not 2 <= len(names) <= _MOST_COMPARED:
             raise RefusedError(400, f"two to {_MOST_COMPARED} runs can be compared here", "rig compare takes more")
         folders = [await asyncio.to_thread(self._panel.runs.find, name) for name in names]
-        async with self._one_at_a_time:
+        async with self._readers.turn():
             return JSONResponse(await answer_of("rig.panel.compared", *folders))
 
     async def report(self, request: Request) -> Response:
@@ -280,6 +285,29 @@ class _Pages:
             raise _no_session()
         if not self._panel.access.is_operator(session):
             raise RefusedError(403, "another page has the bench", "take it first")
+
+
+class _Queue:
+    """One at a time, and only so many who wait."""
+
+    def __init__(self) -> None:
+        self._lock = asyncio.Lock()
+        self._waiting = 0
+
+    @contextlib.asynccontextmanager
+    async def turn(self) -> AsyncIterator[None]:
+        """Wait for one's turn, and have it for the block. Raises RefusedError if too many wait."""
+        if self._waiting >= _MOST_WAITING:
+            raise RefusedError(429, "too much is being read at the moment", "try again in some seconds")
+        self._waiting += 1
+        try:
+            await self._lock.acquire()
+        finally:
+            self._waiting -= 1
+        try:
+            yield
+        finally:
+            self._lock.release()
 
 
 class _Sockets:
@@ -378,9 +406,12 @@ class _Page:
     session: str | None
 
 
+_stoppers: Final = ThreadPoolExecutor(4, "stop")  # its own: whatever else a disk holds up, a Stop does not wait for it
+
+
 async def _stop(panel: Panel, run: str | None) -> dict[str, Any]:
     """Stop; what there is to say at once. The files are written in a thread: no disk may hold up the other pages."""
-    answer = await asyncio.to_thread(panel.bench.stop, run)
+    answer = await asyncio.get_running_loop().run_in_executor(_stoppers, functools.partial(panel.bench.stop, run))
     return panel.watch.stop_asked(answer)
 
 

@@ -13,7 +13,7 @@ import uvicorn
 
 from rig.panel.access import AccessError, Address
 from rig.panel.app import Panel, make_app
-from rig.panel.sockets import LARGEST_MESSAGE, PING_EVERY_S, PONG_WITHIN_S, MeteredProtocol
+from rig.panel.sockets import LARGEST_MESSAGE, PING_EVERY_S, PONG_WITHIN_S, CountedProtocol, MeteredProtocol
 
 _BACKLOG = 128
 _SEND_BUFFER = 32 * 1024  # small, so that a page that reads slowly gets new rows, not old ones from a buffer
@@ -64,6 +64,7 @@ def serve(panel: Panel, listening: socket.socket, certificate: Certificate | Non
         make_app(panel),
         log_config=None,
         access_log=False,
+        http=CountedProtocol,
         ws=MeteredProtocol,
         ws_max_size=LARGEST_MESSAGE,
         ws_ping_interval=PING_EVERY_S,

@@ -1,16 +1,19 @@
-"""What one WebSocket may cost: messages a second, bytes a second, and a peer that answers no ping is cut off."""
+"""What a connection may cost: how many there are, a WebSocket's messages and bytes a second; a dead peer is cut off."""
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
 from typing import Any, Final
 
+from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 MOST_MESSAGES_S: Final = 60
 LARGEST_MESSAGE: Final = 4096  # bytes
 MOST_SOCKETS: Final = 32
+MOST_CONNECTIONS: Final = 128  # beside the WebSockets; a browser opens six, and an open file is a scarce thing
 PING_EVERY_S: Final = 2.0
 PONG_WITHIN_S: Final = 2.5
 _MOST_BYTES_S: Final = 64 * 1024  # far more than a page sends; a flood is cut off before it is parsed
@@ -34,6 +37,30 @@ class Meter:
         self._at_s = now_s
         self._left -= amount
         return self._left >= 0.0
+
+
+class CountedProtocol(H11Protocol):
+    """uvicorn's HTTP, of which only so many connections are open: a new one ends that which has been quiet longest.
+
+    So whoever opens connections and says nothing, or half a request, never keeps a Stop out.
+    """
+
+    heard_s: float
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take it; with one too many, let go of another."""
+        self.heard_s = time.monotonic()
+        super().connection_made(transport)
+        others = [one for one in self.connections if isinstance(one, CountedProtocol) and one is not self]
+        if len(others) >= MOST_CONNECTIONS:
+            quiet = min(others, key=lambda one: one.heard_s)
+            self.connections.discard(quiet)
+            quiet.transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came."""
+        self.heard_s = time.monotonic()
+        super().data_received(data)
 
 
 class MeteredProtocol(WebSocketsSansIOProtocol):

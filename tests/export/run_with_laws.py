@@ -36,6 +36,8 @@ LAWS: dict[str, dict[str, float]] = {
         "linearity_sin1_rad": 0.01, "linearity_cos1_rad": 0.005, "linearity_sin2_rad": 0.004, "linearity_cos2_rad": 0.0,
     },
     "backlash": {"backlash_rad": 0.01},
+    "bristle": {"bristle_V_rad": 50.0},
+    "drift": {"drift": 0.1},
 }  # fmt: skip
 assert all(set(numbers) == set(PARTS[name]) for name, numbers in LAWS.items())
 

@@ -31,10 +31,13 @@ from rig.model.real_motor import PARTS
 from rig.recording.reader import read_run
 from rig.signals import Sample
 
-RIGID = [law for law in LAWS if law != "backlash"]
+RIGID = [law for law in LAWS if law not in ("backlash", "bristle", "drift")]
+YIELDING = ("bristle", "backlash")
 MANY = ("dead_band", "gain_by_sign", "lag", "stribeck", "static", "viscous_by_direction", "force_over_position", "drag")
 OTHERS = ("cogging", "friction_over_position", "sag", "linearity")
 EACH = [(), *((law,) for law in RIGID), MANY]
+# bristles beside what they react to: a level that falls or that changes over the travel, a lag, a force
+WITH_BRISTLES = ("bristle", "backlash", "stribeck", "lag", "force_over_position", "friction_over_position")
 
 
 def module(file: Path) -> ModuleType:
@@ -66,33 +69,37 @@ def run_in(folder: Path) -> Path:
     return run
 
 
-@pytest.mark.parametrize("laws", EACH, ids="-".join)
+@pytest.mark.parametrize("laws", [*EACH, *((law,) for law in YIELDING), WITH_BRISTLES], ids="-".join)
 def test_python_control_moves_the_sampled_system_as_rig_moves_the_motor(
     exported: Callable[..., Path], laws: tuple[str, ...]
 ) -> None:
     folder = exported("control", *laws)
-    system = module(folder / "motor_control.py").sampled(PERIOD_S)
-    u_V = drive()
-    theirs = input_output_response(system, np.arange(u_V.size) * PERIOD_S, u_V).outputs
+    exporting = module(folder / "motor_control.py")
+    system, u_V = exporting.sampled(PERIOD_S), drive()
+    theirs = input_output_response(system, np.arange(u_V.size) * PERIOD_S, u_V, exporting.at_rest()).outputs
     readings, velocities = own_motion(motor_of(run_in(folder)), u_V)
     assert np.ptp(readings) > 3.0
     np.testing.assert_allclose(theirs[0], readings, rtol=0.0, atol=2e-6)
     np.testing.assert_allclose(theirs[1], velocities, rtol=0.0, atol=2e-5)
 
 
-def test_python_control_has_the_smooth_motor_and_its_linear_part(exported: Callable[..., Path]) -> None:
+def test_python_control_has_the_linear_part(exported: Callable[..., Path]) -> None:
     plain = module(exported("control") / "motor_control.py")
     gain, pole = PLAIN["K_rad_s_V"], -1.0 / PLAIN["tau_s"]
     assert sorted(plain.linear().poles().real) == pytest.approx([pole, 0.0])
     assert plain.linear()(1j)[1, 0] == pytest.approx(gain / (1.0 + 1j * PLAIN["tau_s"]))
 
-    folder = exported("control", *MANY)
-    system = module(folder / "motor_control.py").motor()
-    u_V = drive(100)
+
+@pytest.mark.parametrize("laws", [MANY, WITH_BRISTLES], ids="-".join)
+def test_python_controls_smooth_motor_is_near_rigs_own(exported: Callable[..., Path], laws: tuple[str, ...]) -> None:
+    folder = exported("control", *laws)
+    exporting = module(folder / "motor_control.py")
+    system, u_V = exporting.motor(), drive(100)
     fine = np.arange(0.0, (u_V.size - 1) * PERIOD_S, 2e-4)
     held = u_V[(fine / PERIOD_S + 1e-9).astype(int)]
     options = {"max_step": 1e-3, "rtol": 1e-7, "atol": 1e-9}
-    found = input_output_response(system, fine, held, solve_ivp_method="LSODA", solve_ivp_kwargs=options)
+    at_rest = exporting.at_rest()
+    found = input_output_response(system, fine, held, at_rest, solve_ivp_method="LSODA", solve_ivp_kwargs=options)
     readings, _ = own_motion(motor_of(run_in(folder)), u_V)
     assert np.abs(found.outputs[0][::50] - readings[:-1]).max() < 2e-3  # friction that turns over 1 mrad/s
 
@@ -172,7 +179,7 @@ def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(expo
     """One process for all: an export after the other, and the recorded strokes of the first."""
     u_V = drive(150)
     orders, folders = [], []
-    for laws in (MANY, OTHERS):
+    for laws in (MANY, OTHERS, WITH_BRISTLES):
         folders.append(folder := exported("matlab", *laws))
         np.savetxt(folder / "u.txt", u_V)
         orders.append(f"cd('{folder}'); clear motor_simulate; u = load('u.txt'); t = (0:numel(u)-1)' * {PERIOD_S};")
@@ -191,7 +198,7 @@ def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(expo
 
 
 def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Callable[..., Path]) -> None:
-    laws = ("backlash", "dead_band")
+    laws = ("drift", "dead_band")
     for tool in TOOLS:
         folder = exported(tool, *laws)
     run = run_in(folder)
@@ -207,7 +214,7 @@ def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Cal
         assert (tau["unit"], tau["ci95"], tau["u95"]) == ("s", [PLAIN["tau_s"] - 0.001, PLAIN["tau_s"] + 0.001], 0.002)
         assert (dead_band["value"], dead_band["ci95"]) == (LAWS["dead_band"]["dead_band_V"], [0.0, 1.0])
         assert [law["name"] for law in document["laws"]] == list(laws)
-        assert "backlash" in document["lacks"]
+        assert "drift" in document["lacks"]
     mat = loadmat(folder / "motor.mat", simplify_cells=True)
     assert (mat["motor"]["record_sha256"], mat["motor"]["numbers"]["tau_s"]["unit"]) == (digest, "s")
     assert mat["motor"]["numbers"]["tau_s"]["ci95"].tolist() == documents[0]["numbers"]["tau_s"]["ci95"]
@@ -215,7 +222,7 @@ def test_each_model_says_where_it_comes_from_and_how_certain_it_is(exported: Cal
     for text in (header, xml):
         assert digest in text
         assert "95 % 0.169 to 0.171" in text
-        assert "LACKS backlash 0.01" in text
+        assert "LACKS drift 0.1" in text
     assert f'#define RIG_MOTOR_RUN "{run.name}"' in header
 
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx2 as httpx
 import pytest
+from processes import PATIENCE_S
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
 from rig.panel.attendance import FOLDER
+from rig.panel.bench import StopAnswer
 from rig.panel.processes import StartedProcess, _born
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
 from rig.panel.watch import Follower
@@ -161,6 +166,82 @@ def test_runs_are_compared_by_name(watcher: TestClient) -> None:
     name = "20260103T000000Z-run-whole"
     assert "two to 6" in error(watcher.get(f"/api/compare?run={name}&run={name}"), 400)["what"]
     error(watcher.get(f"/api/compare?run={name}&run=..secret"), 404)
+
+
+def test_whoever_reads_much_keeps_neither_a_check_nor_a_stop_waiting(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readers whose process does not answer, and reads of a disk that hangs, on every thread that they may take."""
+    disk, read = threading.Event(), asyncio.Event()
+    panel = Panel.of(Access(HERE), out, out / CONFIG)
+    session = panel.access.redeem(panel.access.token or "") or ""
+    headers = ORIGIN | {"cookie": panel.access.set_cookie(session).partition(";")[0]}
+
+    async def answer_of(module: str, *paths: Path) -> dict[str, Any]:
+        if module != "rig.panel.prospect":
+            await read.wait()
+        return {}
+
+    def hanging() -> list[dict[str, Any]]:
+        disk.wait()
+        return []
+
+    async def all_at_once() -> None:
+        transport = httpx.ASGITransport(make_app(panel))
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8470", headers=headers) as client:
+            path = "/api/runs/20260103T000000Z-run-whole"
+            readers = [asyncio.create_task(client.get(path)) for _ in range(30)]
+            refused: set[asyncio.Task[httpx.Response]] = set()
+            while len(refused) < 30 - 1 - 8:  # one is read, eight wait
+                refused, _ = await asyncio.wait(readers, timeout=0.01)
+            assert {one.result().status_code for one in refused} == {429}
+            disks = [asyncio.create_task(client.get("/api/runs")) for _ in range(64)]
+            await asyncio.sleep(0)
+            assert (await client.post("/api/stop")).json()["received"]
+            disk.set()
+            assert (await client.post("/api/check")).status_code == 200
+            read.set()
+            assert {one.status_code for one in await asyncio.gather(*readers, *disks)} == {200, 429}
+
+    async def within_patience() -> None:
+        try:
+            await asyncio.wait_for(all_at_once(), PATIENCE_S)
+        finally:
+            disk.set()
+
+    monkeypatch.setattr("rig.panel.app.answer_of", answer_of)
+    monkeypatch.setattr("rig.panel.bench.answer_of", answer_of)
+    monkeypatch.setattr(panel.runs, "rows", hanging)
+    asyncio.run(within_patience())
+
+
+@pytest.mark.parametrize("goes", [False, True], ids=["stalls", "goes"])
+def test_a_stop_whose_request_never_ends_stops(out: Path, monkeypatch: pytest.MonkeyPatch, goes: bool) -> None:
+    panel = Panel.of(Access(HERE), out)
+    stopped: list[str | None] = []
+
+    def stop(run: str | None) -> StopAnswer:
+        stopped.append(run)
+        return StopAnswer((), 0, "")
+
+    monkeypatch.setattr(panel.bench, "stop", stop)
+    headers = [(b"host", b"127.0.0.1:8470"), (b"origin", ORIGIN["origin"].encode()), (b"content-length", b"40")]
+    scope = {"type": "http", "method": "POST", "path": "/api/stop", "query_string": b"", "headers": headers}
+    messages = [{"type": "http.request", "body": b'{"run": "2026', "more_body": True}]
+    if goes:
+        messages.append({"type": "http.disconnect"})
+
+    async def receive() -> Any:
+        return messages.pop(0) if messages else await asyncio.Event().wait()
+
+    async def send(message: Any) -> None:
+        pass
+
+    async def ask() -> None:
+        await make_app(panel)(scope, receive, send)
+
+    asyncio.run(ask())
+    assert stopped == [None]
 
 
 def test_what_is_too_large_is_refused(operator: TestClient) -> None:

@@ -141,12 +141,16 @@ def test_past_runs_are_laid_over_each_other_and_reports_opened(seen: dict[str, A
 
 def test_a_bench_is_calibrated_by_keyboard_alone(seen: dict[str, Any]) -> None:
     wiring, done = seen["wiring"], seen["calibrated"]
-    assert wiring == {"title": "swap these two wires at one end, with the motor's supply off", "wires": 4}
+    title = "swap these two wires at one end, with the motor's supply off"
+    assert wiring == {"title": title, "wires": 4, "caption": title, "code": "0.5 rad"}
     assert "'4,5' is no angle" in done["said"]
     config = load(parse(done["config"], "config").data)
     assert config.drive.reversed
     assert config.sensor.straight[0] == pytest.approx(0.0043, rel=0.01)
     assert done["kept"]
+    assert done["focus"] == "calibrate-end", "the next Tab goes on from there"
+    in_sight = {"stop_below_bar": True, "question": True}
+    assert seen["in_sight"] == {"1280": in_sight, "360": in_sight}
 
 
 def test_whatever_a_screen_reader_finds_has_a_name(seen: dict[str, Any]) -> None:

@@ -25,6 +25,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from rig.live.running import running
+from rig.panel.sockets import MOST_CONNECTIONS
 
 pytestmark = pytest.mark.realtime
 
@@ -314,6 +315,27 @@ def test_a_flood_and_half_open_sockets_leave_the_others_alone(served: list[Serve
     assert panel.post("/api/stop")["received"]
     while silent.recv(65536):  # it answers no ping: the panel lets go of it
         pass
+
+
+def test_connections_that_say_nothing_keep_no_stop_out_and_the_longest_silent_one_is_let_go(
+    served: list[Served],
+) -> None:
+    panel = served[-1]
+    half = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{panel.port}\r\n".encode()
+    with ExitStack() as stack:
+        opened = []
+        for number in range(MOST_CONNECTIONS + 40):
+            one = stack.enter_context(socket.create_connection(("127.0.0.1", panel.port), timeout=PATIENCE_S))
+            if number % 2:
+                one.sendall(half)
+            opened.append(one)
+            if number % 40 == 39:
+                assert panel.post("/api/stop")["received"]
+        for one in opened[:20]:
+            with suppress(ConnectionResetError):
+                assert one.recv(1) == b""
+        opened[-1].sendall(half + b"\r\n" if len(opened) % 2 else b"\r\n")
+        assert opened[-1].recv(12) == b"HTTP/1.1 200"
 
 
 def test_ctrl_c_ends_the_panel_and_says_nothing_wrong(served: list[Served]) -> None:

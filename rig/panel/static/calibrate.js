@@ -1,7 +1,7 @@
 // Calibrate: what rig says, the question that is open, and the buttons that answer it. The server has the calibration:
 // a page that is opened anew, or another operator's, goes on where it is.
 
-import { ENTER_TICKS, ask, byId, element, setText, show } from "./dom.js";
+import { ENTER_TICKS, ask, byId, element, setText, show, withCode } from "./dom.js";
 
 const TABLE = /\S {2,}\S|\n /; // columns, or an indented list: keep its lines as they are
 
@@ -66,8 +66,10 @@ export class Calibrate extends EventTarget {
     show(byId("answer"), question !== null);
     byId("answer").replaceChildren(...(question === null ? [] : fields(question)));
     this.#buttons();
-    const last = byId(question !== null ? "answer" : end !== null ? "calibrate-end" : "does");
+    const last = byId(question !== null ? "answer" : end !== null ? "calibrate-begin" : "does");
     if (!byId("calibrate-view").hidden) last.scrollIntoView({ block: "nearest" });
+    // at the end there is nothing to answer: the next Tab goes on from what was said last
+    if (end !== null && document.activeElement === document.body && !byId("calibrate-view").hidden) byId("calibrate-end").focus();
     // into the field to type in, or onto the button that says what was done by hand; never onto a button that drives
     if (question !== null && this.#may && !byId("calibrate-view").hidden) (document.querySelector("#answer .typed, #answer [data-done]") ?? byId("question")).focus();
   }
@@ -109,10 +111,11 @@ export class Calibrate extends EventTarget {
 function shownAs({ kind, words, drawings }) {
   const text = TABLE.test(words) || kind === "refused" ? words : words.replaceAll(/\n/g, " ");
   const item = element("li", { className: `said-${kind}${TABLE.test(words) ? " table" : ""}` });
-  item.append(element(kind === "step" && !TABLE.test(words) ? "h3" : "p", { textContent: text }));
+  item.append(element(kind === "step" && !TABLE.test(words) ? "h3" : "p", {}, ...withCode(text)));
   for (const { svg } of drawings) {
     const drawn = new DOMParser().parseFromString(svg, "image/svg+xml").documentElement;
-    item.append(element("figure", {}, document.importNode(drawn, true)));
+    const caption = element("figcaption", { textContent: drawn.querySelector("title").textContent, ariaHidden: "true" }); // the drawing's name
+    item.append(element("figure", {}, caption, document.importNode(drawn, true)));
   }
   return item;
 }

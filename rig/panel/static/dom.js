@@ -13,6 +13,9 @@ export function element(tag, properties = {}, ...children) {
   return node;
 }
 
+/** A text with what stands between `backticks` as code: nodes for an element. */
+export const withCode = (text) => text.split(/`([^`\n]+)`/).map((part, place) => (place % 2 === 1 ? element("code", { textContent: part }) : part));
+
 /** Set an element's text. Nothing happens if it is there already, so that a live number costs no layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;

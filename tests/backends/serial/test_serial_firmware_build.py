@@ -45,3 +45,44 @@ def test_builds_at_the_same_time_wait_for_each_other(tmp_path: Path) -> None:
     assert len(set(built)) == 1
     help_text = subprocess.run([built[0].program, "--help"], capture_output=True, text=True, check=True).stdout
     assert "tau-s" in help_text
+
+
+def test_a_build_that_takes_long_says_so_while_it_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Here make goes on until three sentences have been said."""
+    slow = tmp_path / "make"
+    slow.write_text(f"#!/bin/sh\nuntil [ -e {tmp_path}/said ]; do sleep 0.01; done\n")
+    slow.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    said: list[str] = []
+
+    def say(words: str) -> None:
+        said.append(words)
+        if len(said) == 3:
+            (tmp_path / "said").touch()
+
+    monkeypatch.setattr(firmware_build, "SAY_AFTER_S", 0.01)
+    monkeypatch.setattr(firmware_build, "SAY_EVERY_S", 0.01)
+    monkeypatch.setattr(firmware_build, "_say", say)
+    firmware_build.build(tmp_path / "build")
+    assert said[2].startswith("rig: building the emulated board's firmware, once after an installation")
+    monkeypatch.setattr(firmware_build, "SAY_AFTER_S", 1e9)
+    firmware_build.build(tmp_path / "build")
+    assert len(said) == 3, "it is quick, and silent"
+
+
+def test_it_says_so_to_a_terminal_and_into_the_panels_file_and_not_into_a_pipe(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    screen, terminal = os.openpty()
+    seen, pipe = os.pipe()
+    file = os.open(tmp_path / "one.stderr", os.O_WRONLY | os.O_CREAT)
+    for end in (terminal, file, pipe):
+        with os.fdopen(end, "w") as error:
+            monkeypatch.setattr("sys.stderr", error)
+            firmware_build._say("rig: building")
+            if end == terminal:
+                assert os.read(screen, 100).split() == [b"rig:", b"building"]
+    assert (tmp_path / "one.stderr").read_text() == "rig: building\n"
+    assert os.read(seen, 100) == b""
+    os.close(screen)
+    os.close(seen)

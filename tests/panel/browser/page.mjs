@@ -235,7 +235,21 @@ const steps = {
     await asked("May the motor move");
     await choose("Yes");
     await asked("Swap the wires");
-    seen.wiring = { title: await page.locator("#said figure svg title").textContent(), wires: await page.locator("#said figure path").count() };
+    seen.wiring = { title: await page.locator("#said figure svg title").textContent(), wires: await page.locator("#said figure path").count(), caption: await page.locator("#said figcaption").textContent(), code: await page.locator("#said code").first().textContent() };
+    // this far down, with the rail at its end, on a wide page and on a narrow one
+    seen.in_sight = {};
+    const wide = page.viewportSize();
+    for (const size of [wide, { width: 360, height: 740 }]) {
+      await page.setViewportSize(size);
+      await page.evaluate(() => document.getElementById("answer").scrollIntoView({ block: "nearest" }));
+      seen.in_sight[size.width] = await page.evaluate(() => {
+        const [stop, bar, question] = ["#stop", ".bar", "#answer"].map((one) => document.querySelector(one).getBoundingClientRect());
+        const covers = stop.left < question.right && stop.top < question.bottom;
+        return { stop_below_bar: stop.top >= bar.bottom, question: question.top >= bar.bottom && question.bottom <= innerHeight && !covers };
+      });
+      await picture(`wiring-${size.width}`);
+    }
+    await page.setViewportSize(wide);
     await hear("wiring");
     await picture("wiring");
     await choose("Reversed");
@@ -248,7 +262,7 @@ const steps = {
     await says("calibrate-end", "is written");
     await picture("calibrated");
     const backup = (await text("calibrate-end")).split("as it was: ")[1];
-    seen.calibrated = { said: await text("said"), config: readFileSync(config, "utf8"), kept: readFileSync(backup, "utf8") === before };
+    seen.calibrated = { said: await text("said"), focus: await page.evaluate(() => document.activeElement.id), config: readFileSync(config, "utf8"), kept: readFileSync(backup, "utf8") === before };
   },
 
   async jogs_until_the_wire_is_cut() {

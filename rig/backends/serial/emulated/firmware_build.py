@@ -1,17 +1,36 @@
-"""Builds the firmware from its sources, for the emulated board, the Uno and the Pico, each with its own compiler."""
+"""Builds the firmware from its sources, for the emulated board, the Uno and the Pico, each with its own compiler.
+
+A build that takes longer than ``SAY_AFTER_S`` says so, on a terminal and in the file that the panel reads.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import shutil
+import stat
 import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from rig.backends.emulated.errors import EmulationError
 from rig.package import FOLDER
 
+GOES_ON: Final = "rig: building {0}, once after an installation or a change of its sources: {1:.0f} s so far"
+SAY_AFTER_S, SAY_EVERY_S = 2.0, 5.0
+
+_BUILT: Final = {
+    "host": "the emulated board's firmware",
+    "uno": "the Uno's firmware",
+    "chip": "the Uno's firmware and its emulated chip",
+    "pico": "the Pico's firmware",
+    "pico-chip": "the Pico's firmware and its emulated chip",
+}
 _PACKAGE = FOLDER
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
 _PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
@@ -180,7 +199,7 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
     command = ["make", "-s", "-C", str(sources), *targets, f"BUILD={folder}", f"CC={compiler}"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / ".lock").open("wb") as lock:
+        with _said(_BUILT[targets[0]]), (folder / ".lock").open("wb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     except OSError as error:
@@ -190,6 +209,37 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
     if made.returncode != 0:
         raise EmulationError(f"building the firmware failed: `{' '.join(command)}`\n{made.stderr.strip()}")
     return folder
+
+
+@contextmanager
+def _said(what: str) -> Iterator[None]:
+    """Say every now and then that ``what`` is built, while the block lasts; also while another process builds it."""
+    done, began_s = threading.Event(), time.monotonic()
+
+    def speak() -> None:
+        wait_s = SAY_AFTER_S
+        while not done.wait(wait_s):
+            _say(GOES_ON.format(what, time.monotonic() - began_s))
+            wait_s = SAY_EVERY_S
+
+    speaker = threading.Thread(target=speak, daemon=True)
+    speaker.start()
+    try:
+        yield
+    finally:
+        done.set()
+        speaker.join()
+
+
+def _say(words: str) -> None:
+    """A line on standard error; not into a pipe, which a program reads."""
+    try:
+        kind = os.fstat(sys.stderr.fileno()).st_mode
+        if sys.stderr.isatty() or stat.S_ISREG(kind):
+            sys.stderr.write(f"{words}\n")
+            sys.stderr.flush()
+    except (OSError, ValueError):  # there is none
+        return
 
 
 def _default_build_folder(sources: Path) -> Path:
