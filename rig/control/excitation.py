@@ -120,10 +120,13 @@ class GainSearch(RelayLaw[DualChannelRelay]):
     settled (A, w) at known gains gives tau and K for the assumed f_c, and then the wanted (A, w) gives x and h1.
     From two settled pairs, if they differ enough, the search also estimates f_c.
     No step changes x or h1 by more than a factor ``_STRIDE``. Raises Fault NO_CYCLE at the time-out.
+
+    unshown  raises SENSOR_STUCK where the reading stands still under the drives; None: nothing does
     """
 
     _STRIDE = 1.5
     _PATIENCE_CYCLES = 12
+    unshown: UnshownMotion | None = None
 
     def __init__(
         self,
@@ -151,6 +154,9 @@ class GainSearch(RelayLaw[DualChannelRelay]):
     def step(self, sample: Sample) -> float:
         """Drive of the relay at this sample, V; changes its gains between cycles."""
         u_V, completed = self._run_relay(sample)
+        stood = "" if self.unshown is None else self.unshown.step(sample, u_V)
+        if stood:
+            raise Fault("SENSOR_STUCK", stood)
         if math.isnan(self._step_start_s):
             self._step_start_s = sample.t_s
         self._y_range = (min(self._y_range[0], sample.y_rad), max(self._y_range[1], sample.y_rad))

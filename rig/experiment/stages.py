@@ -526,6 +526,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         reach_rad=0.9 * reach_rad(e),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
+    search.unshown = unshown_motion(session, session.loop.guard.static_V)
     search.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
     session.found.search = search
     noted = 0

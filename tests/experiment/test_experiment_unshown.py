@@ -211,6 +211,30 @@ def test_a_reading_that_fails_in_strokes_or_a_relay_test_ends_the_run(
     assert unseen_V_s(sensor.drive_V, moves_V) <= most_V_s
 
 
+@pytest.mark.parametrize("after_s", [0.0, 1.1, 3.0])
+@pytest.mark.parametrize("failure", ["frozen", "uncoupled"])
+def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_is_at_its_stop(
+    failure: Failure, after_s: float
+) -> None:
+    e, bench, driver = opened("simulated")
+    e = e.model_copy(update={"relay": config.load(ROOT / "config/limit-cycle.yaml").relay})
+    sensor = Sensor(driver, failure, 0.003 / e.sensor.curve.lsb_rad)
+
+    def script(session: Session) -> None:
+        fail_at(session, sensor, "search", after_s)
+        with prepared(session):
+            armed_check(session, None)
+            with session.loop.armed(e.device_limits):
+                stages.search_gains(session, *stages.relay_and_detector(e))
+
+    session, fault = driven(e, bench, script)
+    assert fault is not None and fault.code == "SENSOR_STUCK"
+    sensor.coasted_rad()
+    assert max(map(abs, sensor.shaft_rad)) < e.limits.hard_rad[1]
+    if failure == "frozen":
+        assert len(sensor.drive_V) * e.period_s <= stages.flicker_of(session).longest_s + 3.0 * e.period_s
+
+
 @pytest.mark.parametrize("where", ["host", "device"])
 @pytest.mark.parametrize("flickers", [True, False])
 def test_a_relay_test_whose_first_cycle_never_comes_ends_with_a_stuck_sensor(
