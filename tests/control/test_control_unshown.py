@@ -69,6 +69,13 @@ def test_a_shaft_that_has_shown_to_be_slow_gets_twice_as_long_but_never_more_tha
     first = ticks_until(unshown(), lambda _: 1.2 * MOVES_V)
     assert slow(10) == pytest.approx(first, abs=4)
     assert slow(40) == pytest.approx(80, abs=6)
+    watch, y_rad, stands, since = unshown(), 0.0, 40, 0
+    for k in range(5000):
+        if k - since == stands:  # each standstill 1.7 times as long as the last
+            y_rad, stands, since = y_rad + 0.05, round(1.7 * stands), k
+        if watch.step(sample(k, y_rad), 1.2 * MOVES_V):
+            break
+    assert k - since == pytest.approx(4 * first, abs=16)  # 0.45 s, four times: not 1.96 s, as it would go on
 
 
 def test_a_reading_that_flickered_and_no_longer_changes_is_a_stuck_sensor_at_any_drive() -> None:
