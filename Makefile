@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -62,6 +62,9 @@ campaign-real: .venv/.ready  ## thousands of motors that are not what the plain 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep)
+
+free-running: .venv/.ready  ## how often the breakaway check names a bridge that runs free, and falsely one that brakes
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python tools/free_running_rates.py $(if $(MOTORS),--motors $(MOTORS)) $(if $(SEED),--seed $(SEED))
 
 compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and what it finds: docs/compare-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m comparing \
