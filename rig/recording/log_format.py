@@ -52,6 +52,10 @@ class LogColumn:
         column, colon, unit = text.rpartition(":")
         units = ", ".join(UNITS[quantity])
         if unit not in UNITS[quantity]:
+            if column in UNITS[quantity] and unit.isdecimal():
+                raise LogFormatError(
+                    f"--{quantity} {text}: the column comes first, then its unit", f"type --{quantity} {unit}:{column}"
+                )
             example = next(iter(UNITS[quantity]))
             named = f"--{quantity} {unit or 'COLUMN'}:{example}"
             raise LogFormatError(

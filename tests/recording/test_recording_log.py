@@ -173,6 +173,8 @@ def test_a_format_that_cannot_be_says_what_to_type() -> None:
         ("time", "min", "'min' is no unit of time"),
         ("drive", "pwm:volts", "give one of V, mV, pwm, duty, percent"),
         ("position", ":deg", "names no column"),
+        ("time", "ms:1", "column comes first, then its unit\ntype --time 1:ms"),
+        ("velocity", "rpm:12", "column comes first, then its unit\ntype --velocity 12:rpm"),
     ):
         with pytest.raises(LogFormatError, match=words):
             LogColumn.parse(quantity, text)

@@ -29,7 +29,7 @@ PAGE = HERE / "docs" / "real-motors-table.md"
 MADE_BY = (  # rows of another code start anew
     "rig/identify",
     "rig/model",
-    "rig/recording",
+    *(f"rig/recording/{name}.py" for name in ("columns", "errors", "recording", "series", "stage")),
     *(f"tools/campaign_real/{name}.py" for name in ("before_the_tests", "departing_motor", "kinds", "rows", "shown")),
 )
 MADE_BY_RUNS = (
