@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
-from rig.backends.emulated.bench import bench_parameters
+from free_running_rates import main, shown
 from rig.config.schema import Experiment
 from rig.experiment import script
 from rig.experiment.free_running import Free, free_running
-from rig.experiment.stages import breakaway_check
-from rig.model.bench import BenchModel
 from rig.preflight import check
 from rig.recording.series import TimeSeries
-from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
-LATENCY_S = 0.0012
 QUICK = {"tau_s": 0.05, "K_rad_s_V": 4.1, "fc_plus_V": 0.34, "fc_minus_V": 0.36, "fs_plus_V": 0.39, "fs_minus_V": 0.4}
 SLOWER = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_plus_V": 0.34, "fc_minus_V": 0.36, "fs_plus_V": 0.39, "fs_minus_V": 0.4}
 
@@ -38,30 +33,16 @@ def experiment(folder: Path, config: str, motor: dict[str, float], **changes: An
     return check(folder / "bench.yaml")[0]
 
 
-def shown(e: Experiment, *, coasts: bool, seed: int = 1) -> Free:
+def certainly_shown(e: Experiment, *, coasts: bool) -> Free:
     """What the strokes of the check show on the bench's model, the law alone."""
-    assert e.emulated is not None and e.motor is not None
-    bench, law = BenchModel(replace(bench_parameters(e.emulated), coasting=coasts), seed), breakaway_check(e)
-    bench.arm()
-    rows, t_s, full = [], 0.0, bench.parameters.drive_counts
-    while not law.finished:
-        counts = bench.read_counts()
-        u_V = law.step(Sample(t_s, e.sensor.curve.to_rad(counts), counts))
-        units = float(round(u_V / e.drive.supply_V * full))
-        rows.append((t_s, e.sensor.curve.to_rad(counts), t_s + LATENCY_S, units / full * e.drive.supply_V))
-        bench.advance(LATENCY_S)
-        bench.pin_counts = units
-        bench.advance(e.period_s - LATENCY_S)
-        t_s += e.period_s
-    series = TimeSeries(*np.array(rows).T)
-    found = free_running(series, law.noise_rad, e.sensor.curve.lsb_rad, e.drive.supply_V, e.motor.no_load_speed_rad_s)
+    found = shown(e, 1, coasts=coasts)
     assert found is not None
     return found
 
 
 def test_a_quick_motor_with_an_encoder_shows_it_and_braked_shows_the_contrary(tmp_path: Path) -> None:
     e = experiment(tmp_path, "encoder.yaml", QUICK)
-    free, braked = shown(e, coasts=True), shown(e, coasts=False)
+    free, braked = certainly_shown(e, coasts=True), certainly_shown(e, coasts=False)
     assert free.is_certain and free.evidence > 500.0
     assert not braked.is_certain and braked.evidence < -100.0
     assert free.tau_s == pytest.approx(2.0 * QUICK["tau_s"], rel=0.3)  # the data sheet may be twice too slow
@@ -70,7 +51,18 @@ def test_a_quick_motor_with_an_encoder_shows_it_and_braked_shows_the_contrary(tm
 def test_what_strokes_cannot_show_is_not_said(tmp_path: Path) -> None:
     """Of 10 bits with noise, a motor that is not quick: either bridge; and no bridge that brakes is ever named."""
     for motor, coasts in ((SLOWER, True), (SLOWER, False), (QUICK, False)):
-        assert not shown(experiment(tmp_path, "simulated.yaml", motor), coasts=coasts).is_certain
+        assert not certainly_shown(experiment(tmp_path, "simulated.yaml", motor), coasts=coasts).is_certain
+
+
+def test_the_tool_counts_both_bridges_of_both_sensors(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["free_running_rates", "--motors", "2"])
+    main()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[1] for row in rows] == ["runs free", "brakes"] * 2
+    assert all(row[2].endswith(" of 2") for row in rows)
+    assert [row[3] for row in rows if row[1] == "brakes"] == ["0", "0"]
 
 
 def test_no_rows_with_a_drive_show_nothing() -> None:
