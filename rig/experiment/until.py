@@ -117,8 +117,10 @@ class _Tests:
     def run(self) -> None:
         """Drive until the end."""
         while not self._next.stop:
-            if self._next.proves:
-                self._prove(math.inf, self._next.way)
+            if self._number > MOST_TESTS:
+                self._end(self._session.loop.rows - 1, f"{self._number} tests and proofs are driven", known=False)
+            elif self._next.proves:
+                self._prove(self._numbered(StageKind.STROKES), math.inf, self._next.way)
                 self._next = self._next._replace(proves=False)
             elif self._next.rest_s > 0.0:
                 awaits = self._number == 0 and not self._searched  # the bounds are those of the tests
@@ -143,9 +145,10 @@ class _Tests:
         moves_V = max(check.plus_V, check.minus_V)
         return SlowDown(guard, what.rest_s, moves_V, slope_V_s_rad, e.drive.max_V, e.period_s)
 
-    def _prove(self, first_V: float, way: int = 0) -> float:
+    def _prove(self, stage: str, first_V: float, way: int = 0) -> float:
         """Prove by pushes that the reading shows the shaft's motion. Returns the level that moved it, V.
 
+        stage    of their rows: a stage is never taken up again, as a record is read stage by stage
         first_V  first level, V; inf: the level at which no healthy shaft stands still
         way      direction of the first push; 0: inward
         Raises Fault SENSOR_STUCK.
@@ -165,7 +168,7 @@ class _Tests:
             flicker_of(session),
             way,
         )
-        session.loop.run(Bounded(law, self._bounds), str(StageKind.SEARCH))
+        session.loop.run(Bounded(law, self._bounds), stage)
         return law.moved_V
 
     def _search(self) -> None:
@@ -180,7 +183,8 @@ class _Tests:
             sheet_V = math.inf if e.motor is None else e.drive.supply_V / e.motor.no_load_speed_rad_s
             fast_V = FIRST_FRICTION * friction_V + FIRST_SPEED * e.limits.max_speed_rad_s * sheet_V
             self._first_sum_V = min(FIRST * friction_V, fast_V)
-        first_sum_V = self._prove(self._first_sum_V)
+        stage = self._numbered(StageKind.RELAY) if self._searched else str(StageKind.SEARCH)
+        first_sum_V = self._prove(stage, self._first_sum_V)
         self._relay.restart()
         law = RisingGains(
             self._relay,
@@ -196,11 +200,8 @@ class _Tests:
             ),
         )
         law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
-        if self._searched:
-            stage = self._numbered(StageKind.RELAY)
-        else:
-            self._searched, stage = True, str(StageKind.SEARCH)
-            found.search = law
+        if not self._searched:
+            self._searched, found.search = True, law
         noted = 0
 
         def watch() -> None:

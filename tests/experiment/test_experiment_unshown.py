@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import rig.experiment
+import rig.session
 from campaign_real.departing_bench import DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench
 from campaign_real.kinds import departures_of
@@ -30,7 +31,7 @@ from rig.control.law import Law
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.control.unshown import FRICTION, START, STILL_S
 from rig.design.advisor import Advice
-from rig.design.planned_test import PlannedTest, RelayGains, Strokes
+from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
 from rig.experiment import stages, until
 from rig.experiment.stages import armed_check, prepared
 from rig.faults import Fault
@@ -97,19 +98,23 @@ def opened(which: str) -> tuple[Experiment, OpenBench, SimulatedDriver]:
 
 
 class Says:
-    """Advisers that say one thing, once, after so many rows of the tests."""
+    """Advisers that say one thing, after so many rows of the tests; once, or again each ``say_again`` rows."""
 
     trouble = last_words = ""
 
     def __init__(self, advice: Advice | None = None, rows: int = 0) -> None:
         self.say, self.rows = advice, rows
         self.broken_off = 0
+        self.say_again = 0
 
     def begin(self, settings: object) -> None:
         pass
 
     def advice(self, row: int, t_s: float) -> Advice | None:
         self.rows -= 1
+        if self.rows == -1 and self.say_again:
+            self.rows = self.say_again
+            return self.say
         return self.say if self.rows == -1 else None
 
     def braked(self) -> None:
@@ -209,6 +214,39 @@ def test_a_reading_that_fails_in_strokes_or_a_relay_test_ends_the_run(
     # one standstill in the test, and one push of the proof after it
     most_V_s = (2.0 * STILL_S * (START - FRICTION) + 4.0 * e.period_s) * moves_V
     assert unseen_V_s(sensor.drive_V, moves_V) <= most_V_s
+
+
+def test_pushes_after_a_test_that_was_broken_off_are_a_stage_of_their_own_so_that_the_record_can_be_read() -> None:
+    e, bench, _ = opened("simulated")
+    e = e.model_copy(update={"relay": RelaySection(until=UntilSection(longest_s=12.0))})
+    weak = Strokes((Stroke(0.3, 0.2), Stroke(-0.3, -0.2)), 2.0)
+    too_weak = Advice(None, Design(weak, 1.0, 1.0, Reach(-0.5, 0.5, 2.0)))
+
+    def script(session: Session) -> None:
+        until.drive_until(session, advisers=Says(too_weak, 20))
+        stages.identify_recorded(session)
+
+    session, fault = driven(e, bench, script)
+    assert fault is None, fault
+    run = session.read()
+    driven_stages = [name for name in run.stages() if name != "rest"]
+    assert driven_stages[:2] == ["breakaway", "search"] and driven_stages[2:5] == ["strokes-1", "strokes-2", "relay-3"]
+    for name in driven_stages:
+        assert set(run.stage[run.stage_rows(name)]) == {name}
+    assert session.found.identification is not None
+
+
+def test_tests_that_are_all_broken_off_end_before_their_numbers_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (until, rig.session):
+        monkeypatch.setattr(module, "MOST_TESTS", 3)
+    e, bench, _ = opened("simulated")
+    weak = Strokes((Stroke(0.3, 0.2), Stroke(-0.3, -0.2)), 2.0)
+    says = Says(Advice(None, Design(weak, 1.0, 1.0, Reach(-0.5, 0.5, 2.0))), 20)
+    says.say_again = 20
+    session, fault = driven(e, bench, lambda session: until.drive_until(session, advisers=says))
+    assert fault is None and session.found.stopped is not None
+    assert session.found.stopped.why == "4 tests and proofs are driven"
+    assert not session.found.stopped.known
 
 
 @pytest.mark.parametrize("after_s", [0.0, 1.1, 3.0])
