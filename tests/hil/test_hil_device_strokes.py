@@ -483,7 +483,9 @@ def test_tests_that_are_designed_on_the_way_run_in_the_device_and_replay_tick_fo
     assert outcome.fault is None
     run = read_run(outcome.folder)
     tests = [stage for stage in run.stages() if stage.startswith(("strokes", "relay"))]
-    assert tests == ["strokes-1", "relay-2", "strokes-3", "strokes-4", "strokes-5", "strokes-6"]
+    assert tests == ["strokes-1", "relay-2", "strokes-3", "strokes-4", "strokes-5", "strokes-6", "strokes-7"]
+    pushes = tests.pop(4)  # they prove the sensor after strokes that did not get anywhere; the host drives them
+    assert np.diff(run.t_s[run.stage_rows(pushes)]) == pytest.approx(experiment.period_s, rel=0.01)
     for stage in tests:
         step_s = np.diff(run.t_s[run.stage_rows(stage)])
         assert step_s == pytest.approx(0.001 / 1.004, abs=3e-6)
