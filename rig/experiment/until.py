@@ -117,9 +117,11 @@ class _Tests:
     def run(self) -> None:
         """Drive until the end."""
         while not self._next.stop:
-            if self._number > MOST_TESTS:
-                self._end(self._session.loop.rows - 1, f"{self._number} tests and proofs are driven", known=False)
-            elif self._next.proves:
+            are_all = self._number > MOST_TESTS
+            if are_all and self._next.rest_s == 0.0:  # a shaft that still swings is first slowed down
+                why = f"{self._number} tests and pushes are driven, the most of one run; its notes say why"
+                self._end(self._session.loop.rows - 1, why, known=False)
+            elif self._next.proves and not are_all:
                 self._prove(self._numbered(StageKind.STROKES), math.inf, self._next.way)
                 self._next = self._next._replace(proves=False)
             elif self._next.rest_s > 0.0:

@@ -123,7 +123,7 @@ def test_a_law_is_expected_to_gain_what_it_does_beside_the_others() -> None:
 def test_the_page_counts_and_bounds() -> None:
     rows = {k: _row(k, "sag 3", 0.06 if k < 2 else 0.0, found=("sag",)) for k in range(100)}
     shown = {(False, k): {"sag": 1e3} for k in rows}
-    text = command.page(CAMPAIGN, {False: rows, True: {}}, shown, "abc", 1.0, 100)
+    text = command.page(CAMPAIGN, {False: rows, True: {}}, shown, "`make`")
     assert "| 2; with 95 % confidence at most 6.16 % | **no** |" in text  # beta.ppf(0.95, 3, 98)
     assert "| 100 of 100: 100.0 % | yes |" in text
 
@@ -132,7 +132,7 @@ def test_the_page_counts_each_departure_of_the_pairs() -> None:
     rows = {k: replace(_row(k, "sag 3", 0.0), kinds=("sag 3", "lag 2" if k else "lag 5")) for k in range(4)}
     rows[1] = replace(rows[1], inside=(True, False, True))
     rows[2] = replace(rows[2], verdict="doubtful")
-    text = command.page(CAMPAIGN, {False: {}, True: rows}, {(True, k): {} for k in rows}, "abc", 1.0, 4)
+    text = command.page(CAMPAIGN, {False: {}, True: rows}, {(True, k): {} for k in rows}, "`make`")
     assert "| sag 3 | 4 | 3 | 0 | 100 %, 67 %, 100 % |" in text
     assert "| lag 2 | 3 | 2 | 0 | 100 %, 50 %, 100 % |" in text
 

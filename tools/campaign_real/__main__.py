@@ -25,7 +25,7 @@ from shared.rows_file import RowsFile, commit
 from shared.share import at_most
 
 HERE = Path(__file__).resolve().parents[2]
-PAGE = HERE / "docs" / "real-motors-table.md"
+PAGES = {False: HERE / "docs" / "real-motors-table.md", True: HERE / "docs" / "real-motors-runs-table.md"}
 MADE_BY = (  # rows of another code start anew
     "rig/identify",
     "rig/model",
@@ -58,7 +58,7 @@ def main() -> int:
     parser.add_argument("--runs", action="store_true", help="with breakaway check and gain search, as rig run records")
     parser.add_argument("--kind", choices=[kind.name for kind in KINDS], help="only motors that have this departure")
     parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
-    parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
+    parser.add_argument("--page", type=Path, help="where the table goes; by default none with --kind")
     given = parser.parse_args()
     config = load_campaign(given.config)
     if given.seed is not None:
@@ -86,8 +86,19 @@ def main() -> int:
         file.keep()
     shown = _shown(config, found)
     made = commit(MADE_BY_RUNS if given.runs else MADE_BY)
-    text = page(config, found, shown, made, time.time() - began, len(jobs), runs=given.runs, kind=given.kind)
-    given.page.write_text(text, encoding="utf-8")
+    options = {"RUNS": 1 if given.runs else None, "KIND": given.kind, "MOTORS": given.motors, "PAIRS": given.pairs}
+    command = f"make campaign-real SEED={config.seed}" + "".join(
+        f' {name}="{value}"' if isinstance(value, str) else f" {name}={value}"
+        for name, value in options.items()
+        if value is not None
+    )
+    made_by = f"`{command}`: commit {made}, " + (
+        f"{time.time() - began:.0f} s for {len(jobs)} motors" if jobs else "from rows that were kept"
+    )
+    text = page(config, found, shown, made_by, runs=given.runs, kind=given.kind)
+    place = given.page or (PAGES[given.runs] if given.kind is None else None)
+    if place is not None:
+        place.write_text(text, encoding="utf-8")
     print(text)
     failed = [one for rows in found.values() for one in rows.values() if one.verdict == "failed"]
     for one in failed[:5]:
@@ -110,26 +121,18 @@ def _shown(config: Campaign, found: Found) -> Shown:
 
 
 def page(
-    config: Campaign,
-    found: Found,
-    shown: Shown,
-    made_at: str,
-    took_s: float,
-    new: int,
-    *,
-    runs: bool = False,
-    kind: str | None = None,
+    config: Campaign, found: Found, shown: Shown, made_by: str, *, runs: bool = False, kind: str | None = None
 ) -> str:
     """The table as Markdown.
 
-    runs   whether the motors have all the records of a run
-    kind   the departure that all of them have
+    made_by  command, commit and duration
+    runs     whether the motors have all the records of a run
+    kind     the departure that all of them have
     """
     lines = [
         f"# Motors that are not what the plain model says{_which(config.seed, runs, kind)}",
         "",
-        f"Made by `{_command(config.seed, runs, kind)}`: commit {made_at}, "
-        + (f"{took_s:.0f} s for {new} motors." if new else "from rows that were kept."),
+        f"Made by {made_by}.",
         "Two relay tests of each motor (10 ms, 3 mrad of noise, 10 bits, unknown delay), simulated by a program of",
         f"its own (tools/campaign_real), {RECORDS[runs]}",
         *([f"Only motors with a {kind}."] if kind else []),
@@ -149,10 +152,6 @@ def page(
             if pair and not kind:
                 lines += ["The pairs that have a departure, whatever the other one is:", "", *_parts(rows), ""]
     return "\n".join(lines)
-
-
-def _command(seed: int, runs: bool, kind: str | None) -> str:
-    return f"make campaign-real SEED={seed}" + " RUNS=1" * runs + (f' KIND="{kind}"' if kind else "")
 
 
 def _which(seed: int, runs: bool, kind: str | None) -> str:
