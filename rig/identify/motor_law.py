@@ -336,7 +336,8 @@ def motor_law(
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     by_size = profiles(fit, choice.laws, begun.chooser)
     lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad))
-    free_run = _free_run(fit, begun.whole)
+    whole = replace(begun.whole, frames=fit.problem.cut.frames[: len(tests)])
+    free_run = _free_run(fit, whole)
     growth = (*(one for one in choice.growth if one[0] < free_run[0]), free_run)
     if not choice.laws and not further:
         return MotorLaw((), (), None, lines, growth, records, tuple(left_out))
@@ -382,7 +383,9 @@ def _slow(series: TimeSeries) -> TimeSeries:
 def thinned(test: TimeSeries, rows: int) -> TimeSeries:
     """The test with so many rows at a time as one: their first position, and their mean drive.
 
-    A motor takes the mean of a drive that changes within a small part of its tau.
+    A drive with fewer edges than rows that are left keeps each of them where it was. A relay's does: the mean of its
+    two levels is a small drive that no motor had, and a dead band would explain it. A motor takes the mean of a drive
+    that changes within a small part of its tau.
     """
     if rows < 2:
         return test
@@ -397,6 +400,7 @@ def thinned(test: TimeSeries, rows: int) -> TimeSeries:
         t_u_s=None if test.t_u_s is None else test.t_u_s[first],
         even_s=None if test.even_s is None else test.even_s[first],
         u_V=mean_V,
+        edges=test.steps if test.steps.edge_s.size <= first.size else None,
     )
 
 

@@ -51,6 +51,7 @@ class TimeSeries:
     units_stated  whether somebody has said in which units these are: then a large number is no sign of a wrong one
     even_s     n times from which that delay counts: t_s, each later or earlier by as much as its drive was later or
                earlier than the mean; None: t_s
+    edges      the drive as it was, where each row stands for several and u_V is their mean; None: u_V from row to row
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
     1e12, a column whose values are all below 1e-12 and not all zero, times that do not increase, and drives that act
     far before or after their samples.
@@ -67,6 +68,7 @@ class TimeSeries:
     delay_s: tuple[float, float] | None = None
     even_s: Array | None = None
     units_stated: bool = False
+    edges: Steps | None = None
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -179,7 +181,7 @@ class TimeSeries:
     @cached_property
     def steps(self) -> Steps:
         """The drive, without edges that change nothing."""
-        return steps_of(self.edge_s, self.u_V)
+        return steps_of(self.edge_s, self.u_V) if self.edges is None else self.edges
 
     def part(self, first: int, stop: int) -> TimeSeries:
         """Rows ``first`` to ``stop`` (exclusive)."""

@@ -184,7 +184,7 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind], *, whole_run: b
         departures,
         motor,
         bench,
-        _truth(motor, departures, (first, second), 2.0 * span),
+        _truth(motor, departures, (first, second), before, 2.0 * span),
         (first, second),
         before,
     )
@@ -223,10 +223,12 @@ def _joined(a: Departures, b: Departures) -> Departures:
     return replace(a, **changed)
 
 
-def _truth(motor: PlainMotor, d: Departures, records: Sequence[Record], whole_s: float) -> Truth:
+def _truth(
+    motor: PlainMotor, d: Departures, records: Sequence[Record], before: Sequence[Stretch], whole_s: float
+) -> Truth:
     """tau, K and f_c as they are defined for a bench with departures (docs/theory.md 12)."""
     travel = np.concatenate([record.true_y_rad for record in records])
-    times_s = np.concatenate([record.t_s for record in records])
+    times_s = np.concatenate([one.t_s for one in (*before, *records)])
     return truth_of(motor, d, (float(travel.min()), float(travel.max())), float(np.mean(times_s)) / whole_s)
 
 

@@ -72,7 +72,7 @@ class Cut:
             before += end - begin
             frames.append(Frame(0.5 * float(low + high), half, start, max(span, 1e-9)))
         whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        return cls(windows, tuple(frames), whole_ones, tuple(math.inf for _ in windows))
+        return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows))
 
     def beside(self, further: Sequence[tuple[TimeSeries, int]], longest_delay_s: float, most_s: float) -> Cut:
         """The same tests, and behind them further records in pieces of at most ``most_s``.
@@ -81,10 +81,11 @@ class Cut:
         Raises IdentifyError if one is too short.
         """
         windows = tuple(series.predictable(longest_delay_s) for series, _ in further)
+        frames = [*self.frames, *(self.frames[number] for _, number in further)]
         return replace(
             self,
             windows=self.windows + windows,
-            frames=self.frames + tuple(self.frames[number] for _, number in further),
+            frames=_centred(self.windows + windows, frames),
             rows=self.rows + tuple(_first_rows(window, most_s) for window in windows),
             most_s=self.most_s + tuple(most_s for _ in windows),
             resting=None,
@@ -239,6 +240,13 @@ class Cut:
             out.append((window, frame, Pieces(rows, v0, y0, np.sign(v0), bent)))
             at += rows.size
         return out
+
+
+def _centred(windows: Sequence[Window], frames: Sequence[Frame]) -> tuple[Frame, ...]:
+    """The frames with the mean time of all rows as the middle of their course: f_c is the mean over the record."""
+    since_s = np.concatenate([window.t_s - frame.start_s for window, frame in zip(windows, frames, strict=True)])
+    later_s = float(np.mean(since_s)) - 0.5 * frames[0].duration_s
+    return tuple(frame._replace(start_s=frame.start_s + later_s) for frame in frames)
 
 
 def is_plain(motor: RealMotor) -> bool:
