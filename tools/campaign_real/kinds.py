@@ -228,7 +228,7 @@ def _truth(
 ) -> Truth:
     """tau, K and f_c as they are defined for a bench with departures (docs/theory.md 12)."""
     travel = np.concatenate([record.true_y_rad for record in records])
-    times_s = np.concatenate([one.t_s for one in (*before, *records)])
+    times_s = np.concatenate([*(stretch.t_s for stretch in before), *(record.t_s for record in records)])
     return truth_of(motor, d, (float(travel.min()), float(travel.max())), float(np.mean(times_s)) / whole_s)
 
 
