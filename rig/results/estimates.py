@@ -169,7 +169,9 @@ class LawFrameResult(Part):
 
     centre_rad: Number = Field(None, description="middle of the driven travel, rad")
     half_travel_rad: Number = Field(None, description="half its width, rad")
-    start_s: Number = Field(None, description="start of the tests, s since the run's start")
+    start_s: Number = Field(
+        None, description="half of duration_s before the mean time of all fitted rows, s since the run's start"
+    )
     duration_s: Number = Field(None, description="from their start to their end, s")
 
 

@@ -216,6 +216,14 @@ def test_the_generator_and_the_model_are_two_and_agree(name: str) -> None:
     assert float(np.abs(y - record.y_rad).max()) < 2e-4
 
 
+def test_a_drive_that_changes_in_every_row_is_averaged_in_a_long_record() -> None:
+    t_s = np.linspace(0.0, 0.099, 100)
+    test = TimeSeries(t_s, np.sin(t_s), t_s, np.arange(100.0))
+    thin = thinned(test, 10)
+    assert thin.steps.u_V.tolist() == pytest.approx((np.arange(10) * 10.0 + 4.5).tolist())
+    assert thin.steps.edge_s.tolist() == pytest.approx((0.01 * np.arange(10)).tolist())
+
+
 def test_a_long_record_is_thinned_and_its_law_stays() -> None:
     """Sampled every 1 ms it has ten times as many rows; ten at a time give the numbers of the whole."""
     d = Departures(force_V=0.05, force_phase_rad=1.0)
@@ -227,6 +235,7 @@ def test_a_long_record_is_thinned_and_its_law_stays() -> None:
     assert len(thin) == 1200
     assert thin.u_V.mean() == pytest.approx(test.u_V[:-1].mean(), abs=1e-3)
     assert thinned(test, 1) is test
+    assert all(np.array_equal(*pair) for pair in zip(thin.steps, test.steps, strict=True))
     law = motor_law([test], sampled_data.fit([test]), [None])
     assert [one.law.name for one in law.found] == ["force_over_position"]
     assert law.found[0].size == pytest.approx(0.05, rel=0.1)

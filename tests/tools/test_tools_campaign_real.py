@@ -96,6 +96,19 @@ def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
     assert max(map(abs, one.error)) < 0.01  # 4 % with the two tests alone, and then no drag is found
 
 
+@pytest.mark.parametrize(
+    ("number", "pair", "laws"),
+    [(469, False, {"stribeck"}), (131, True, {"drift", "cogging"})],
+    ids=["9,413 rows: a mean of the relay's levels is no drive", "drift: f_c is the mean over all that is fitted"],
+)
+def test_the_numbers_of_a_whole_run_hold(number: int, pair: bool, laws: set[str]) -> None:
+    one = row_of_run(CAMPAIGN.model_copy(update={"seed": 17}), number, pair)
+    assert set(one.found) == laws
+    assert one.error is not None
+    assert max(map(abs, one.error)) < 0.004  # f_c was 8 and 6 % off, and called ok
+    assert one.verdict == "ok"
+
+
 def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
     assert command.is_wrong(_row(0, "sag 3", 0.06))
     assert not command.is_wrong(_row(0, "sag 3", 0.04))
