@@ -109,6 +109,13 @@ def test_the_numbers_of_a_whole_run_hold(number: int, pair: bool, laws: set[str]
     assert one.verdict == "ok"
 
 
+def test_a_stribeck_effect_at_the_wrong_speed_is_not_helped_by_a_drag() -> None:
+    one = row_of_run(CAMPAIGN.model_copy(update={"seed": 18}), 386, False)
+    assert one.kinds == ("stribeck 0.05",)
+    assert one.found == ("stribeck",)  # with a drag f_c was 15 % off, and called ok
+    assert one.inside == (True, True, True)
+
+
 def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
     assert command.is_wrong(_row(0, "sag 3", 0.06))
     assert not command.is_wrong(_row(0, "sag 3", 0.04))

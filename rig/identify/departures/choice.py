@@ -36,6 +36,7 @@ PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycl
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 LARGEST = 10.0  # number of a law, in its ranges: beyond it no bench is, and a fit loses its way
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
+FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
 class Asked(NamedTuple):
@@ -120,6 +121,8 @@ class Chooser:
             growth.append((cut.longest_s, fit.rms_rad))
         assert fit is not None
         fit, laws = self._last(fit, laws)
+        while (leaner := self._leaner(fit, laws)) is not None:
+            fit, laws = self._last(*leaner)
         while laws:
             rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
             least = min(rises, key=lambda law: rises[law])
@@ -144,6 +147,24 @@ class Chooser:
                 if trial.cost < fit.cost:
                     fit = solve(trial)
         return fit
+
+    def _leaner(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]] | None:
+        """The fit without a law that another shape of the others makes up for; None if none does.
+
+        The speed of a Stribeck effect has more than one minimum. In the wrong one a drag is worth its number.
+        """
+        for law in laws:
+            bare = self.bare(fit, laws, law)
+            if (bare.cost - fit.cost) / unit(fit) < self.price(law, fit, self.asked.stay):
+                return bare, tuple(one for one in laws if one is not law)
+        return None
+
+    def bare(self, fit: Fit, laws: Sequence[Departure], law: Departure) -> Fit:
+        """The fit of the same rows without one of its laws, the others at their best shape, with the same noise."""
+        others = tuple(one for one in laws if one is not law)
+        bare = solve(self._with(fit, others, without(fit.motor, law)))
+        is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
+        return self._at_best_shape(bare, others) if is_faint else bare
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""
@@ -242,7 +263,8 @@ class Chooser:
             fit = refitted(fit, problem, without(fit.motor, worst[1]))
 
     def _with(self, fit: Fit, laws: tuple[Departure, ...], motor: RealMotor) -> Fit:
-        return refitted(fit, self.problem(fit.problem.cut, laws, fit.problem.robust_rad), motor)
+        problem = self.problem(fit.problem.cut, laws, fit.problem.robust_rad)
+        return refitted(fit, replace(problem, noise=fit.problem.noise), motor)
 
     def price(self, law: Departure, fit: Fit, beyond: float) -> float:
         """Gain in twice the log likelihood that a law must reach: Schwarz's criterion and ``beyond``."""

@@ -14,15 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.choice import TRIAL_ITERATIONS, TRIED, Chooser, without
+from rig.identify.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Chooser
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import Fit, refitted, solve, unit
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
 from rig.model.real_motor import RealMotor
 
 Array = NDArray[np.float64]
-
-FAINT = 200.0  # twice the log likelihood that a law brings, up to which others are fitted in its place
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +40,7 @@ class InPlace:
 
 def bare_fits(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> dict[str, Fit]:
     """For each of the fit's ``laws``, by name: the fit of the same rows without it, with the noise of ``fit``."""
-    return {
-        law.name: solve(_with(fit, [one for one in laws if one is not law], without(fit.motor, law), chooser))
-        for law in laws
-    }
+    return {law.name: chooser.bare(fit, laws, law) for law in laws}
 
 
 def in_place(
