@@ -51,15 +51,34 @@ class Objection(NamedTuple):
 
 
 def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
-    """Objections to the recordings: units, columns that do not belong together, gaps, too little motion."""
-    found: list[Objection] = []
+    """Objections to the recordings: units, columns that do not belong together, gaps, too little motion.
+
+    Of many tests of a run that are alike in one of them, the first one is named.
+    """
+    found: dict[tuple[object, ...], list[Objection]] = {}
     # a test of a run may end in the middle of a swing, where another took its place: what it lacks, others tell
-    is_told = any(not _information(test) for test in tests if test.stage is not None)
-    for test in tests:
+    is_told = any(not _lacks(test) for test in tests if test.stage is not None)
+    run_rad = max((float(np.ptp(test.y_rad)) for test in tests if test.stage is not None), default=0.0)
+    for k, test in enumerate(tests):
         told = is_told and test.stage is not None
-        looks = (_units, _holes, _spikes, _rails, *(() if told else (_information,)))
-        found += _columns(test) or [objection for look in looks for objection in look(test)]
-    return found
+        span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
+        columns = _columns(test, span_rad)
+        looks = (_units, _holes, _spikes, _rails, *(() if told else (_little, _information)))
+        for look in (_columns,) if columns else looks:
+            for number, one in enumerate(columns or look(test)):
+                of = (look, number, one.verdict) if test.stage is not None else (look, number, one.verdict, k)
+                found.setdefault(of, []).append(one)
+    return [first if not others else _as_in_others(first, len(others)) for first, *others in found.values()]
+
+
+def _as_in_others(first: Objection, others: int) -> Objection:
+    tests = "another test" if others == 1 else f"{others} other tests"
+    return first._replace(reason=f"{first.reason} (and {tests} alike)")
+
+
+def _lacks(test: TimeSeries) -> list[Objection]:
+    """What a test lacks that others of the run can tell."""
+    return [*_little(test), *_information(test)]
 
 
 def is_cut_off(test: TimeSeries) -> bool:
@@ -82,10 +101,10 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     return []
 
 
-def _columns(test: TimeSeries) -> list[Objection]:
-    """Signs that u and y are not the drive and the position of one motor."""
+def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
+    """Signs that u and y are not the drive and the position of one motor, which moves over ``span_rad``."""
     y, u = test.y_rad, test.u_V
-    name, span = test.name, float(np.ptp(y))
+    name = test.name
     y_levels, u_levels = np.unique(y).size, np.unique(u).size
     if 1 < y_levels <= FEW_LEVELS and u_levels > 4 * y_levels:
         return [
@@ -94,11 +113,11 @@ def _columns(test: TimeSeries) -> list[Objection]:
                 f"{name}: y_rad has {y_levels} different values and u_V {u_levels}: are the two columns swapped?",
             )
         ]
-    if span == 0.0:
+    if float(np.ptp(y)) == 0.0:
         return []  # the fit reports that
     steps = np.abs(np.diff(y))
     k = int(np.argmax(np.where(np.diff(test.t_s) < 2.0 * test.period_s, steps, 0.0)))
-    if steps[k] > JUMP * span and steps[k] > _motion(test):
+    if steps[k] > JUMP * span_rad and steps[k] > _motion(test):
         row = test.first_row + k
         return [
             Objection(
@@ -144,7 +163,7 @@ def _units(test: TimeSeries) -> list[Objection]:
         object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
 
     step = test.resolution_rad()
-    if test.units_stated and span > SMALLEST_SPAN_RAD:
+    if test.units_stated:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees?")
@@ -157,10 +176,6 @@ def _units(test: TimeSeries) -> list[Objection]:
     elif step >= COARSE_STEP_RAD or test.noise_rad() > COARSE_STEP_RAD:
         coarse = max(step, test.noise_rad())
         object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees?")
-    elif 0.0 < span < SMALLEST_SPAN_RAD:
-        object_to("refused", f"positions span {1e3 * span:.2g} mrad in all: is y_rad in rad? If it is, move further")
-    elif 0.0 < span < SMALL_SPAN_RAD:
-        object_to("doubtful", f"positions span only {1e3 * span:.2g} mrad: is y_rad in rad?")
 
     if largest > LARGEST_DRIVE_V:
         object_to("refused", f"the drive reaches {largest:.3g} V: is u_V in mV or in duty counts?")
@@ -237,6 +252,17 @@ def _turns(test: TimeSeries, first: int, stop: int) -> bool:
     y, step, rows = test.y_rad, test.resolution_rad(), stop - first
     ahead, behind = y[max(first - rows, 0) : first + 1], y[stop - 1 : stop + rows]
     return test.noise_rad() <= step and max(float(np.ptp(ahead)), float(np.ptp(behind))) <= TURN_STEPS * step
+
+
+def _little(test: TimeSeries) -> list[Objection]:
+    """So little motion that it may be in another unit."""
+    span = float(np.ptp(test.y_rad))
+    if 0.0 < span < SMALLEST_SPAN_RAD:
+        cause = f"positions span {1e3 * span:.2g} mrad in all: is y_rad in rad? If it is, move further"
+        return [Objection("refused", f"{test.name}: {cause}")]
+    if 0.0 < span < SMALL_SPAN_RAD and not test.units_stated:
+        return [Objection("doubtful", f"{test.name}: positions span only {1e3 * span:.2g} mrad: is y_rad in rad?")]
+    return []
 
 
 def _information(test: TimeSeries) -> list[Objection]:

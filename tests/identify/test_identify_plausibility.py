@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rig.identify.plausibility import judge_records
 from rig.recording.series import TimeSeries
+from rig.recording.stage import Stage
 
 STEP_RAD = 2.0 * np.pi / 3200.0
 
@@ -29,3 +32,25 @@ def test_a_turn_within_a_step_is_no_end_of_a_sensor(noise_rad: float) -> None:
 def test_a_reading_cut_off_in_spite_of_noise_is_one(noise_rad: float) -> None:
     (objection,) = judge_records([to_and_fro(noise_rad, 100 * STEP_RAD)])
     assert "stays at exactly" in objection.reason
+
+
+def _test_of_run(name: str, travel_rad: float, seed: int = 1) -> TimeSeries:
+    """A relay test of a run over so much travel, 100 rows a second."""
+    t_s: NDArray[np.float64] = np.linspace(0.0, 6.0, 601)
+    noise = 0.003 * np.random.default_rng(seed).normal(size=t_s.size)
+    y_rad = 0.5 * travel_rad * np.sin(6.0 * t_s) + noise
+    return TimeSeries(t_s, y_rad, t_s, np.sign(np.cos(6.0 * t_s)), name=name, stage=Stage.parse(name))
+
+
+def test_a_test_that_hardly_moves_takes_nothing_from_one_that_does() -> None:
+    moved, still = _test_of_run("relay-1", 1.0), _test_of_run("relay-2", 0.01)
+    assert judge_records([moved, still]) == []
+    (objection,) = judge_records([moved, replace(still, stage=None, name="another.csv")])
+    assert "no more than its noise" in objection.reason
+
+
+def test_many_tests_with_one_defect_are_one_sentence() -> None:
+    tests = [_test_of_run(f"relay-{k}", 0.025, k) for k in range(1, 20)]
+    (objection,) = judge_records(tests)
+    assert objection.reason.startswith("relay-1: the position moves by")
+    assert objection.reason.endswith("(and 18 other tests alike)")
