@@ -36,7 +36,7 @@ AMPLITUDE_RAD = 0.8  # that the search aims at: the campaign's first test
 FAST = 1.05  # the config's no-load speed over the motor's
 SPARE_S = 5.0  # friction that drifts makes the search a little longer or shorter
 LONGEST_S = 120.0  # of a stage
-BREAKAWAY_V = (1.2, 1.0, 0.8, 0.6, 0.5)  # levels that are tried
+BREAKAWAY_V = (1.2, 1.0, 0.8, 0.6, 0.5, 0.45, 0.4, 0.35)  # levels that are tried
 
 
 @dataclass(frozen=True)
