@@ -170,7 +170,7 @@ class LawFrameResult(Part):
     centre_rad: Number = Field(None, description="middle of the driven travel, rad")
     half_travel_rad: Number = Field(None, description="half its width, rad")
     start_s: Number = Field(
-        None, description="half of duration_s before the mean time of all fitted rows, s since the run's start"
+        None, description="half of duration_s before the mean time of all fitted records, s since the run's start"
     )
     duration_s: Number = Field(None, description="from their start to their end, s")
 

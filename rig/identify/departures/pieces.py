@@ -243,9 +243,13 @@ class Cut:
 
 
 def _centred(windows: Sequence[Window], frames: Sequence[Frame]) -> tuple[Frame, ...]:
-    """The frames with the mean time of all rows as the middle of their course: f_c is the mean over the record."""
-    since_s = np.concatenate([window.t_s - frame.start_s for window, frame in zip(windows, frames, strict=True)])
-    later_s = float(np.mean(since_s)) - 0.5 * frames[0].duration_s
+    """The frames with the mean time of the record as the middle of their course: f_c is the mean over it.
+
+    By time, not by rows: several rows of a long window may be taken as one.
+    """
+    since_s = [float(np.mean(window.t_s)) - frame.start_s for window, frame in zip(windows, frames, strict=True)]
+    mean_s = float(np.average(since_s, weights=[window.duration_s for window in windows]))
+    later_s = mean_s - 0.5 * frames[0].duration_s
     return tuple(frame._replace(start_s=frame.start_s + later_s) for frame in frames)
 
 
