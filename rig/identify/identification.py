@@ -122,7 +122,7 @@ def identify(
     chosen = [e for e in wanted if methods or e.series(data)]
     errors = _add_estimates(chosen, data, found)
     leading = found.estimates.get(LEADING)
-    if leading is not None and leading.verdict == "refused" and data.take_searches():
+    if leading is not None and _tells_no_motor(leading, data) and data.take_searches():
         found = _found(data)
         errors = _add_estimates(chosen, data, found)
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
@@ -363,6 +363,11 @@ def _doubt(found: Identification, cause: str) -> None:
         if estimate.is_motor:
             reason = f"what else the motor has is not known, so there is no u95: {cause}"
             found.estimates[method] = estimate.judged("doubtful", reason)
+
+
+def _tells_no_motor(plain: Estimate, data: Measurements) -> bool:
+    """Whether the tests say too little of any motor: with laws, too, they would."""
+    return plain.verdict == "refused" and not (plain.is_motor and _may_have_laws(plain, data))
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
 PRESENT = 0.1  # probability of a law before the record is looked at
 MOST_TOGETHER = 3  # laws that are looked at together
+BY_ROUNDING = 1e-3  # of 1, which each nuisance has beforehand
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
 TOGETHER = "laws that hide each other"
@@ -137,7 +138,7 @@ class Shifts:
         return cls(
             np.diag(inverse)[nuisances.at] * nuisances.size**2,
             -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
-            (matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread),
+            _no_less_than_nothing((matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread)),
             (gradient[core:] - border @ inverse @ gradient[:core]) * spread,
             np.array([one.law.one_sided for one in nuisances.each for _ in one.columns], dtype=bool),
         )
@@ -157,6 +158,12 @@ class Shifts:
             odds = _cut_off(odds, mean, covariance, k, self.one_sided[np.take_along_axis(at, k[:, None], 1)[:, 0]])
         by = self.moves[:, at]
         return odds, np.einsum("imd,md->mi", by, mean), np.einsum("imd,mde,ime->mi", by, covariance, by)
+
+
+def _no_less_than_nothing(inside: Array) -> Array:
+    """What the record says of nuisances, without what rounding took from it where two of them are nearly alike."""
+    sizes, ways = np.linalg.eigh(inside)
+    return inside if sizes[0] > -BY_ROUNDING else np.asarray((ways * np.maximum(sizes, 0.0)) @ ways.T)
 
 
 def _cut_off(odds: Array, mean: Array, covariance: Array, k: NDArray[np.int64], here: NDArray[np.bool_]) -> Array:
