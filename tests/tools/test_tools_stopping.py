@@ -90,7 +90,7 @@ def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
             2: replace(known, number=2),
         }
     }
-    text = command.page(told, 1.0, "seed 3", 3)
+    text = command.page(told, 1.0, "make stopping", "seed 3", 3)
     assert "| stopped because known | 2 |" in text
-    assert ", inf s |" in text
+    assert ", never known |" in text
     assert "| ended otherwise: NO_MOTION | 1 |" in text

@@ -28,6 +28,7 @@ MADE_BY = (  # rows of another code start anew
     *(f"tools/campaign_real/{name}.py" for name in ("departing_bench", "departing_motor", "kinds")),
 )
 WRONG = 0.05  # relative error beyond which a number called ok is wrong
+SEED, PERCENT = 3, 1.0
 PLAIN, KNOWN, DEPARTING = "plain", "known", "departing"
 TITLES = {
     PLAIN: "From rest, nothing known",
@@ -43,8 +44,8 @@ def main() -> int:
     parser.add_argument("--motors", type=int, default=500, help="plain motors from rest, nothing known")
     parser.add_argument("--known", type=int, default=100, help="plain motors that are known to 30 %%")
     parser.add_argument("--departing", type=int, default=0, help="motors with one departure each")
-    parser.add_argument("--seed", type=int, default=3)
-    parser.add_argument("--percent", type=float, default=1.0, help="wanted half width of the 95 %% intervals")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--percent", type=float, default=PERCENT, help="wanted half width of the 95 %% intervals")
     parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
@@ -73,20 +74,23 @@ def main() -> int:
         file.add({**one.as_json(), "group": group})
     if given.keep:
         file.keep()
-    text = page(
-        told, given.percent, f"seed {given.seed}, commit {commit(MADE_BY)}, {time.time() - began:.0f} s", len(jobs)
-    )
+    counts = {"MOTORS": (given.motors, 500), "KNOWN": (given.known, 100), "DEPARTING": (given.departing, 0)}
+    options = [f" {name}={count}" for name, (count, usual) in counts.items() if count != usual]
+    options += [f" SEED={given.seed}"] if given.seed != SEED else []
+    options += [f" PERCENT={given.percent:g}"] if given.percent != PERCENT else []
+    made = f"seed {given.seed}, commit {commit(MADE_BY)}, {time.time() - began:.0f} s"
+    text = page(told, given.percent, "make stopping" + "".join(options), made, len(jobs))
     given.page.write_text(text, encoding="utf-8")
     print(text)
     return 0
 
 
-def page(told: Told, percent: float, made: str, new: int) -> str:
+def page(told: Told, percent: float, command: str, made: str, new: int) -> str:
     """The page as Markdown."""
     lines = [
         "# How soon an experiment knows its motor",
         "",
-        f"Made by `make stopping`: {made} for {new} motors.",
+        f"Made by `{command}`: {made} for {new} motors.",
         "Motors of the campaign's grid (10 ms, 3 mrad of noise, 10 bits; within ±0.55 rad, 4.9 rad/s and 3 V),",
         "simulated by a program of its own behind rig's loop and guard, in virtual time, with `relay.until`:",
         f"tests until tau, K and f_c are known to {percent:g} % each (half width of the 95 % interval).",
@@ -103,6 +107,10 @@ def page(told: Told, percent: float, made: str, new: int) -> str:
     return "\n".join(lines)
 
 
+def _time(time_s: float) -> str:
+    return f"{time_s:.1f} s" if np.isfinite(time_s) else "never known"
+
+
 def _table(rows: Sequence[Row], percent: float) -> list[str]:
     known = [one for one in rows if one.known]
     ended = [one for one in rows if not one.known]
@@ -112,7 +120,7 @@ def _table(rows: Sequence[Row], percent: float) -> list[str]:
             # a motor that was never known counts as the slowest
             times = np.array([getattr(one, name) for one in known] + [np.inf] * len(ended), dtype=float)
             half, most = np.quantile(times, [0.5, 0.9], method="inverted_cdf")
-            lines.append(f"| {name.removesuffix('_s')}, median and 90 % of all motors | {half:.1f} s, {most:.1f} s |")
+            lines.append(f"| {name.removesuffix('_s')}, median and 90 % of all motors | {_time(half)}, {_time(most)} |")
         held = np.array([one.inside for one in known])
         errors = 100.0 * np.median(np.abs([one.error or () for one in known]), axis=0)
         largest = 100.0 * np.max(np.abs([one.error or () for one in known]), axis=0)
