@@ -132,8 +132,9 @@ class TimeSeries:
         """
         if self.t_u_s is None:
             return replace(self, delay_s=delay_s)
-        even_s = self.t_u_s - float(np.mean(self.t_u_s - self.t_s))
-        return replace(self, t_u_s=None, even_s=even_s, delay_s=delay_s)
+        mean_s = float(np.mean(self.t_u_s - self.t_s))
+        edges = None if self.edges is None else Steps(self.edges.edge_s - mean_s, self.edges.u_V)
+        return replace(self, t_u_s=None, even_s=self.t_u_s - mean_s, delay_s=delay_s, edges=edges)
 
     @property
     def longest_delay_s(self) -> float:

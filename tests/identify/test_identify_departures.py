@@ -236,6 +236,8 @@ def test_a_long_record_is_thinned_and_its_law_stays() -> None:
     assert thin.u_V.mean() == pytest.approx(test.u_V[:-1].mean(), abs=1e-3)
     assert thinned(test, 1) is test
     assert all(np.array_equal(*pair) for pair in zip(thin.steps, test.steps, strict=True))
+    late = thin.with_unknown_delay((0.0, 0.01))
+    assert late.steps.edge_s == pytest.approx(test.steps.edge_s - bench.delay_s)
     law = motor_law([test], sampled_data.fit([test]), [None])
     assert [one.law.name for one in law.found] == ["force_over_position"]
     assert law.found[0].size == pytest.approx(0.05, rel=0.1)

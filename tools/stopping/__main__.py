@@ -35,6 +35,8 @@ TITLES = {
     KNOWN: "From a model that is known to 30 %",
     DEPARTING: "With one departure from the plain model each, identified afterwards",
 }
+TITLE = "# How soon an experiment knows its motor"
+DEPARTING_TITLE = "# How soon an experiment knows a motor that departs from the plain model"
 Told = dict[str, dict[int, Row]]
 
 
@@ -88,7 +90,7 @@ def main() -> int:
 def page(told: Told, percent: float, command: str, made: str, new: int) -> str:
     """The page as Markdown."""
     lines = [
-        "# How soon an experiment knows its motor",
+        TITLE if any(told[group] for group in (PLAIN, KNOWN)) else DEPARTING_TITLE,
         "",
         f"Made by `{command}`: {made} for {new} motors.",
         "Motors of the campaign's grid (10 ms, 3 mrad of noise, 10 bits; within ±0.55 rad, 4.9 rad/s and 3 V),",

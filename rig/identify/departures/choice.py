@@ -141,9 +141,9 @@ class Chooser:
             if not law.shape or len(trials) == 1:
                 continue
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self._with(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
             for promise in self._starts(law, Columns(bare, bare.problem.rows(bare.motor, bare.starts)))[:RESHAPED]:
-                trial = solve(self._with(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
+                trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
                 if trial.cost < fit.cost:
                     fit = solve(trial)
         return fit
@@ -162,7 +162,7 @@ class Chooser:
     def bare(self, fit: Fit, laws: Sequence[Departure], law: Departure) -> Fit:
         """The fit of the same rows without one of its laws, the others at their best shape, with the same noise."""
         others = tuple(one for one in laws if one is not law)
-        bare = solve(self._with(fit, others, without(fit.motor, law)))
+        bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
         is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
         return self._at_best_shape(bare, others) if is_faint else bare
 
@@ -226,7 +226,7 @@ class Chooser:
             if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
                 return fit, laws
             laws = tuple(one for one in laws if one is not worst[1])
-            fit = solve(self._with(fit, laws, without(fit.motor, worst[1])))
+            fit = solve(self.with_laws(fit, laws, without(fit.motor, worst[1])))
 
     def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
@@ -238,7 +238,7 @@ class Chooser:
             if law.name in left or promise.gain < self.price(law, fit, self.asked.entry):
                 continue
             motor = fit.motor._replace(**promise.first)
-            trial = solve(self._with(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
             worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
             if worth > 0.0:
                 found.append((worth, trial, (*laws, law)))
@@ -262,7 +262,8 @@ class Chooser:
             laws = tuple(one for one in laws if one is not worst[1])
             fit = refitted(fit, problem, without(fit.motor, worst[1]))
 
-    def _with(self, fit: Fit, laws: tuple[Departure, ...], motor: RealMotor) -> Fit:
+    def with_laws(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor) -> Fit:
+        """The same rows with these laws and this motor to begin with, the same noise, and the starts of ``fit``."""
         problem = self.problem(fit.problem.cut, laws, fit.problem.robust_rad)
         return refitted(fit, replace(problem, noise=fit.problem.noise), motor)
 

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Chooser
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import Fit, refitted, solve, unit
+from rig.identify.departures.fit import Fit, solve, unit
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
-from rig.model.real_motor import RealMotor
 
 Array = NDArray[np.float64]
 
@@ -76,15 +75,10 @@ def _fitted(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Choose
     for promise in promises[:TRIED]:
         one = promise.law
         motor = bare.motor._replace(**promise.first)
-        trial = solve(_with(bare, [*others, one], motor, chooser), TRIAL_ITERATIONS)
+        trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
         found.append(InPlace(law, one, gained(fit, trial) + _extra(fit, law, one), moves))
     return found
-
-
-def _with(fit: Fit, laws: Sequence[Departure], motor: RealMotor, chooser: Chooser) -> Fit:
-    problem = replace(chooser.problem(fit.problem.cut, laws, math.inf), noise=fit.problem.noise)
-    return refitted(fit, problem, motor)
 
 
 def _extra(fit: Fit, law: Departure, other: Departure) -> float:
