@@ -52,6 +52,7 @@ FIRST_SPEED = 2.0  # of the largest speed: where the first gains of the start wo
 TOO_FAST = 1.05  # of it: more than the noise of a velocity; at 1.2 the guard ends the run
 SPARE_REST_S = 1.5  # beyond a rest that the advisers asked for: they say at once what follows
 LONG_S = 3600.0  # a test goes on until something ends it
+MOST_STILL = 3  # starts in a row in which the shaft stood still, although pushes before each had moved it
 
 
 def drive_until(
@@ -108,6 +109,7 @@ class _Tests:
         self._bounds = Bounds(self._until.longest_s, self._until.most_cycles, self._detector.min_amplitude_rad)
         self._number = 0
         self._searched = False
+        self._still = 0  # starts in a row that ended because the shaft stood still
         self._first_sum_V = math.nan  # of the next search
         self._last: LiveEstimate | None = None
         self._next = _Next(rest_s=AWAIT_DESIGN_S if is_known else 0.0)
@@ -212,8 +214,19 @@ class _Tests:
                 session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
             noted = len(law.steps)
 
-        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, watch)
-        self._first_sum_V = max(first_sum_V, law.relay.h1_V + law.relay.h2_V)
+        bounded = Bounded(law, self._bounds, unshown_motion(session))
+        self._drive(bounded, stage, watch)
+        last_sum_V = law.relay.h1_V + law.relay.h2_V
+        self._first_sum_V = max(first_sum_V, last_sum_V)
+        self._still = self._still + 1 if bounded.failed else 0
+        if self._still >= MOST_STILL and not self._next.stop:
+            # each start lets such a shaft creep on, and none is stronger than the last
+            why = (
+                f"pushes move the shaft a little, but in {self._still} starts, the last with up to {last_sum_V:.2f} V, "
+                f"it stood still: it may bend before it breaks away, at more than the {friction_V:.2f} V that the "
+                "breakaway check found. Give relay.gains above its friction, in place of relay.until"
+            )
+            self._end(session.loop.rows - 1, why, known=False)
 
     def _test(self, test: PlannedTest) -> None:
         """A designed test."""

@@ -16,7 +16,7 @@ import rig.experiment
 import rig.session
 from campaign_real.departing_bench import DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench
-from campaign_real.kinds import departures_of
+from campaign_real.kinds import KINDS, departures_of
 from rig import config
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.registry import Bench as OpenBench
@@ -42,7 +42,7 @@ from rig.recording.reader import read_run
 from rig.session import Session
 from rig.testing.line import on_device
 from stopping.in_memory import driven
-from stopping.rows import checked
+from stopping.rows import Asked, checked, row
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMPAIGN = Campaign(name="stopping", experiments=4, seed=3)
@@ -422,3 +422,13 @@ def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits() ->
 
     driven(e, device, script)
     assert e.limits.soft_rad[1] < max(furthest_rad) < hard_rad
+
+
+def test_a_shaft_that_only_bends_ends_the_tests_after_three_starts_and_says_why() -> None:
+    """Its friction bends before it slides: strokes far below the friction move it by more than breakaway.motion_rad."""
+    campaign = Campaign(name="stopping", experiments=1, seed=6)
+    bends = [kind for kind in KINDS if kind.name == "bristle 100"]
+    found = row(campaign, 22, bends, Asked(0.4, True, False))
+    assert "in 3 starts" in found.why and not found.known
+    assert found.beyond_rad == 0.0 and found.tests_s < 5.0
+    assert found.verdict == "refused"
