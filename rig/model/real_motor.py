@@ -163,6 +163,7 @@ def response(motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Ar
 
     drive   m edges, s, non-decreasing, and m drives, V, each from its edge on, m >= 1. Before the first edge the drive
             is the first one.
+    All are nan for a motor that runs away, to more than 1e5 rad/s.
     Raises ValueError on numbers out of range.
     """
     return _readings(motor, frame, drive, t_s, pieces, None).y_rad

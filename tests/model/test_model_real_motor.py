@@ -349,6 +349,16 @@ def test_every_part_has_numbers_and_every_number_has_a_part() -> None:
     assert set(EACH) == set(PARTS)
 
 
+def test_a_motor_that_drives_itself_on_without_end_has_no_readings() -> None:
+    """A fit may try it. Without a bound its steps over a force over position become so short that no time passes."""
+    runs_away = PLAIN._replace(viscous_by_direction_V_s_rad=-10.0 / PLAIN.K_rad_s_V, force_sin_V=0.01)
+    t_s = np.linspace(0.0, 1.7 * PLAIN.tau_s, 100)
+    given = runs_away, FRAME, (np.array([0.0]), np.array([3.0])), t_s, Pieces.one()
+    assert np.all(np.isnan(response(*given)))
+    found = response_and_jacobian(*given, [index("K_rad_s_V")])
+    assert np.all(np.isnan(found.y_rad)) and np.all(np.isnan(found.by_number))
+
+
 def test_numbers_out_of_range_are_refused() -> None:
     record = (np.zeros(1), np.zeros(1)), np.arange(3.0), Pieces.one()
     with pytest.raises(ValueError, match="backlash_rad must be at least 0"):

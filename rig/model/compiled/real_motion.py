@@ -48,6 +48,9 @@ FORCE, FRICTION = (RealMotor._fields.index(n) for n in ("force_sin_V", "friction
 COGGING, ORDER = (RealMotor._fields.index(n) for n in ("cogging_sin_V", "cogging_per_rad"))
 BACKLASH, LINEARITY, DRIFT = (RealMotor._fields.index(n) for n in ("backlash_rad", "linearity_sin1_rad", "drift"))
 
+# No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does.
+RUNAWAY_RAD_S = 1e5
+
 # Which of the derivatives cost a function of their own: over position, over the cogging, over speed.
 Used = tuple[bool, bool, bool]
 
@@ -397,7 +400,7 @@ def readings(
               and how far the bristles are bent, -1 to 1; 0: they balance the drive
     free      numbers (m,), and orders (k,), 1/rad, of waves of the force that the motor has not: the sine and the
               cosine of each are further numbers, c = m + 2 k + 2
-    out       readings, rad, and Jacobian. One of no columns: it is left out
+    out       readings, rad, and Jacobian. One of no columns: it is left out. All nan for a motor that runs away
     """
     motor, frame = RealMotor(*numbers[0]), Frame(*numbers[1])
     edge_s, u_V = drive
@@ -462,6 +465,10 @@ def readings(
                 now = end if step.duration_s >= end - now else now + step.duration_s
                 x = behind_play(motor, step.sign, step.end)
                 at = State(step.end.v, step.end.y, step.end.f, step.end.w, x)
+                if not abs(at.v) < RUNAWAY_RAD_S:  # its steps would become ever shorter, down to none at all
+                    y_rad[:] = math.nan
+                    jacobian[:] = math.nan
+                    return
                 if columns and step.reverses:
                     _reverse(motor, frame, d, step.sign, at, (now, staged_V))
                 if columns and step.released != 0.0:
