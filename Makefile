@@ -57,7 +57,7 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/real-motors-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
-	    $(if $(RUNS),--runs) $(if $(KIND),--kind "$(KIND)") $(if $(PAGE),--page $(PAGE))
+	    $(if $(RUNS),--runs) $(if $(KIND),--kind "$(KIND)") $(if $(RECHECK),--recheck $(RECHECK)) $(if $(PAGE),--page $(PAGE))
 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \

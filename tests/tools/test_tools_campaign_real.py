@@ -200,6 +200,38 @@ def test_an_interrupted_campaign_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     assert "| plain | 2 | 2 | 0 |" in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
+def test_rows_of_other_code_count_if_some_of_them_come_out_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rows_file, "ROOT", tmp_path)
+    (tmp_path / "law.py").write_text("a = 1\n", encoding="utf-8")
+    old = RowsFile("c", ["law.py"])
+    for k in range(5):
+        old.add({**_row(k, "plain", 0.01).as_json(), "pair": False})
+    old.keep()
+    (tmp_path / "law.py").write_text("a = 2\n", encoding="utf-8")
+    file = RowsFile("c", ["law.py"])
+    other = command.recheck(file, CAMPAIGN, _off_by_one_percent, 3)
+    assert {one.error for one in other} == {(0.0, 0.02, 0.0)} and file.read() == []
+    assert command.recheck(file, CAMPAIGN, _as_kept, 3) == []
+    assert [told["number"] for told in file.read()] == [0, 1, 2, 3, 4]
+
+
+def test_a_row_is_the_same_but_for_rounding() -> None:
+    one = _row(0, "plain", 0.01)
+    assert one.is_same(replace(one, seconds=9.0, error=(0.0, 0.01 + 1e-9, 0.0)))
+    assert not one.is_same(replace(one, error=(0.0, 0.0101, 0.0)))
+    assert not one.is_same(replace(one, error=None)) and not one.is_same(replace(one, found=("drag",)))
+
+
+def _as_kept(campaign: Campaign, number: int, pair: bool) -> Row:
+    return replace(_row(number, "plain", 0.01), seconds=7.0)
+
+
+def _off_by_one_percent(campaign: Campaign, number: int, pair: bool) -> Row:
+    return _row(number, "plain", 0.02)
+
+
 def test_a_whole_run_has_breakaway_and_search_before_its_tests_and_the_same_tests() -> None:
     kinds = kinds_of(37, False, 1)
     alone, whole = case(CAMPAIGN, 37, kinds), case(CAMPAIGN, 37, kinds, whole_run=True)

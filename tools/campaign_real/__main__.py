@@ -6,8 +6,9 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import track
@@ -58,6 +59,7 @@ def main() -> int:
     parser.add_argument("--runs", action="store_true", help="with breakaway check and gain search, as rig run records")
     parser.add_argument("--kind", choices=[kind.name for kind in KINDS], help="only motors that have this departure")
     parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
+    parser.add_argument("--recheck", type=int, help="use kept rows of other code, if this many come out the same")
     parser.add_argument("--page", type=Path, help="where the table goes; by default none with --kind")
     given = parser.parse_args()
     config = load_campaign(given.config)
@@ -67,17 +69,21 @@ def main() -> int:
     pairs = config.experiments if given.pairs is None else given.pairs
     name = f"campaign-real-{config.seed}"
     file = RowsFile(f"{name}-runs", MADE_BY_RUNS) if given.runs else RowsFile(name, MADE_BY)
+    make = row_of_run if given.runs else row
+    if given.recheck and file.of_other_code:
+        differing = recheck(file, config, make, given.recheck)
+        if differing:
+            print("the kept rows do not hold for this code; these differ:", *differing, sep="\n", file=sys.stderr)
+            return 1
     began = time.time()
     found: Found = {False: {}, True: {}}
-    for told in file.read():
-        pair = told.pop("pair")
-        found[pair][told["number"]] = Row(**told)
+    for pair, one in map(_row, file.read()):
+        found[pair][one.number] = one
     wanted = [(k, pair) for pair, count in ((False, motors), (True, pairs)) for k in range(count)]
     if given.kind is not None:
         wanted = [(k, pair) for k, pair in wanted if given.kind in [one.name for one in kinds_of(k, pair, config.seed)]]
         found = {p: {k: one for k, one in rows.items() if given.kind in one.kinds} for p, rows in found.items()}
     jobs = [(config, k, pair) for k, pair in wanted if k not in found[pair]]
-    make = row_of_run if given.runs else row
     for _, one in track(spread(make, jobs), "motors", total=len(jobs), disable=not sys.stderr.isatty()):
         pair = len(one.kinds) > 1
         file.add({**one.as_json(), "pair": pair})
@@ -95,6 +101,8 @@ def main() -> int:
     made_by = f"`{command}`: commit {made}, " + (
         f"{time.time() - began:.0f} s for {len(jobs)} motors" if jobs else "from rows that were kept"
     )
+    if given.recheck:
+        made_by += f". Rows of an earlier commit count: {given.recheck} of them, at random, came out the same"
     text = page(config, found, shown, made_by, runs=given.runs, kind=given.kind)
     place = given.page or (PAGES[given.runs] if given.kind is None else None)
     if place is not None:
@@ -104,6 +112,24 @@ def main() -> int:
     for one in failed[:5]:
         print(f"number {one.number} {one.kinds}: {one.reasons}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def recheck(file: RowsFile, config: Campaign, make: Callable[[Campaign, int, bool], Row], count: int) -> list[Row]:
+    """Make ``count`` kept rows of other code anew, at random: those that differ. If none does, all kept rows count."""
+    kept = list(map(_row, file.read_other()))
+    some = np.random.default_rng(config.seed).permutation(len(kept))[:count]
+    jobs = [(config, kept[k][1].number, kept[k][0]) for k in some]
+    done = track(spread(make, jobs), "kept rows", total=len(jobs), disable=not sys.stderr.isatty())
+    differing = [one for k, one in done if not one.is_same(kept[some[k]][1])]
+    if not differing:
+        file.take_over()
+    return differing
+
+
+def _row(told: dict[str, Any]) -> tuple[bool, Row]:
+    """Whether a line of the file is of a pair, and its row."""
+    rest = {name: value for name, value in told.items() if name != "pair"}
+    return told["pair"], Row(**rest)
 
 
 def _shown(config: Campaign, found: Found) -> Shown:

@@ -40,6 +40,15 @@ class Row:
     reasons: str
     seconds: float
 
+    def is_same(self, other: Row) -> bool:
+        """Whether the other row says the same of the same motor; another machine rounds otherwise."""
+        words = ("number", "kinds", "verdict", "inside", "found", "groups")
+        numbers = [(mine or (), theirs or ()) for mine, theirs in ((self.error, other.error), (self.u95, other.u95))]
+        return all(getattr(self, name) == getattr(other, name) for name in words) and all(
+            len(mine) == len(theirs) and np.allclose(mine, theirs, rtol=1e-4, atol=1e-7, equal_nan=True)
+            for mine, theirs in numbers
+        )
+
     def as_json(self) -> dict[str, object]:
         """As a line of rows.jsonl."""
         return asdict(self)

@@ -6,7 +6,7 @@ import gzip
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ class RowsFile:
         self.code = sha256(b"".join(_content(ROOT / part) for part in made_by)).hexdigest()[:8]
         self.path = ROOT / "runs" / f"{name}-{self.code}" / "rows.jsonl"
         self.kept = ROOT / "docs" / "campaigns" / f"{name}.jsonl.gz"
+        self.of_other_code: list[str] = []  # kept lines that other code made
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.exists():
             text = self.path.read_text(encoding="utf-8")
@@ -38,17 +39,21 @@ class RowsFile:
             if json.loads(head)["code"] == self.code:
                 self.path.write_text("".join(lines), encoding="utf-8")
             else:
+                self.of_other_code = lines
                 print(f"{self.kept} holds rows of other code: they are not used", file=sys.stderr)
 
     def read(self) -> list[dict[str, Any]]:
         """Every whole row; a list of JSON is a tuple here. What an interruption tore is left out."""
-        rows = []
-        for line in self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else ():
-            try:
-                rows.append({key: _tuples(value) for key, value in json.loads(line).items()})
-            except ValueError:
-                continue  # torn
-        return rows
+        return _rows(self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else ())
+
+    def read_other(self) -> list[dict[str, Any]]:
+        """The kept rows that other code made."""
+        return _rows(self.of_other_code)
+
+    def take_over(self) -> None:
+        """The kept rows of other code count as this code's from now on. Whoever calls this has compared some."""
+        self.path.write_text("".join(self.of_other_code), encoding="utf-8")
+        self.of_other_code = []
 
     def add(self, row: dict[str, Any]) -> None:
         """Write one row; it is with the operating system when this returns."""
@@ -65,6 +70,16 @@ class RowsFile:
 def commit(made_by: Sequence[str]) -> str:
     """The commit that is checked out, for a page; with a + where the code that makes the rows was changed since."""
     return _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", "--", *made_by) else "")
+
+
+def _rows(lines: Iterable[str]) -> list[dict[str, Any]]:
+    rows = []
+    for line in lines:
+        try:
+            rows.append({key: _tuples(value) for key, value in json.loads(line).items()})
+        except ValueError:
+            continue  # torn
+    return rows
 
 
 def _tuples(value: Any) -> Any:
