@@ -155,7 +155,8 @@ class Advisor:
         else:
             stop = self._rule.take(estimate)
         if stop is not None:
-            return Advice(estimate, stop=stop)
+            laws = " and ".join(estimate.laws).replace("_", " ")
+            return Advice(estimate, stop=f"{stop}; with {laws}" if laws else stop)
         if self._rule.noise_in_doubt and self._can_rest:
             self._rests += 1
             self._rests_from = self._rows

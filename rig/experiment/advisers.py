@@ -15,6 +15,7 @@ from rig.design.planned_test import Design
 from rig.experiment.live_process import LiveProcess
 from rig.identify.live import NORMAL_95, LiveSettings
 from rig.identify.noise import noise_at_rest
+from rig.identify.stated_errors import StatedErrors
 from rig.model.real_motor import FramedMotor
 from rig.preflight.planned_tests import reading_of, room_of_tests
 from rig.session import Session
@@ -152,6 +153,7 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
             lsb_rad=e.sensor.curve.lsb_rad,
             largest_V=e.drive.max_V,
             prior=known,
+            stated=StatedErrors.of(session.meta),
             prior_percent=e.relay.until.model_doubt_percent / NORMAL_95,
             delay_s=session.delay.range_s if session.delay is not None and late else None,
         ),

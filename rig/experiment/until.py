@@ -409,6 +409,7 @@ def live_result(estimate: LiveEstimate) -> LiveResult:
         K_percent=estimate.half_percent["K_rad_s_V"],
         fc_percent=estimate.half_percent["fc_V"],
         residual_over_noise=estimate.residual_over_noise,
+        laws=", ".join(estimate.laws),
         drives_differ=estimate.drives_differ,
     )
 

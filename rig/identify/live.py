@@ -2,7 +2,8 @@
 
 Breakaway check, gain search and tests are pieces of one record. Each piece begins where the record is cut or where the
 shaft begins to move (``rig.identify.motions``). A fit begins where the last one ended. So it costs a few milliseconds
-for each second of record, and the same rows in the same portions give the same numbers (docs/theory.md 7.12).
+for each second of record, and the same rows in the same portions give the same numbers (docs/theory.md 7.12). Where the
+residual says that the motor has more than tau, K and friction, laws are looked for, and fitted from then on.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.choice import LARGEST
-from rig.identify.departures.departure import Departure
+from rig.identify.departures.choice import limits_of_laws
+from rig.identify.departures.departure import Bench, Departure
 from rig.identify.departures.fit import CORE, DELAY, Fit, Known, Normal, Problem, limits_of, solve, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.driven import PART_S, bears
+from rig.identify.live_laws import laws_so_far
 from rig.identify.motions import Motion, in_parts, motions
+from rig.identify.stated_errors import StatedErrors
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.series import FEWEST_ROWS, TimeSeries, Window
 
@@ -39,6 +42,7 @@ SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
 STRANGE = (
     1.2  # residual over the noise beyond which another valley is looked for, or a delay, once the record has doubled
 )
+LACKING = 1.1  # residual over the noise beyond which laws are looked for, once the record has doubled
 EXPLAINS = 0.8  # of the residual, that a delay which no row tells must leave at most
 USABLE_PERCENT = 60.0  # half width beyond which a fit says nothing
 UNEXPLAINED = 0.3  # residual over the spread of positions beyond which a fit says nothing
@@ -78,6 +82,7 @@ class LiveSettings:
                     rows say when each drive acted
     prior           the motor as an earlier run shows it, with its laws; None: nothing is known
     prior_percent   standard deviation of its tau, K and f_c, in % of each
+    stated          errors of the bench that no row shows
     """
 
     period_s: float
@@ -87,6 +92,7 @@ class LiveSettings:
     delay_s: tuple[float, float] | None = None
     prior: FramedMotor | None = None
     prior_percent: float = 30.0
+    stated: StatedErrors = field(default_factory=StatedErrors)
 
     @property
     def sigma_rad(self) -> float:
@@ -139,12 +145,42 @@ class LiveEstimate:
         return self.framed
 
 
+class _Laws(NamedTuple):
+    """Laws that are fitted.
+
+    frame   what laws over the angle refer to
+    bench   sizes that their ranges are measured in; None: those of the prior motor
+    """
+
+    laws: tuple[Departure, ...]
+    frame: Frame
+    bench: Bench | None = None
+
+    @classmethod
+    def of(cls, prior: FramedMotor | None) -> _Laws:
+        """Those of a prior motor; but for drift, which belongs to its own run."""
+        if prior is None:
+            return cls((), Frame())
+        return cls(tuple(law for law in DEPARTURES if law.name in prior.parts and law.name != "drift"), prior.frame)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(law.name for law in self.laws)
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Fields of ``RealMotor`` that are fitted for them."""
+        return tuple(name for law in self.laws for name in (*law.numbers, *law.shape))
+
+
 class LiveFit:
     """The fit of everything driven so far. It reads no clock and draws no random numbers."""
 
     def __init__(self, settings: LiveSettings) -> None:
         self.settings = settings
-        self._laws = _laws_of(settings.prior)
+        self._laws = self._known_laws = _Laws.of(settings.prior)  # that are fitted
+        self._laws_at = 0.0  # seconds of motion when laws were looked for last
         self._rows: list[LiveRows] = []
         self._count = 0
         self._last: Fit | None = None
@@ -168,8 +204,7 @@ class LiveFit:
         if record is None:
             return self._of_prior()
         windows, found = record
-        longest = [max(FEWEST_MOVING_ROWS, round(PART_S / window.period_s)) for window in windows]
-        cut = self._cut(windows, [in_parts(each, rows) for each, rows in zip(found, longest, strict=True)])
+        cut = self._parts(windows, found)
         moving = sum((m.stop - m.first) * w.period_s for w, each in zip(windows, found, strict=True) for m in each)
         fit = self._warm(cut)
         if fit is None or self._looks_elsewhere(fit, moving):
@@ -180,15 +215,17 @@ class LiveFit:
         if fit is None:
             return self._of_prior()
         self._keep(fit)
-        longer = self._warm(self._cut(windows, self._motions(windows, through=True)))
-        if longer is not None and bears(longer, fit):
-            fit = longer
-            self._keep(fit)
+        fit = self._lengthened(fit)
         if self._looks_late(fit, moving):
             fit, found = self._later(fit, found)
-        estimate = self._estimate(fit, found, moving)
+        speeds = swing_speeds(fit.problem.cut.windows, found, self.settings.sigma_rad)
+        if self._looks_for_laws(fit, moving, len(speeds)):
+            self._laws_at = moving
+            fit = self._with_laws(fit, found, 2.0 * moving / len(speeds))
+        estimate = self._estimate(fit, speeds, moving)
         if estimate is None:
             self._last = None
+            self._laws = self._known_laws
             return self._of_prior()
         self._sure = estimate.worst_percent <= SURE_PERCENT
         return estimate
@@ -211,6 +248,45 @@ class LiveFit:
                 return late, later
         self._late = False
         return fit, found
+
+    def _looks_for_laws(self, fit: Fit, moving_s: float, swings: int) -> bool:
+        """Whether to look for laws: the residual says that something is lacking, and the record has doubled since."""
+        is_lacking = math.sqrt(unit(fit)) > LACKING
+        return is_lacking and swings >= 2 * ENOUGH_SWINGS and moving_s > 2.0 * self._laws_at
+
+    def _with_laws(self, fit: Fit, found: list[list[Motion]], cycle_s: float) -> Fit:
+        """The fit with the laws that the rows show, if these explain more; else the same fit."""
+        windows = fit.problem.cut.windows
+        delay_s = self._delay_s if DELAY in fit.problem.free else None
+        plain = fit.motor._replace(**dict.fromkeys(self._laws.numbers, 0.0))
+        sigma_rad, stated = self.settings.sigma_rad, self.settings.stated
+        shown = laws_so_far([window.series for window in windows], plain, cycle_s, sigma_rad, delay_s, stated)
+        if set(shown.laws) <= set(self._laws.laws):
+            return fit
+        before = self._laws
+        self._laws = _Laws(shown.laws, shown.frame, shown.bench)
+        self._last = replace(fit, motor=shown.motor)
+        richer = self._warm(self._parts(windows, found))
+        if richer is not None and richer.rms_rad < fit.rms_rad:
+            self._keep(richer)
+            return self._lengthened(richer)
+        self._laws = before
+        self._keep(fit)
+        return fit
+
+    def _parts(self, windows: Sequence[Window], found: Sequence[Sequence[Motion]]) -> Cut:
+        """The motions in parts short enough for any motor to be fitted."""
+        longest = [max(FEWEST_MOVING_ROWS, round(PART_S / window.period_s)) for window in windows]
+        return self._cut(windows, [in_parts(each, rows) for each, rows in zip(found, longest, strict=True)])
+
+    def _lengthened(self, fit: Fit) -> Fit:
+        """The fit of the same motions without cuts, if the motor bears it; else the same."""
+        windows = fit.problem.cut.windows
+        longer = self._warm(self._cut(windows, self._motions(windows, through=True)))
+        if longer is None or not bears(longer, fit):
+            return fit
+        self._keep(longer)
+        return longer
 
     def _keep(self, fit: Fit) -> None:
         """Take this fit as the start of the next one."""
@@ -269,30 +345,28 @@ class LiveFit:
 
     def _frame(self, windows: Sequence[Window]) -> Frame:
         start_s = float(windows[0].t_s[0])
-        prior = self.settings.prior
-        frame = Frame() if prior is None else prior.frame
-        return frame._replace(start_s=start_s, duration_s=max(float(windows[-1].t_s[-1]) - start_s, 1e-9))
+        return self._laws.frame._replace(start_s=start_s, duration_s=max(float(windows[-1].t_s[-1]) - start_s, 1e-9))
 
     def _problem(self, cut: Cut) -> Problem:
         """The fit as least squares; a prior motor is known to its percentage."""
         free_delay = self._late or any(window.series.t_u_s is None for window in cut.windows)
         core = (*CORE, DELAY) if free_delay else CORE
-        free = core + tuple(name for law in self._laws for name in (*law.numbers, *law.shape))
+        free = core + self._laws.numbers
         limits = limits_of(free, cut, self._delay_s)
         limits["fc_V"] = (0.0, self.settings.largest_V)
         limits["tau_s"] = (0.2 * self.settings.period_s, 100.0)
         prior = self.settings.prior
         known = None
+        bench = self._laws.bench
+        if bench is None and prior is not None:
+            bench = cut.bench(prior.motor, 0.0)
+        if bench is not None:
+            limits |= limits_of_laws(self._laws.laws, bench)
         if prior is not None:
             share, motor = 0.01 * self.settings.prior_percent, prior.motor
             errors = [share, share, share * max(motor.fc_V, 1e-3 * self.settings.largest_V)]
             mean = [math.log(motor.tau_s), math.log(motor.K_rad_s_V), motor.fc_V]
             known = Known.of(CORE[:3], mean, np.diag(np.square(errors)))
-            bench = cut.bench(motor, 0.0)
-            for law in self._laws:
-                largest = LARGEST * law.range_of(bench)
-                limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
-                limits |= law.limits(bench)
         return Problem(cut, free, limits, self.settings.sigma_rad, known=known)
 
     def _warm(self, cut: Cut) -> Fit | None:
@@ -356,8 +430,8 @@ class LiveFit:
             if math.isfinite(cost)
         ]
 
-    def _estimate(self, fit: Fit, found: list[list[Motion]], moving_s: float) -> LiveEstimate | None:
-        """The fit with its intervals; None if it says nothing."""
+    def _estimate(self, fit: Fit, speeds: Sequence[float], moving_s: float) -> LiveEstimate | None:
+        """The fit with its intervals; None if it says nothing. ``speeds``: as ``swing_speeds``."""
         problem, motor, cut = fit.problem, fit.motor, fit.problem.cut
         rows = problem.rows(motor, fit.starts)
         if not rows.are_finite:
@@ -392,8 +466,8 @@ class LiveFit:
             covariance,
             ratio,
             1.0 / math.sqrt(2.0 * freedom),
-            drives_differ(cut, found, problem.sigma_rad),
-            tuple(law.name for law in self._laws),
+            drives_differ(speeds),
+            self._laws.names,
             moving_s,
             FramedMotor(motor, cut.frames[0]),
         )
@@ -420,7 +494,7 @@ class LiveFit:
             math.nan,
             math.inf,
             False,
-            tuple(law.name for law in self._laws),
+            self._laws.names,
             0.0,
             replace(prior, motor=motor),
         )
@@ -434,20 +508,23 @@ def _cuts(t_s: Array, period_s: float) -> NDArray[np.int64]:
     return np.asarray(np.flatnonzero((step_s > GAP_PERIODS * period_s) | changes) + 1)
 
 
-def drives_differ(cut: Cut, found: Sequence[Sequence[Motion]], noise_rad: float) -> bool:
-    """Whether the motions have large swings of clearly different mean speeds."""
+def drives_differ(speeds: Sequence[float]) -> bool:
+    """Whether there are large swings of clearly different mean speeds. ``speeds``: as ``swing_speeds``."""
+    rising = sorted(speeds)
+    return len(rising) >= 2 * ENOUGH_SWINGS and rising[-ENOUGH_SWINGS] > DIFFERENT * rising[ENOUGH_SWINGS - 1]
+
+
+def swing_speeds(windows: Sequence[Window], found: Sequence[Sequence[Motion]], noise_rad: float) -> list[float]:
+    """Mean speed of each large swing of the motions, rad/s."""
     speeds: list[float] = []
-    for window, each in zip(cut.windows, found, strict=True):
+    for window, each in zip(windows, found, strict=True):
         # one swing may be several motions; standstills between them take no time
         step_s = np.diff(window.t_s, prepend=window.t_s[0])
         moves = np.zeros(step_s.size, dtype=bool)
         for motion in each:
             moves[motion.first : motion.stop] = True
         speeds += _swings(np.cumsum(np.where(moves, step_s, 0.0)), window.y_rad, LARGE_SWING * noise_rad)
-    if len(speeds) < 2 * ENOUGH_SWINGS:
-        return False
-    speeds.sort()
-    return speeds[-ENOUGH_SWINGS] > DIFFERENT * speeds[ENOUGH_SWINGS - 1]
+    return speeds
 
 
 def _swings(t_s: Array, y_rad: Array, least_rad: float) -> list[float]:
@@ -496,10 +573,3 @@ def _inverse(matrix: Array) -> Array | None:
     if values[0] < 1e-11 * values[-1]:
         return None
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
-
-
-def _laws_of(prior: FramedMotor | None) -> tuple[Departure, ...]:
-    """The laws that a prior motor has; but for drift, which belongs to its own run."""
-    if prior is None:
-        return ()
-    return tuple(law for law in DEPARTURES if law.name in prior.parts and law.name != "drift")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
 REFRESH_S = 0.2
 COMPUTES_S = 1.0  # without a row or an event: the drive is off, and the run computes
 BAR_WIDTH = 41
+LACKING = 1.5  # residual over the noise of a live estimate beyond which its intervals are clearly too narrow
 
 
 @contextmanager
@@ -164,7 +165,7 @@ class Progress:
 
 
 def live_words(event: dict[str, Any]) -> str:
-    """A live estimate: each value with half its 95 % interval."""
+    """A live estimate: each value with half its 95 % interval, the laws, and whether the residual is too large."""
     values = (
         ("tau", "tau_s", "tau_percent", "s"),
         ("K", "K_rad_s_V", "K_percent", ""),
@@ -175,7 +176,11 @@ def live_words(event: dict[str, Any]) -> str:
         value, percent = event.get(name), event.get(half)
         if value is not None and percent is not None:
             shown.append(f"{title} {value:.4g}{' ' + unit if unit else ''} ±{percent:.2g} %")
-    return ", ".join(shown)
+    if laws := event.get("laws"):
+        shown.append("with " + " and ".join(laws.split(", ")).replace("_", " "))
+    residual = event.get("residual_over_noise")
+    lacks = residual is not None and residual > LACKING
+    return ", ".join(shown) + (f": the residual is {residual:.2g} times the noise, so ± is too small" if lacks else "")
 
 
 def decided_words(event: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ class LiveResult(Part):
     K_percent: Number = Field(None, description="half width of the 95 % interval of K, % of it")
     fc_percent: Number = Field(None, description="half width of the 95 % interval of f_c, % of it")
     residual_over_noise: Number = Field(None, description="RMS residual over the noise at rest")
+    laws: Text = Field("", description="names of the laws that are fitted with them, with commas between")
     drives_differ: Flag = Field(False, description="whether clearly different drives were seen")
 
 

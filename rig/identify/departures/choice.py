@@ -177,11 +177,7 @@ class Chooser:
     def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
         """The problem of these laws on this cut."""
         free = self.core + tuple(name for law in laws for name in (*law.numbers, *law.shape))
-        limits = limits_of(free, cut, self.delay_s)
-        for law in laws:
-            largest = LARGEST * law.range_of(self.bench)
-            limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
-            limits |= law.limits(self.bench)
+        limits = limits_of(free, cut, self.delay_s) | limits_of_laws(laws, self.bench)
         return Problem(cut, free, limits, self.sigma_rad, robust_rad)
 
     def _settle(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
@@ -304,6 +300,16 @@ class Chooser:
             return None
         normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
         return min(((loss(normal, fit, law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+
+
+def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[float, float]]:
+    """Bounds of the fields of laws in a fit, by name."""
+    limits: dict[str, tuple[float, float]] = {}
+    for law in laws:
+        largest = LARGEST * law.range_of(bench)
+        limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
+        limits |= law.limits(bench)
+    return limits
 
 
 def with_own_noise(fit: Fit) -> Fit:
