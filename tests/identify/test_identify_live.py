@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, Samples, dcr, simulate
 
+from rig.control.relay import DualChannelRelay
 from rig.identify.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.reader import read_run
 from rig.recording.recording import Recording
+from rig.signals import Sample
+from rig.simulation import Sampling
+from rig.simulation import simulate as simulate_real
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 TRUTH = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}
@@ -181,6 +185,50 @@ def test_the_laws_of_a_known_motor_are_fitted_too() -> None:
     assert estimate.laws == ("viscous_by_direction",)
     assert abs(estimate.motor().motor.viscous_by_direction_V_s_rad) < 1e-3
     assert max(errors(estimate, {"tau_s": 0.2, "K_rad_s_V": 5.0, "fc_V": 0.4}).values()) < 1.5
+
+
+class Relays:
+    """A soft relay for 8 s, and then a harder one."""
+
+    def __init__(self) -> None:
+        self._soft, self._hard = (DualChannelRelay(h1, h2, math.inf) for h1, h2 in ((0.4, 0.75), (0.6, 1.1)))
+
+    def step(self, sample: Sample) -> float:
+        return (self._soft if sample.t_s < 8.0 else self._hard).step(sample)
+
+
+def of_real(motor: RealMotor, seed: int = 1) -> Recording:
+    sampling = Sampling(noise_rad=0.003, resolution_rad=LSB_RAD, start_rad=0.3, seed=seed)
+    return simulate_real(motor, Relays(), 16.0, sampling)
+
+
+def every_second(run: Recording, settings: LiveSettings = SETTINGS) -> list[LiveEstimate]:
+    fit, found = LiveFit(settings), []
+    for first in range(0, len(run), 100):
+        fit.take(rows_of(run, first, min(first + 100, len(run))))
+        estimate = fit.estimate()
+        found += [] if estimate is None else [estimate]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("part", "law"),
+    [({"force_sin_V": 0.1}, "force_over_position"), ({"sag_per_V": 0.1}, "sag"), ({"dead_band_V": 0.1}, "dead_band")],
+)
+def test_a_law_that_the_residual_asks_for_is_found_while_the_run_goes_on(part: dict[str, float], law: str) -> None:
+    truth = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.4}
+    found = every_second(of_real(RealMotor(**truth, **part)))
+    with_it = [one for one in found if law in one.laws]
+    assert with_it and with_it[0].t_s < 10.0
+    last = found[-1]
+    assert law in last.laws and last.residual_over_noise < 1.1
+    assert max(errors(last, truth).values()) < 2.0 and last.worst_percent < 5.0
+
+
+def test_a_plain_motor_gets_no_laws() -> None:
+    for seed in range(4):
+        found = every_second(of_real(RealMotor(0.17, 6.5, 0.4), seed))
+        assert found and all(one.laws == () for one in found)
 
 
 @pytest.mark.parametrize("told", [True, False])

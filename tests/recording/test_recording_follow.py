@@ -79,6 +79,10 @@ def test_a_live_estimate_and_why_the_tests_ended_are_shown_and_are_lines_in_a_pi
     progress.take_event(enough)
     assert "tau 0.171 s ±0.8 %, K 6.542 ±0.65 %; enough: all is known" in shown(progress)
     assert stage_line(LIVE) == "    9.4 s    tau 0.171 s ±0.8 %, K 6.542 ±0.65 %"
+    with_laws = LIVE | {"laws": "force_over_position, sag", "residual_over_noise": 1.2}
+    assert stage_line(with_laws) == f"{stage_line(LIVE)}, with force over position and sag"
+    lacking = LIVE | {"laws": "", "residual_over_noise": 12.6}
+    assert stage_line(lacking) == f"{stage_line(LIVE)}: the residual is 13 times the noise, so ± is too small"
     assert stage_line(enough) == "   10.4 s    enough: all is known"
     bound = enough | {"by": "loop", "what": "rest", "why": "the guard had to brake"}
     assert stage_line(bound) == "   10.4 s    broken off: the guard had to brake"
