@@ -111,6 +111,23 @@ def test_a_seed_gives_the_same_run_and_no_loop_is_compiled_once_the_device_is_op
         assert (again / name).read_text() == (known[0] / name).read_text()
 
 
+def test_an_unbalanced_load_is_found_while_the_tests_run_and_they_end_when_it_is_known(tmp_path: Path) -> None:
+    """tau, K and friction alone never explain it: the tests would go on to the bound."""
+    motor = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))["emulated"]["motor"]
+    folder, result = run(written(tmp_path, motor=motor | {"parts": {"force_sin_V": 0.1}}), tmp_path)
+    stopped = result.stopped
+    assert stopped is not None and stopped.known and stopped.why.endswith("; with force over position")
+    assert stopped.tests_s is not None and stopped.tests_s < 30.0  # 60 s are allowed
+    assert stopped.live[-1].laws == "force_over_position"
+    assert [law.name for law in result.law or ()] == ["force_over_position"]
+    estimate = result.with_law
+    assert estimate is not None and estimate.verdict == "ok"
+    for name, true in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
+        assert estimate.value(name) == pytest.approx(true, rel=0.01)
+    assert float(np.abs(read_run(folder).y_rad).max()) < SOFT_RAD
+    assert replay(folder).is_same
+
+
 @pytest.mark.usefixtures("plain_motor")
 def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult], tmp_path: Path) -> None:
     for model in (known[0], known[0] / "result.json"):
