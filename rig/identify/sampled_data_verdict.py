@@ -161,10 +161,13 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     """RMS residual of the plain motor if the drive acted at other times than t_u_s, rad; inf without t_u_s.
 
     Wrong times look like a lag, or like a motor with laws of its own. If other times explain the tests, they are wrong.
+    Also inf for times within a third of a period: no row is so little off, and the lag of a winding is.
     """
     if any(test.t_u_s is None for test in tests):
         return math.inf
     moved = _moved(estimate, tests)
+    if abs(float(moved.x[4])) <= SLIPPED * max(test.period_s for test in tests):
+        return math.inf
     return math.sqrt(moved.cost / moved.residual.size)
 
 

@@ -33,6 +33,9 @@ from rig.recording.recording import from_columns
 from rig.recording.series import TimeSeries
 from rig.results import RunMeta, SensorBelieved, SupplyBelieved
 from rig.results.budget_lines import BudgetLine, that_matter
+from rig.signals import Sample
+from rig.simulation import Sampling
+from rig.simulation import simulate as simulate_real
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 STATED = RunMeta(
@@ -365,6 +368,34 @@ def test_other_times_of_the_drive_explain_laws_away_only_where_they_better_the_p
 ) -> None:
     """The third: a load of 0.05 V, which moves f_c by 6 %, in two relay tests with 3 mrad of noise."""
     assert other_times_explain(1e-3 * slipped_mrad, 1e-3 * plain_mrad, 1e-3 * with_laws_mrad) is explains
+
+
+class ToAndFro:
+    """Strokes: levels, V, each until the shaft has passed its turning point, rad."""
+
+    def __init__(self, *strokes: tuple[float, float]) -> None:
+        self._strokes, self._number = strokes, 0
+
+    def step(self, sample: Sample) -> float:
+        u_V, turn_rad = self._strokes[self._number % len(self._strokes)]
+        self._number += (sample.y_rad - turn_rad) * u_V > 0.0
+        return self._strokes[self._number % len(self._strokes)][0]
+
+
+def test_the_lag_of_a_winding_is_no_wrong_time_of_the_drive() -> None:
+    """Where the device tells when its drive acted: 2 ms later would explain these strokes as well as the lag does."""
+    true = RealMotor(0.083, 14.4, 0.42, lag_s=0.002)
+    plans = (
+        ToAndFro((0.75, 0.35), (-0.6, -0.3), (1.0, 0.2), (-0.9, -0.45)),
+        ToAndFro((0.55, 0.2), (-0.75, -0.2), (0.6, 0.45), (-1.1, -0.1)),
+    )
+    sampling = Sampling(noise_rad=0.003, resolution_rad=LSB_RAD)
+    found = identify([simulate_real(true, plan, 6.0, sampling) for plan in plans], ("sampled-data",))
+    with_law = found.as_result().with_law
+    assert with_law is not None and found.motor_law is not None
+    assert [one.law.name for one in found.motor_law.found] == ["lag"]
+    assert with_law.tau_s == pytest.approx(true.tau_s, rel=0.01)
+    assert not any("t_u_s" in reason for reason in with_law.reasons)
 
 
 # -- lines of a table -------------------------------------------------------------------------------------------------
