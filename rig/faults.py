@@ -190,8 +190,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LOAD_TURNS": FaultEntry(
         "a load turns the shaft one way, however weakly the motor is driven",
-        "take the load off, or balance it, and type `rig run CONFIG` again: rig needs a shaft that stays where it is at "
-        "0 V. Or turn a load that hangs to its lowest point, and start there",
+        "take the load off, or balance it, and type `rig run CONFIG` again: rig needs a shaft that stays where it is "
+        "at 0 V. Or turn a load that hangs to its lowest point, and start there",
     ),
     "NO_MOTION": FaultEntry(
         "rig saw no motion up to the largest breakaway drive",
@@ -213,9 +213,9 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
-        "cut the motor's supply: software cannot stop this drive. If the shaft goes on turning, a load turns it: take it "
-        "off, or balance it. If it stops, check the H-bridge, the enable pull-down, and that `rig flash --bridge` named "
-        "the inputs that your bridge has",
+        "cut the motor's supply: software cannot stop this drive. If the shaft goes on turning, a load turns it: "
+        "take it off, or balance it. If it stops, check the H-bridge, the enable pull-down, and that "
+        "`rig flash --bridge` named the inputs that your bridge has",
     ),
     "SENSOR_NOISY": FaultEntry(
         "the position sensor is too noisy to see motion",

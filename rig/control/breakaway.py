@@ -405,8 +405,8 @@ class BreakawayCheck(RestingCheck):
             # swapped wires would turn both ways round
             raise Fault(
                 "LOAD_TURNS",
-                f"strokes to either side moved the shaft towards {'falling' if way > 0 else 'rising'} positions; those of "
-                f"up to {way * self._level_V:+.2f} V by {-way * against[way] * 1e3:+.0f} mrad",
+                f"strokes to either side moved the shaft towards {'falling' if way > 0 else 'rising'} positions; "
+                f"those of up to {way * self._level_V:+.2f} V by {-way * against[way] * 1e3:+.0f} mrad",
             )
         if against[way] > self.motion_rad:
             raise Fault(

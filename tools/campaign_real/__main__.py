@@ -85,8 +85,8 @@ def main() -> int:
         found[pair][one.number] = one
     if given.keep:
         file.keep()
-    wanted = [(pair, number) for pair, rows in found.items() for number in rows]
-    shown = shown_of(config, wanted, RowsFile(f"campaign-real-{config.seed}-gains", MADE_BY))
+    those = [(pair, number) for pair, rows in found.items() for number in rows]
+    shown = shown_of(config, those, RowsFile(f"campaign-real-{config.seed}-gains", MADE_BY))
     made = commit(MADE_BY_RUNS if given.runs else MADE_BY)
     options = {"RUNS": 1 if given.runs else None, "KIND": given.kind, "MOTORS": given.motors, "PAIRS": given.pairs}
     command = f"make campaign-real SEED={config.seed}" + "".join(

@@ -44,9 +44,9 @@ TITLES = {
 TITLE = "# How soon an experiment knows its motor"
 DEPARTING_TITLE = "# How soon an experiment knows a motor that departs from the plain model"
 SEEN = (
-    "*named*: laws that are found, alone or in a group of at most three, of those that can be seen: two relay tests of the",
-    f"motor, as in `make campaign-real`, should lower BIC by more than the {ASKED.entry:g} that a law needs to enter. Motors",
-    "with a random force are not counted there.",
+    "*named*: laws that are found, alone or in a group of at most three, of those that can be seen: two relay tests of",
+    f"the motor, as in `make campaign-real`, should lower BIC by more than the {ASKED.entry:g} that a law needs to",
+    "enter. Motors with a random force are not counted there.",
 )
 Told = dict[str, dict[int, Row]]
 
@@ -191,7 +191,8 @@ def _kinds(rows: Sequence[Row], shown: Shown) -> list[str]:
         named = "{} of {}".format(*named_of(some, shown)) if shown else "-"
         median = f"{np.median(tests):.1f} s" if tests else "-"
         lines.append(
-            f"| {kind.name} | {len(some)} | {sum(one.known for one in some)} | {len(ok)} | {wrong} | {named} | {median} |"
+            f"| {kind.name} | {len(some)} | {sum(one.known for one in some)} | {len(ok)} | {wrong} | {named} "
+            f"| {median} |"
         )
     return lines
 
