@@ -191,7 +191,8 @@ FAULTS: dict[str, FaultEntry] = {
     "LOAD_TURNS": FaultEntry(
         "a load turns the shaft one way, however weakly the motor is driven",
         "take the load off, or balance it, and type `rig run CONFIG` again: rig needs a shaft that stays where it is "
-        "at 0 V. Or turn a load that hangs to its lowest point, and start there",
+        "at 0 V. Or turn a load that hangs to its lowest point, and start there. A bench that moves more than 0.1 s "
+        "after its drive can look the same",
     ),
     "NO_MOTION": FaultEntry(
         "rig saw no motion up to the largest breakaway drive",
