@@ -188,6 +188,12 @@ FAULTS: dict[str, FaultEntry] = {
         "power the device off and on. If it comes back, flash its firmware anew (`rig flash`), or correct the times in "
         "the plug-in driver",
     ),
+    "LOAD_TURNS": FaultEntry(
+        "a load turns the shaft one way, however weakly the motor is driven",
+        "take the load off, or balance it, and type `rig run CONFIG` again: rig needs a shaft that stays where it is "
+        "at 0 V. Or turn a load that hangs to its lowest point, and start there. A bench that moves more than 0.1 s "
+        "after its drive can look the same",
+    ),
     "NO_MOTION": FaultEntry(
         "rig saw no motion up to the largest breakaway drive",
         "check the sensor first: switch the motor's supply off, turn the shaft by hand, and watch the reading of `rig "
@@ -208,8 +214,9 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
-        "cut the motor's supply: software cannot stop this drive. Then check the H-bridge, the enable pull-down, and "
-        "that `rig flash --bridge` named the inputs that your bridge has",
+        "cut the motor's supply: software cannot stop this drive. If the shaft goes on turning, a load turns it: "
+        "take it off, or balance it. If it stops, check the H-bridge, the enable pull-down, and that "
+        "`rig flash --bridge` named the inputs that your bridge has",
     ),
     "SENSOR_NOISY": FaultEntry(
         "the position sensor is too noisy to see motion",

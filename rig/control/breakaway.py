@@ -173,7 +173,8 @@ class BreakawayCheck(RestingCheck):
     They may lie below it, too, where noise looks like a first motion. ``surely_V`` is at least the larger of both, and
     so high that noise alone hardly explains the motion below it: what a guard may expect to move the shaft.
 
-    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LATE.
+    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LOAD_TURNS
+    (moves the same way under strokes to either side), LATE.
     """
 
     def __init__(
@@ -285,8 +286,7 @@ class BreakawayCheck(RestingCheck):
         """Begin the next stroke of the pair, or the first one of a stronger pair; its drive, V."""
         if not self._needed:
             if self._level_V >= self.max_V and not self._may_go_on():
-                missing = [word for way, word in ((1, "rising"), (-1, "falling")) if way not in self._found_V]
-                raise Fault("NO_MOTION", f"up to {self.max_V:.2f} V towards {' and '.join(missing)} positions")
+                raise Fault("NO_MOTION", self._no_motion_words())
             self._pair += 1
             self._level_V = min(self._pair * self._step_V, self.max_V)
             stroke_s = self._strokes_s[min(self._pair, len(self._strokes_s)) - 1]
@@ -301,6 +301,15 @@ class BreakawayCheck(RestingCheck):
         self._begin("stroke", sample)
         self._asked = []
         return self._ask(sample, 0.0)
+
+    def _no_motion_words(self) -> str:
+        words = {1: "rising", -1: "falling"}
+        missing = [word for way, word in words.items() if way not in self._found_V]
+        return f"up to {self.max_V:.2f} V towards {' and '.join(missing)} positions" + "".join(
+            f"; {level_V:.2f} V moved it towards {words[way]} ones: a load may pull it that way, or one half of the "
+            "bridge does not drive"
+            for way, level_V in self._found_V.items()
+        )
 
     def _may_go_on(self) -> bool:
         """Whether one more pair at ``max_V`` keeps what could be unseen within the bound."""
@@ -392,6 +401,13 @@ class BreakawayCheck(RestingCheck):
         if self._shown_rad > self.motion_rad:
             self._shown_rad, self._proven = 0.0, self._pair
         against[way] = max(against[way] - moved_rad - off_rad, 0.0)
+        if against[way] > self.motion_rad and along[-way] > SURELY * self.motion_rad:
+            # swapped wires would turn both ways round
+            raise Fault(
+                "LOAD_TURNS",
+                f"strokes to either side moved the shaft towards {'falling' if way > 0 else 'rising'} positions; "
+                f"those of up to {way * self._level_V:+.2f} V by {-way * against[way] * 1e3:+.0f} mrad",
+            )
         if against[way] > self.motion_rad:
             raise Fault(
                 "POLARITY",

@@ -171,7 +171,7 @@ def armed_check(session: Session, check: BreakawayLaw | None) -> None:
         with session.loop.armed(limits):
             check_breakaway(session, check)
     except Fault as fault:
-        if fault.code in ("NO_MOTION", "POLARITY"):
+        if fault.code in ("NO_MOTION", "POLARITY", "LOAD_TURNS"):
             _explain_by_delay(session, fault)
         raise
     _take_delay(session)

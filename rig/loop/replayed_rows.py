@@ -27,7 +27,8 @@ OF_GUARD = frozenset(
 # and faults that laws raise: the same samples must raise them again. Any other fault came from the device, the link, a
 # signal or the disk.
 OF_LAW_OR_GUARD = OF_GUARD | {
-    *("NO_MOTION", "DRIVE_STUCK_ON", "SENSOR_NOISY", "NO_CYCLE", "NOT_HOME", "NO_SWITCHING", "DEVICE_RELAY"),
+    *("NO_MOTION", "LOAD_TURNS", "DRIVE_STUCK_ON", "SENSOR_NOISY"),
+    *("NO_CYCLE", "NOT_HOME", "NO_SWITCHING", "DEVICE_RELAY"),
 }
 AFTER_DRIVING = frozenset({"NOT_IDENTIFIED"})
 

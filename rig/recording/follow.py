@@ -112,7 +112,7 @@ class Progress:
         """Take one line of events.jsonl."""
         kind = event.get("kind")
         if kind == "stage":
-            if self.stage not in ("starting", "rest"):
+            if self.stage not in ("starting", "rest", event["name"]):  # a stage may have several laws
                 self.done.append(("done", self.stage, self.detail))
             self.stage, self.detail = str(event["name"]), ""
         elif kind == "breakaway":
@@ -214,12 +214,15 @@ def stage_line(event: dict[str, Any]) -> str | None:
 
 def print_stages(events: Tail, waiting: EndOfInput) -> None:
     """Print each stage's line until the input ends, or until nobody reads standard error any more."""
-    over = False
+    over, stage = False, ""
     while not over:
         over = waiting.wait(REFRESH_S)
         for line in events.lines():
-            text = stage_line(json.loads(line))
-            if text is not None:
+            event = json.loads(line)
+            text = stage_line(event)
+            goes_on = event.get("kind") == "stage" and event["name"] == stage
+            stage = event["name"] if event.get("kind") == "stage" else stage
+            if text is not None and not goes_on:
                 try:
                     sys.stderr.write(text + "\n")
                     sys.stderr.flush()

@@ -21,6 +21,7 @@ from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
+from rig.model.real_motor import plain
 from rig.preflight.breakaway_strokes import UNSEEN_RAD, _unseen_rad, breakaway_strokes
 from rig.recording.reader import read_run
 from rig.signals import Limits, Sample
@@ -85,6 +86,29 @@ def test_each_wrong_bench_is_named_and_left_at_zero(wiring: dict[str, Any], code
     assert bench.driver.bench.pin_counts == 0
     # a stuck sensor cannot show the motion: the strokes keep it short
     assert abs(bench.driver.bench.state.y) < 0.5
+
+
+@pytest.mark.parametrize(("wired", "code"), [("intact", "LOAD_TURNS"), ("reversed", "POLARITY")])
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_load_that_turns_the_shaft_is_not_taken_for_swapped_wires(wired: str, code: str, way: int) -> None:
+    """Where the shaft stands the load is just below friction, farther on it is larger: a push makes the shaft slide."""
+    motor = Motor(0.38, 2.2, coulomb(0.146), way * 0.137 if wired == "intact" else 0.0)
+    grows_V = -0.3 if wired == "intact" else 0.0
+    bench = simulated_bench(motor=motor, drive=wired, real=plain(motor)._replace(force_sin_V=grows_V))
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(breakaway_check(), "breakaway")
+    assert caught.value.code == code
+    if code == "LOAD_TURNS":
+        assert ("rising" if way > 0 else "falling") in caught.value.detail
+        assert way * bench.driver.bench.state.y > 0.0
+
+
+@pytest.mark.parametrize(("way", "words"), [(1, "towards rising ones: a load"), (-1, "towards falling ones: a load")])
+def test_a_shaft_that_moves_one_way_only_is_said_to(way: int, words: str) -> None:
+    bench = simulated_bench(motor=Motor(0.38, 2.2, coulomb(1.0), way * 0.8))
+    with pytest.raises(Fault, match="NO_MOTION") as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(breakaway_check(), "breakaway")
+    assert words in caught.value.detail
 
 
 def test_a_drive_that_is_stuck_on_is_noticed_though_no_software_can_stop_it() -> None:

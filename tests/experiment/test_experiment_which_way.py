@@ -47,7 +47,7 @@ def checked(
     [
         (QUICK, 0.71, 76.4, 15, True, "POLARITY"),
         (SLOWER | {"delay_s": 0.1}, 0.8, 77.6, 1, True, "POLARITY"),  # late as well
-        (SLOWER | {"delay_s": LATE_S}, 0.8, 77.6, 1, False, "DELAY"),  # the check itself says POLARITY
+        (SLOWER | {"delay_s": LATE_S}, 0.8, 77.6, 1, False, "DELAY"),  # the check itself says LOAD_TURNS
     ],
 )
 def test_swapped_wires_are_not_taken_for_a_delay_nor_a_delay_for_swapped_wires(
@@ -66,7 +66,7 @@ def test_swapped_wires_are_not_taken_for_a_delay_nor_a_delay_for_swapped_wires(
         for words in ("two motor wires", "channels of the encoder", "D2 and D3", "GP2 and GP3"):
             assert words in outcome.fault.cure
     else:
-        assert "the check said POLARITY" in outcome.fault.detail
+        assert "the check said LOAD_TURNS" in outcome.fault.detail
     assert replay(outcome.folder).is_same
 
 

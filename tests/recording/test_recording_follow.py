@@ -66,6 +66,24 @@ def test_a_tail_begins_with_the_last_whole_lines_and_waits_for_no_pipe(tmp_path:
         Tail(tmp_path / "pipe").lines()
 
 
+def test_a_stage_that_has_several_laws_is_shown_once(tmp_path: Path) -> None:
+    """The search of relay.until begins with pushes: two laws, one stage."""
+    events = [{"t_s": t_s, "kind": "stage", "name": name} for t_s, name in ((6.4, "search"), (6.5, "search"))]
+    progress = Progress()
+    for event in [*events, {"t_s": 7.6, "kind": "stage", "name": "strokes-1"}]:
+        progress.take_event(event)
+    assert [stage for _, stage, _ in progress.done] == ["search"]
+    (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
+    told = subprocess.run(
+        [sys.executable, "-m", "rig.recording.follow", str(tmp_path)],
+        input="",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stderr == "    6.4 s  search\n"
+
+
 LIVE = {"t_s": 9.41, "kind": "live", "tau_s": 0.17098, "tau_percent": 0.796, "fc_V": 0.48138, "fc_percent": None} | {
     "K_rad_s_V": 6.5418, "K_percent": 0.652,
 }  # fmt: skip

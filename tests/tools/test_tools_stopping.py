@@ -94,3 +94,21 @@ def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
     assert "| stopped because known | 2 |" in text
     assert ", never known |" in text
     assert "| ended otherwise: NO_MOTION | 1 |" in text
+
+
+def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> None:
+    one = replace(row(CAMPAIGN, 3, (), Asked()), verdict="ok", final_error=(0.0,) * 3, final_inside=(True,) * 3)
+    rows = [
+        replace(one, number=0, kinds=("plain",)),
+        replace(one, number=1, kinds=("sag 3",), found=("sag",)),
+        replace(one, number=2, kinds=("sag 3",), found=("drag",)),
+        replace(one, number=3, kinds=("lag 2",)),  # too small to be seen
+        replace(one, number=4, kinds=("sag 1",), verdict=None, fault="POLARITY"),  # neither named nor ok
+    ]
+    gains = {0: {}, 1: {"sag": 1e3}, 2: {"sag": 1e3}, 3: {"lag": 1.0}, 4: {"sag": 1e3}}
+    shown = {(False, number): those for number, those in gains.items()}
+    told = {command.PLAIN: {}, command.KNOWN: {}, command.DEPARTING: {one.number: one for one in rows}}
+    text = command.page(told, 0.4, "make stopping", "", 5, shown)
+    assert "| departures called ok | 75.0 % of 4 |" in text
+    assert "| laws named, of those that can be seen | 1 of 3: 33.3 % |" in text
+    assert "| sag 3 | 2 | 2 | 2 | 0 | 1 of 2 |" in text

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from rich.progress import track
@@ -90,7 +90,8 @@ def main() -> int:
         found[pair][one.number] = one
     if given.keep:
         file.keep()
-    shown = _shown(config, found)
+    those = [(pair, number) for pair, rows in found.items() for number in rows]
+    shown = shown_of(config, those, RowsFile(f"campaign-real-{config.seed}-gains", MADE_BY))
     made = commit(MADE_BY_RUNS if given.runs else MADE_BY)
     options = {"RUNS": 1 if given.runs else None, "KIND": given.kind, "MOTORS": given.motors, "PAIRS": given.pairs}
     command = f"make campaign-real SEED={config.seed}" + "".join(
@@ -132,15 +133,14 @@ def _row(told: dict[str, Any]) -> tuple[bool, Row]:
     return told["pair"], Row(**rest)
 
 
-def _shown(config: Campaign, found: Found) -> Shown:
-    """What each law of each motor could show: from its file, and what is missing there."""
-    file = RowsFile(f"campaign-real-{config.seed}-gains", MADE_BY)
+def shown_of(config: Campaign, wanted: Sequence[tuple[bool, int]], file: RowsFile) -> Shown:
+    """What each law of each motor could show in two relay tests: from its file, and what is missing there."""
     shown: Shown = {(told["pair"], told["number"]): told["gains"] for told in file.read()}
-    wanted = [(pair, number) for pair, rows in found.items() for number in rows if (pair, number) not in shown]
-    jobs = [(config, number, kinds_of(number, pair, config.seed)) for pair, number in wanted]
+    missing = [one for one in wanted if one not in shown]
+    jobs = [(config, number, kinds_of(number, pair, config.seed)) for pair, number in missing]
     done = spread(expected_gains, jobs, batch=10)
     for k, gains in track(done, "laws", total=len(jobs), disable=not sys.stderr.isatty()):
-        pair, number = wanted[k]
+        pair, number = missing[k]
         shown[pair, number] = gains
         file.add({"pair": pair, "number": number, "gains": gains})
     return shown
@@ -265,7 +265,27 @@ def is_wrong(one: Row) -> bool:
     return one.verdict == "ok" and one.error is not None and max(map(abs, one.error)) > WRONG
 
 
-def named_of(rows: Sequence[Row], shown: Shown) -> tuple[int, int]:
+class Named(Protocol):
+    """A row, as far as ``named_of`` looks at it."""
+
+    @property
+    def number(self) -> int:
+        """Which motor."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of its kinds."""
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """Names of the laws that were found."""
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """Names that are not told apart."""
+
+
+def named_of(rows: Sequence[Named], shown: Shown) -> tuple[int, int]:
     """How many laws are found, alone or in a group of at most three, and of how many that can be seen."""
     named = seen = 0
     for one in rows:

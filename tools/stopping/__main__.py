@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
+from campaign_real.__main__ import Shown, named_of, shown_of
 from campaign_real.kinds import KINDS
 from campaign_real.rows import kinds_of
 from rig.config.campaign import Campaign
+from rig.identify.departures.choice import ASKED
 from shared.cases import spread
 from shared.rows_file import RowsFile, commit
 from shared.share import at_most, bounds
@@ -27,6 +29,10 @@ MADE_BY = (  # rows of another code start anew
     "tools/stopping/in_memory.py",
     *(f"tools/campaign_real/{name}.py" for name in ("departing_bench", "departing_motor", "kinds")),
 )
+GAINS_BY = (  # what a law could show needs no run
+    *(f"rig/{room}" for room in ("identify", "model")),
+    *(f"tools/campaign_real/{name}.py" for name in ("departing_motor", "kinds", "shown")),
+)
 WRONG = 0.05  # relative error beyond which a number called ok is wrong
 SEED, PERCENT = 3, 1.0
 PLAIN, KNOWN, DEPARTING = "plain", "known", "departing"
@@ -37,6 +43,11 @@ TITLES = {
 }
 TITLE = "# How soon an experiment knows its motor"
 DEPARTING_TITLE = "# How soon an experiment knows a motor that departs from the plain model"
+SEEN = (
+    "*named*: laws that are found, alone or in a group of at most three, of those that can be seen: two relay tests of",
+    f"the motor, as in `make campaign-real`, should lower BIC by more than the {ASKED.entry:g} that a law needs to",
+    "enter. Motors with a random force are not counted there.",
+)
 Told = dict[str, dict[int, Row]]
 
 
@@ -81,14 +92,16 @@ def main() -> int:
     options += [f" SEED={given.seed}"] if given.seed != SEED else []
     options += [f" PERCENT={given.percent:g}"] if given.percent != PERCENT else []
     made = f"seed {given.seed}, commit {commit(MADE_BY)}, {time.time() - began:.0f} s"
-    text = page(told, given.percent, "make stopping" + "".join(options), made, len(jobs))
+    departing = [(False, number) for number in told[DEPARTING]]
+    shown = shown_of(campaign, departing, RowsFile(f"stopping-{given.seed}-gains", GAINS_BY)) if departing else {}
+    text = page(told, given.percent, "make stopping" + "".join(options), made, len(jobs), shown)
     given.page.write_text(text, encoding="utf-8")
     print(text)
     return 0
 
 
-def page(told: Told, percent: float, command: str, made: str, new: int) -> str:
-    """The page as Markdown."""
+def page(told: Told, percent: float, command: str, made: str, new: int, shown: Shown | None = None) -> str:
+    """The page as Markdown; ``shown``: what each law of the departing motors could show."""
     lines = [
         TITLE if any(told[group] for group in (PLAIN, KNOWN)) else DEPARTING_TITLE,
         "",
@@ -98,14 +111,15 @@ def page(told: Told, percent: float, command: str, made: str, new: int) -> str:
         f"tests until tau, K and f_c are known to {percent:g} % each (half width of the 95 % interval).",
         "",
         "*tests*: from the first sample of the search to the stop. *run*: from the run's start, with the check.",
+        *(SEEN if shown else ()),
         "",
     ]
     for group, rows in told.items():
         if rows:
             some = [rows[k] for k in sorted(rows)]
-            lines += [f"## {TITLES[group]}", "", *_table(some, percent), ""]
+            lines += [f"## {TITLES[group]}", "", *_table(some, shown or {}), ""]
             if group == DEPARTING:
-                lines += [*_kinds(some), ""]
+                lines += [*_kinds(some, shown or {}), ""]
     return "\n".join(lines)
 
 
@@ -113,7 +127,7 @@ def _time(time_s: float) -> str:
     return f"{time_s:.1f} s" if np.isfinite(time_s) else "never known"
 
 
-def _table(rows: Sequence[Row], percent: float) -> list[str]:
+def _table(rows: Sequence[Row], shown: Shown) -> list[str]:
     known = [one for one in rows if one.known]
     ended = [one for one in rows if not one.known]
     lines = ["| | |", "|---|---|", f"| motors | {len(rows)} |", f"| stopped because known | {len(known)} |"]
@@ -141,8 +155,15 @@ def _table(rows: Sequence[Row], percent: float) -> list[str]:
         bound = at_most(len(wrong), len(rows))
         lines.append(f"| identified afterwards: called ok | {len(ok)} of {len(judged)} |")
         lines.append(f"| of these more than 5 % off | {len(wrong)}; with 95 % confidence at most {100 * bound:.2f} % |")
+        departing = [one for one in rows if one.kinds not in ((), (PLAIN,))]  # a run that failed was not called ok
+        if departing:
+            share = sum(one.verdict == "ok" for one in departing) / len(departing)
+            lines.append(f"| departures called ok | {100 * share:.1f} % of {len(departing)} |")
         if ok:
             lines.append(f"| u95 that hold the truth | {100 * np.mean([one.final_inside for one in ok]):.1f} % |")
+        named, seen = named_of(departing, shown) if shown else (0, 0)
+        if seen:
+            lines.append(f"| laws named, of those that can be seen | {named} of {seen}: {100 * named / seen:.1f} % |")
     beyond = [one for one in rows if one.beyond_rad > 0.0]
     lines.append(f"| motors whose shaft left the soft limits | {len(beyond)}{_most(beyond)} |")
     lines.append(f"| motors whose guard braked | {sum(one.braked > 0 for one in rows)} |")
@@ -158,8 +179,8 @@ def _most(rows: Sequence[Row]) -> str:
     return f", by at most {1e3 * max(one.beyond_rad for one in rows):.0f} mrad" if rows else ""
 
 
-def _kinds(rows: Sequence[Row]) -> list[str]:
-    lines = ["| departure | motors | known | ok | wrong | tests, median |", "|---|---|---|---|---|---|"]
+def _kinds(rows: Sequence[Row], shown: Shown) -> list[str]:
+    lines = ["| departure | motors | known | ok | wrong | named | tests, median |", "|---|---|---|---|---|---|---|"]
     for kind in KINDS:
         some = [one for one in rows if one.kinds == (kind.name,)]
         if not some:
@@ -167,9 +188,11 @@ def _kinds(rows: Sequence[Row]) -> list[str]:
         ok = [one for one in some if one.verdict == "ok"]
         wrong = sum(max(map(abs, one.final_error or (0.0,))) > WRONG for one in ok)
         tests = [one.tests_s for one in some if one.tests_s is not None]
+        named = "{} of {}".format(*named_of(some, shown)) if shown else "-"
         median = f"{np.median(tests):.1f} s" if tests else "-"
         lines.append(
-            f"| {kind.name} | {len(some)} | {sum(one.known for one in some)} | {len(ok)} | {wrong} | {median} |"
+            f"| {kind.name} | {len(some)} | {sum(one.known for one in some)} | {len(ok)} | {wrong} | {named} "
+            f"| {median} |"
         )
     return lines
 

@@ -46,6 +46,7 @@ class Row:
     error, inside   of the live estimate at the stop: relative errors of tau, K and f_c, and what its interval holds
     verdict         of the identification afterwards; None if it was not asked for
     final_error, final_inside, u95   of it: relative errors, whether u95 holds each, relative u95
+    found, groups   of it: names of the laws that were found, and names that are not told apart
     beyond_rad      how far the shaft went beyond the soft limits, rad
     braked          ticks in which the guard braked
     seconds         of computing, s
@@ -63,6 +64,8 @@ class Row:
     final_error: tuple[float, ...] | None
     final_inside: tuple[bool, ...] | None
     u95: tuple[float, ...] | None
+    found: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
     beyond_rad: float
     braked: int
     fault: str | None
@@ -110,6 +113,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
     truth = _truth(one, departures, recording)
     live = stopped.live[-1] if stopped is not None and stopped.live else None
     error = inside = final_error = final_inside = u95 = verdict = None
+    names: tuple[str, ...] = ()
+    groups: tuple[tuple[str, ...], ...] = ()
     if live is not None:
         values = np.array([getattr(live, name) for name in OF])
         half = 0.01 * values * np.array([getattr(live, PERCENT_OF[name]) for name in OF])
@@ -124,6 +129,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         final_error = tuple((values / truth - 1.0).tolist())
         final_inside = tuple((np.abs(values - truth) <= wide).tolist())
         u95 = tuple((wide / values).tolist())
+        if law is not None:
+            names, groups = tuple(part.law.name for part in law.found), law.not_told_apart
     return Row(
         number,
         tuple(kind.name for kind in kinds),
@@ -137,6 +144,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         final_error,
         final_inside,
         u95,
+        names,
+        groups,
         max(shaft.furthest_rad - REACH_RAD, 0.0),
         session.loop.guard.braked_ticks,
         None if fault is None else fault.code,
