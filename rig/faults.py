@@ -257,7 +257,7 @@ FAULTS: dict[str, FaultEntry] = {
     "NOT_HOME": FaultEntry(
         "rig could not bring the shaft to rest at zero",
         "check for play, a spring or a load that moves the shaft; turn it near the centre by hand or with `rig jog`, "
-        "and start again",
+        "and start again; of `rig home`: check the wires of both end switches, too",
     ),
     "NO_SWEEPS": FaultEntry(
         "the survey has no room, or no time, for its sweeps",

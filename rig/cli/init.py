@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -187,13 +188,13 @@ def _number(
         return default
     trial = possible(name)
     while True:
-        answer: float = click.prompt(what, default=default, type=type(getattr(trial, name)))
+        answer: Any = click.prompt(what, default=default, type=type(getattr(trial, name)))
         try:
             replace(trial, **{name: answer})
         except new_bench.AnswerError as error:
             click.echo(f"Error: {error.cause}: {error.cure}.")
         else:
-            return answer
+            return float(answer)
 
 
 def _port(board: str) -> str:
