@@ -181,7 +181,8 @@ FAULTS: dict[str, FaultEntry] = {
     "SENSOR_STUCK": FaultEntry(
         "the reading does not follow the drive: the sensor is frozen or noisy, or the drive is not what rig commanded",
         "check the wiper's wire, the coupling of the potentiometer, the motor's wires, its supply and the bridge; `rig "
-        "jog CONFIG --u-V VOLTS` shows whether the reading follows the shaft",
+        "jog CONFIG --u-V VOLTS` shows whether the reading follows the shaft. An encoder that stood still has lost its "
+        "place, and its board does not know: `rig home CONFIG` before the next run",
     ),
     "SAMPLE_STALE": FaultEntry(
         "every reading is of the same instant: the device takes no new samples",
