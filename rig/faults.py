@@ -181,7 +181,8 @@ FAULTS: dict[str, FaultEntry] = {
     "SENSOR_STUCK": FaultEntry(
         "the reading does not follow the drive: the sensor is frozen or noisy, or the drive is not what rig commanded",
         "check the wiper's wire, the coupling of the potentiometer, the motor's wires, its supply and the bridge; `rig "
-        "jog CONFIG --u-V VOLTS` shows whether the reading follows the shaft",
+        "jog CONFIG --u-V VOLTS` shows whether the reading follows the shaft. An encoder that stood still has lost its "
+        "place, and its board does not know: `rig home CONFIG` before the next run",
     ),
     "SAMPLE_STALE": FaultEntry(
         "every reading is of the same instant: the device takes no new samples",
@@ -264,7 +265,7 @@ FAULTS: dict[str, FaultEntry] = {
     "NOT_HOME": FaultEntry(
         "rig could not bring the shaft to rest at zero",
         "check for play, a spring or a load that moves the shaft; turn it near the centre by hand or with `rig jog`, "
-        "and start again",
+        "and start again; of `rig home`: check the wires of both end switches, too",
     ),
     "NO_SWEEPS": FaultEntry(
         "the survey has no room, or no time, for its sweeps",

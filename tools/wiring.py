@@ -272,7 +272,7 @@ def _bridge(d: Drawing, pin: dict[str, str]) -> None:
     d.down(740, 260, ohms(BRIDGE_PULL_DOWN_OHM))
     d.joint(740, 220)
     d.joint(740, 300)
-    d.text(726, 258, "pull-down,\nat the bridge", "end", "dim")
+    d.text(728, 258, "pull-down,\nat bridge", "end", "dim")
     for y, here, there in (
         (170, pin["PIN_DIRECTION"], "DIR"),
         (220, pin["PIN_OC1A"], "PWM"),
@@ -280,7 +280,7 @@ def _bridge(d: Drawing, pin: dict[str, str]) -> None:
     ):
         d.pin(650, y, here, "right")
         d.pin(840, y, there, "left")
-    d.text(745, 322, "signal ground: no motor current", "middle", "dim")
+    d.text(745, 322, "no motor current here", "middle", "dim")
 
 
 def _motor_supply(d: Drawing) -> None:

@@ -33,12 +33,14 @@ def checked(path: Path, *, drives: bool = True) -> Experiment:
 
 
 def checked_bench(path: Path) -> Experiment:
-    """``checked`` for a command that drives a motor. A missing port: exits with status 1, before slow imports."""
+    """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports."""
     from rig.backends.links.device_file import require_device_file
+    from rig.backends.serial.emulated.firmware_build import require_emulator
 
     experiment = checked(path)
     with faults():
         require_device_file(experiment.daq.port)
+        require_emulator(experiment.daq.port)
     return experiment
 
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -94,26 +98,35 @@ def init(
         limits = _chosen("limits", limits, new_bench.LIMITS) if is_encoder else limits or "stops"
         _refuse_unused({} if limits == "turns" else {"--turns": turns}, "--limits turns", limits)
         port = port or _asked("port of the board", _port(board), asks)
+        number = partial(_number, partial(new_bench.possible, board, sensor, bridge, limits))
         answers = new_bench.Answers(
             board=board,
             sensor=sensor,
             bridge=bridge,
             port=port,
             limits=limits,
-            supply_V=_number("motor supply, V", supply_V, 12.0, asks),
-            counts_per_turn=counts_per_turn
-            or (click.prompt("counts for a turn of the encoder's own shaft (4 x PPR)", type=int) if is_encoder else 64),
-            gear=_number("turns of the encoder for one of the measured shaft", gear, 1.0, asks and is_encoder),
-            travel_deg=_number(
+            supply_V=number("supply_V", "motor supply, V", supply_V, 12.0, asks),
+            counts_per_turn=int(
+                number(
+                    "counts_per_turn",
+                    "counts for a turn of the encoder's own shaft (4 x PPR)",
+                    counts_per_turn if is_encoder else 64,
+                    None,
+                    asks,
+                )
+            ),
+            gear=number("gear", "turns of the encoder for one of the measured shaft", gear, 1.0, asks and is_encoder),
+            travel_deg=number(
+                "travel_deg",
                 "free travel from the centre to a stop, on each side, degrees",
                 travel_deg,
                 103.0,
                 asks and limits == "stops",
             ),
-            turns=_number("turns either way, at most", turns, 10.0, asks and limits == "turns"),
-            no_load_rpm=no_load_rpm
-            if no_load_rpm is not None
-            else click.prompt("speed of the measured shaft without load, at that supply, rpm", type=float),
+            turns=number("turns", "turns either way, at most", turns, 10.0, asks and limits == "turns"),
+            no_load_rpm=number(
+                "no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, asks
+            ),
         )
         text = new_bench.text(answers, str(file))
     except new_bench.AnswerError as error:
@@ -156,10 +169,32 @@ def _asked(what: str, default: str, asks: bool) -> str:
     return str(click.prompt(what, default=default)) if asks else default
 
 
-def _number(what: str, given: float | None, default: float, asks: bool) -> float:
+def _number(
+    possible: Callable[[str], new_bench.Answers],
+    name: str,
+    what: str,
+    given: float | None,
+    default: float | None,
+    asks: bool,
+) -> float:
+    """As given; the default where nobody is asked; else as answered: an answer that cannot be is asked for again.
+
+    possible  answers among which any number of this name is possible
+    default   None: there is none, and without an answer it was given
+    """
     if given is not None:
         return given
-    return float(click.prompt(what, default=default, type=float)) if asks else default
+    if not asks and default is not None:
+        return default
+    trial = possible(name)
+    while True:
+        answer: Any = click.prompt(what, default=default, type=type(getattr(trial, name)))
+        try:
+            replace(trial, **{name: answer})
+        except new_bench.AnswerError as error:
+            click.echo(f"Error: {error.cause}: {error.cure}.")
+        else:
+            return float(answer)
 
 
 def _port(board: str) -> str:

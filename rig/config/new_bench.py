@@ -20,6 +20,7 @@ _LARGEST_TRAVEL_DEG: Final = 125.0  # to each side: what that potentiometer show
 _LEAST_TRAVEL_DEG: Final = 40.0  # less is too small for the steps of 10 bits
 _LARGEST_ENCODER_DEG: Final = 3600.0
 _LARGEST_SIZE: Final = 1.25  # of the example's swings, however wide the travel
+_MOST_COUNTS: Final = 10_000_000  # for a turn of an encoder's own shaft
 _LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
 _MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
 _MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
@@ -170,11 +171,13 @@ class Answers:
             )
 
     def _check_encoder(self) -> None:
-        if not (4 <= self.counts_per_turn <= 10_000_000 and math.isfinite(self.gear) and self.gear > 0.0):
+        if not 4 <= self.counts_per_turn <= _MOST_COUNTS:
             raise AnswerError(
-                f"{self.counts_per_turn} counts a turn behind a gear of {self.gear:g} are no encoder",
-                "four times the lines (PPR) of its data sheet, 4 or more; a gear above 0",
+                f"{self.counts_per_turn} counts a turn are no encoder",
+                "four times the lines (PPR) of its data sheet, 4 or more",
             )
+        if not (math.isfinite(self.gear) and self.gear > 0.0):
+            raise AnswerError(f"a gear of {self.gear:g} is none", "turns of the encoder for one of the measured shaft")
         if self.counts < _LEAST_COUNTS:
             raise AnswerError(
                 f"{self.counts:g} counts for a turn of the measured shaft are too few: {_LEAST_COUNTS:g} at least",
@@ -188,6 +191,15 @@ class Answers:
                 f"{board.edges_s:.0f}",
                 "an encoder with fewer lines, or a slower motor" + (", or --board pico" if self.board == "uno" else ""),
             )
+
+
+def possible(board: str, sensor: str, bridge: str, limits: str, asked: str) -> Answers:
+    """Answers of which any one that is ``asked`` is possible, unless none could be: the others leave it all room."""
+    counts, gear, rpm = _MOST_COUNTS, 100.0, 1e-6
+    if asked == "no_load_rpm":
+        counts, gear = round(_LEAST_COUNTS), 1.0
+    supply_V = BRIDGES[bridge].largest_V
+    return Answers(board, sensor, bridge, "", supply_V, _LEAST_TRAVEL_DEG, rpm, limits, counts, gear)
 
 
 def text(answers: Answers, file: str) -> str:

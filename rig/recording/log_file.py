@@ -24,6 +24,22 @@ _USUAL: Final = {
     "position": {"y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg"},
     "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
 }
+# Words of a column's name that say its unit, in small letters.
+_NAMES_UNIT: Final = {
+    "time": {"ms": "ms", "millis": "ms", "us": "us", "micros": "us", "s": "s", "sec": "s", "seconds": "s"},
+    "drive": {"pwm": "pwm", "duty": "duty"},
+    "position": {
+        "rad": "rad",
+        "deg": "deg",
+        "turns": "turns",
+        "count": "counts",
+        "counts": "counts",
+        "ticks": "counts",
+    },
+    "velocity": {"rpm": "rpm"},
+}
+_LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identify/plausibility.py refuses others
+_FEWEST_ROWS = 22  # fewer are no recording to be fitted
 _WORD: Final = re.compile(r"[^\W\d_]+")
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _CLOCK_TURNS: Final = 2.0**32  # millis() and micros() of an Arduino
@@ -62,6 +78,9 @@ def read_log(path: Path, log: LogFormat) -> Recording:
         rows,
         frozenset(OWN_NAMES.values()),
     )
+    _refuse_other_units(
+        path, numbers[0], choices, {q: first[place] for q, place in places.items()} if has_names else {}
+    )
     raw = table.columns()
     for name, values in raw.items():
         if float(np.abs(values).max()) > LARGEST:
@@ -71,7 +90,44 @@ def read_log(path: Path, log: LogFormat) -> Recording:
     notes = [*text.notes, *notes, _taken(choices, {q: called[place] for q, place in places.items()}, log)]
     columns = _in_own_units(raw, choices, log, notes)
     names = tuple(columns)
-    return assembled(path, columns, rows, notes=tuple(notes), columns_present=names, units_stated=True)
+    try:
+        recording = assembled(path, columns, rows, notes=tuple(notes), columns_present=names, units_stated=True)
+    except RecordingError as error:
+        if has_names or any(one.column is not None for one in choices.values()):
+            raise
+        cure = f"{error.cure}; or, if the columns have another order, number them: {_numbered(choices)}"
+        raise RecordingError(path, error.cause, cure, error.line) from error
+    _refuse_other_clock(path, columns["t_s"], choices["time"])
+    return recording
+
+
+def _refuse_other_units(path: Path, line: int, choices: Mapping[str, LogColumn], names: Mapping[str, str]) -> None:
+    """Refuse a column whose name says another unit than the one given, unless somebody said which column it is."""
+    for quantity, name in names.items():
+        given = choices[quantity]
+        said = {unit for word in _WORD.findall(name) if (unit := _NAMES_UNIT[quantity].get(word.lower()))}
+        if given.column is None and said and given.unit not in said:
+            raise RecordingError(
+                path,
+                f"column {shown(name)} sounds like {' or '.join(sorted(said))}, and --{quantity} says {given.unit}",
+                f"type --{quantity} {min(said)}; or, if it is in {given.unit}: --{quantity} "
+                + (f"'{name}:{given.unit}'" if " " in name else f"{name}:{given.unit}"),
+                line,
+            )
+
+
+def _refuse_other_clock(path: Path, t_s: Floats, given: LogColumn) -> None:
+    """Refuse times in a unit in which no log of a motor has its samples, where another unit would do."""
+    period_s = float(np.median(np.diff(t_s)))
+    if t_s.size < _FEWEST_ROWS or _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
+        return
+    units = {unit: s for unit, s in UNITS["time"].items() if s is not None}
+    scaled = {unit: period_s * s / units[given.unit] for unit, s in units.items()}
+    others = [unit for unit, s in scaled.items() if _SHORTEST_PERIOD_S <= s <= _LONGEST_PERIOD_S]
+    if others:
+        column = "" if given.column is None else f"{given.column}:"
+        types = " or ".join(f"--time {column}{unit}" for unit in others)
+        raise RecordingError(path, f"in {given.unit} its samples are {period_s:.3g} s apart", f"type {types}")
 
 
 def _places(

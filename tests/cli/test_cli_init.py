@@ -61,6 +61,29 @@ def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch:
     assert e.sensor.encoder is not None and e.sensor.encoder.gear == 50.0 and e.limits.turns == 20.0
 
 
+def test_an_answer_that_cannot_be_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
+    answers = "arduino uno encoder tb6612 turns /dev/ttyACM3 volts 24 9 0 64 -1 50 1 20 nan 200"
+    told = CliRunner().invoke(main, ["init"], input=answers.replace(" ", "\n") + "\n")
+    assert told.exit_code == 0, told.output
+    for said in (
+        "'arduino' is not one of",
+        "'volts' is not a valid",
+        "a motor supply of 24 V is nothing for TB6612FNG",
+        "0 counts a turn are no encoder: four times the lines (PPR)",
+        "a gear of -1 is none",
+        "1 turns either way",
+        "a speed of nan",
+    ):
+        assert told.output.count(said) == 1
+    e = load(tmp_path / "bench.yaml")
+    assert e.drive.supply_V == 9.0 and e.limits.turns == 20.0
+    assert e.sensor.encoder is not None and e.sensor.encoder.counts_per_turn == 64 and e.sensor.encoder.gear == 50.0
+    angle = CliRunner().invoke(main, ["init", "angle.yaml"], input="uno\npotentiometer\nl298n\n\n9\n20\n60\n350\n")
+    assert angle.exit_code == 0 and "20 degrees to each side are not 40 to 125" in angle.output
+
+
 COUNTED = ("--sensor", "encoder", "--counts-per-turn", 64, "--gear", 50)
 MOTOR = """
 emulated:
@@ -116,6 +139,8 @@ def test_every_board_sensor_and_limits_run_on_their_emulated_chip(
         ((*ANSWERED, "--no-load-rpm", -3), "a speed of -3"),
         ((*ANSWERED, "--limits", "none"), "a potentiometer has ends"),
         ((*ANSWERED, "--sensor", "encoder"), "--counts-per-turn has no default"),
+        ((*ANSWERED, "--sensor", "encoder", "--counts-per-turn", 0), "0 counts a turn are no encoder"),
+        ((*ANSWERED, *COUNTED[:4], "--gear", 0), "a gear of 0 is none"),
         (
             (*ANSWERED, "--sensor", "encoder", "--counts-per-turn", 12),
             "12 counts for a turn of the measured shaft are too",

@@ -141,6 +141,22 @@ def test_ports_that_are_there_are_named_where_one_is_missing(tmp_path: Path) -> 
         require_device_file(port, tmp_path)
 
 
+@pytest.mark.parametrize(("name", "chip"), [("encoder", "chip"), ("demo-pico", "Pico")])
+def test_an_installed_rig_refuses_an_emulated_chip_before_it_compiles(
+    name: str, chip: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "core").mkdir()
+    for file in ("Makefile", "core/rig_core.c"):  # what a wheel packs of the firmware; no emulator
+        (tmp_path / file).touch()
+    monkeypatch.setattr("rig.backends.serial.emulated.firmware_build.source_folder", lambda: tmp_path)
+    monkeypatch.setattr("rig.experiment.ready.make_ready", lambda *words, **options: pytest.fail("compiled"))
+    refused = rig("run", ROOT / "config" / f"{name}.yaml", "--out", tmp_path / "runs")
+    assert refused.exit_code == 1
+    assert f"the emulated {chip} is in rig's repository only" in refused.stderr
+    assert "`rig config copy simulated`" in refused.stderr
+    assert not (tmp_path / "runs").exists()
+
+
 @pytest.mark.timeout(600)
 def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tmp_path: Path) -> None:
     config = yaml.safe_load(SIMULATED.read_text(encoding="utf-8"))

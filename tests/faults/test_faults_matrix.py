@@ -457,6 +457,9 @@ def test_the_page_is_what_the_command_writes() -> None:
     assert f"| port gone | LINK_LOST | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | {BOARD.title} |" in short
     wrong = replace(one, found=(replace(one.found[0], lost=3, trouble=("3 samples lost",)),))
     assert summary(lines.with_measured([wrong], "today", ""), [row], [BOARD]).endswith("% | 3 | 1 |")
+    old = replace(lines, untold={BOARD.key: 1})  # of a run that kept no lines
+    assert summary(old.with_measured([one], "today", ""), [row], [BOARD]).endswith("% | 0 | 1 |")
+    assert summary(old.with_measured([one], "today", "c0de"), [row], [BOARD]).endswith("% | 0 | 0 |")
     head = next(text for text in page.splitlines() if text.startswith("| fault | drive 0"))
     assert head in PAGE.read_text(encoding="utf-8")
     assert at_worst(lines, [row], [BOARD]).splitlines()[0] in SUMMARY.read_text(encoding="utf-8")

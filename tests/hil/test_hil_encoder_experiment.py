@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +14,15 @@ import yaml
 from click.testing import CliRunner
 
 from rig.backends.registry import connect
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.cli import main
 from rig.config.load import load
 from rig.experiment import zero
 from rig.faults import Fault
 from rig.recording.reader import read_run
 from rig.replay import replay
+from rig.signals import Sample
 
 pytestmark = pytest.mark.long
 
@@ -158,6 +162,62 @@ def test_home_says_why_it_gives_up(tmp_path: Path, end_rad: Any, home: dict[str,
     with pytest.raises(Fault) as failed:
         zero.by_switch(experiment)
     assert failed.value.code == code, failed.value
+
+
+def _opens(which: Contact, duration_s: float, chip: VirtualChip) -> None:
+    chip.contact(which, is_open=True)
+    if math.isfinite(duration_s):
+        chip.sleep_until(chip.now_s() + duration_s)
+        chip.contact(which, is_open=False)
+
+
+@pytest.mark.parametrize(
+    ("at_rad", "act", "code", "words"),
+    [
+        (0.0, partial(_opens, "end_high", 0.003), "NOT_HOME", "two places"),  # a glitch
+        (1.2, partial(_opens, "end_high", 0.003), "NOT_HOME", "two places"),  # it coasts on to the switch
+        (0.0, partial(_opens, "end_low", 0.003), "NOT_HOME", "two places"),
+        (0.0, partial(_opens, "end_low", math.inf), "NOT_HOME", "that of the low end"),  # a broken wire
+        (0.0, lambda chip: chip.rewire(sensor="stuck"), "NO_MOTION", "did not move the shaft"),
+        (0.0, lambda chip: chip.rewire(drive="reversed"), "POLARITY", ""),
+        (0.0, partial(_opens, "e_stop", 0.05), "DEVICE_ESTOP", ""),
+        (0.0, lambda chip: chip.reset(2), "DEVICE_RESET", ""),
+        (0.0, lambda chip: chip.rewire(sensor="still"), "DEVICE_ENCODER_STILL", ""),
+        (0.0, lambda chip: chip.rewire(sensor="jumped"), "DEVICE_ENCODER_LOST", ""),
+    ],
+)
+def test_a_homing_that_goes_wrong_sets_no_zero(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    at_rad: float,
+    act: Callable[[VirtualChip], None],
+    code: str,
+    words: str,
+) -> None:
+    encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.7}
+    path = changed(
+        tmp_path, sensor={"encoder": encoder}, emulated={"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
+    )
+    experiment = load(path)
+    with connect(experiment) as bench:
+        chip, driver = bench.clock, bench.driver
+        assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
+        read, acts, zeros = driver.read, [act], list[float]()
+
+        def read_and_act() -> Sample:
+            if acts and chip.truth().y_rad >= at_rad:
+                acts.pop()(chip)
+            return read()
+
+        monkeypatch.setattr(driver, "read", read_and_act)
+        monkeypatch.setattr(driver, "set_zero", zeros.append)
+        with pytest.raises(Fault) as failed:
+            zero.find_by_switch(experiment, bench)
+        chip.sleep_until(chip.now_s() + 0.2)
+        assert not acts and not zeros
+        assert chip.truth().pin_V == 0.0
+    assert failed.value.code == code and words in str(failed.value), failed.value
 
 
 def test_by_hand_the_shaft_stands_where_the_hand_says() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from rig.recording.recording import Recording
 TURN = 2.0 * math.pi
 COUNTED = LogFormat(LogColumn("ms"), LogColumn("pwm"), LogColumn("counts"), counts_per_turn=1440, full=255, supply_V=12)
 ROWS = "0,255,0\n10,-51,360\n20,0,720\n"
+LONGER = "".join(f"{10 * k},{(-1) ** k * 255},{k}\n" for k in range(30))
 NAMED = f"millis,pwm,counts\n{ROWS}"
 
 
@@ -160,6 +162,51 @@ def test_a_column_that_is_not_there_and_one_that_is_taken_twice(tmp_path: Path) 
     twice = LogFormat(LogColumn("s", "a"), LogColumn("V", "b"), LogColumn("rad", "b"))
     with pytest.raises(RecordingError, match="'b' is both drive and position"):
         parse(tmp_path, "a,b,c\n" + ROWS, twice)
+
+
+@pytest.mark.parametrize(
+    ("text", "log", "cause", "cure"),
+    [
+        (
+            NAMED,
+            replace(COUNTED, time=LogColumn("us")),
+            "column 'millis' sounds like ms, and --time says us",
+            "type --time ms; or",
+        ),
+        (
+            NAMED,
+            LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad")),
+            "column 'pwm' sounds like pwm",
+            "if it is in V: --drive pwm:V",
+        ),
+        (
+            NAMED,
+            LogFormat(LogColumn("ms"), LogColumn("V", "pwm"), LogColumn("rad")),
+            "column 'counts' sounds like counts",
+            "type --position counts",
+        ),
+        (
+            NAMED.replace("pwm,counts", 'pwm,"angle of the wheel, deg"'),
+            COUNTED,
+            "column 'angle of the wheel, deg' sounds like deg",
+            "if it is in counts: --position 'angle of the wheel, deg:counts'",
+        ),
+        (LONGER, replace(COUNTED, time=LogColumn("s")), "in s its samples are 10 s apart", "type --time ms"),
+        (LONGER, replace(COUNTED, time=LogColumn("us")), "in us its samples are 1e-05 s apart", "type --time ms"),
+        ("255,0,0\n-51,10,360\n0,20,720\n", COUNTED, "goes back in time", "--time 1:ms --drive 2:pwm --position 3:"),
+    ],
+)
+def test_a_unit_that_cannot_be_is_an_error_with_what_to_type(
+    tmp_path: Path, text: str, log: LogFormat, cause: str, cure: str
+) -> None:
+    with pytest.raises(RecordingError) as refused:
+        parse(tmp_path, text, log)
+    assert cause in refused.value.cause and cure in refused.value.cure
+
+
+def test_a_column_that_is_named_may_have_any_unit(tmp_path: Path) -> None:
+    log = LogFormat(LogColumn("ms"), LogColumn("V", "pwm"), LogColumn("rad", "counts"))
+    assert parse(tmp_path, NAMED, log).u_V.tolist() == [255.0, -51.0, 0.0]
 
 
 def test_a_run_folder_has_its_own_columns(tmp_path: Path) -> None:

@@ -107,7 +107,8 @@ class Lines:
     lines  by row, device and stage
     times  by device: what its bounds are made of, by name, s
     real   the table of the rows in real time: its cells
-    untold by device: wrong cases of a run that kept no lines, so that nobody knows in which
+    untold by device: wrong cases of a run that kept no lines, so that nobody knows in which; until each of the device's
+           lines was measured anew
     """
 
     lines: Mapping[Key, Kept]
@@ -127,7 +128,9 @@ class Lines:
             new[line.row.name, line.backend.key, line.stage.key] = line.kept(made, code)
             known = {name: s for name, s in line.times._asdict().items() if math.isfinite(s)}
             times[line.backend.key] = times.get(line.backend.key, {}) | known
-        return replace(self, lines=new, times=times)
+        of_old_run = {device for (_, device, _), kept in new.items() if kept.code == ""}
+        untold = {device: cases for device, cases in self.untold.items() if device in of_old_run}
+        return replace(self, lines=new, times=times, untold=untold)
 
     def only(self, places: Iterable[Key]) -> Lines:
         """Those that are still in the matrix."""

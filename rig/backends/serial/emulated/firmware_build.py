@@ -33,6 +33,10 @@ _BUILT: Final = {
 }
 _PACKAGE = FOLDER
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
+_EMULATORS: Final = (  # ports that begin with, what is emulated there, a source of it
+    ("emulated-chip", "chip", "emulator/chip.c"),
+    ("emulated-pico", "Pico", "emulator/pico/chip.js"),
+)
 _PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
 
 
@@ -117,6 +121,19 @@ def source_folder() -> Path:
     raise EmulationError(f"no firmware sources in {candidates[0]} or {candidates[1]}: install rig again")
 
 
+def require_emulator(port: str | None) -> None:
+    """Raise EmulationError where ``port`` names an emulated chip, and this rig has none: what is installed has no chip.
+
+    A command asks before anything slow, such as compiling the motor's model.
+    """
+    for begins, chip, source in _EMULATORS:
+        if port is not None and port.startswith(begins) and not (source_folder() / source).is_file():
+            raise EmulationError(
+                f"the emulated {chip} is in rig's repository only\n"
+                "run this command in a clone of it; without one: `rig config copy simulated`"
+            )
+
+
 def build(build_folder: Path | None = None) -> HostFirmware:
     """Build what is not up to date. Processes that build at the same time wait for each other.
 
@@ -142,8 +159,7 @@ def build_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = Non
 
     Raises EmulationError also where avr-gcc is missing, or the repository: what is installed has no emulated chip.
     """
-    if not (source_folder() / "emulator" / "chip.c").is_file():
-        raise EmulationError("the emulated chip is in rig's repository only: run from there")
+    require_emulator("emulated-chip")
     tools = {"avr-gcc": f"apt-get install {_AVR_PACKAGES} libsimavr-dev"}
     folder = _make(build_folder, ["chip", *options.variables()], tools)
     chip = folder / "chip"
@@ -165,9 +181,8 @@ def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None 
     Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing, or the repository: what is
     installed has no emulated chip.
     """
+    require_emulator("emulated-pico")
     emulator = source_folder() / "emulator" / "pico"
-    if not (emulator / "chip.js").is_file():
-        raise EmulationError("the emulated Pico is in rig's repository only: run from there")
     node = shutil.which("node")
     if node is None or not (emulator / "node_modules" / "rp2040js").is_dir():
         missing = "node" if node is None else "rp2040js"
