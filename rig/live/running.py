@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
+import threading
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from rig.live.born import born
 from rig.live.stop_flag import NAME, Runner, runner_of
+from rig.recording.writer import EVENTS
 
 _NEWEST: Final = 50  # by name: a run has its flag soon after its folder
 _OTHERS: Final = 200  # that one look is at
+_LAST_BYTES: Final = 4096  # of the events, with the end of a run
 
 
 class Running(NamedTuple):
@@ -47,6 +52,48 @@ class Lookout:
         return found
 
 
+class Seen:
+    """The runs that were seen to go on: who deletes or replaces the flag of one does not make it go unseen.
+
+    For several threads. Systems without /proc do not tell which process lives: there it goes unseen.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._runs: dict[int, tuple[Running, str]] = {}  # by process
+
+    def lost(self, found: Iterable[Running]) -> list[Running]:
+        """Those that were seen before, are not found now, and go on.
+
+        found  all that have their flag
+        """
+        flagged = {one.runner.pid: one for one in found}
+        with self._lock:
+            before = dict(self._runs)
+        lost = [one for pid, (one, _) in before.items() if pid not in flagged and self.goes_on(one)]
+        known = {pid: (one, before[pid][1] if pid in before else born(pid)) for pid, one in flagged.items()}
+        with self._lock:
+            self._runs = {**known, **{one.runner.pid: before[one.runner.pid] for one in lost}}
+        return lost
+
+    def goes_on(self, one: Running) -> bool:
+        """Whether a run that was seen before goes on, by its process and its events: it lives, and has no end."""
+        pid = one.runner.pid
+        began = self._runs[pid][1] if pid in self._runs else ""
+        return began != "" and born(pid) == began and not _has_ended(one.folder)
+
+
+def _has_ended(folder: Path) -> bool:
+    """Whether the events have the run's end. Its process may live a moment longer."""
+    try:
+        with (folder / EVENTS).open("rb") as file:
+            file.seek(max(file.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+            event = json.loads(file.read().rstrip().rpartition(b"\n")[2])
+            return bool(event.get("kind") == "end")
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
 def _folders(parent: Path) -> list[str]:
     try:
         with os.scandir(parent) as entries:
@@ -58,7 +105,7 @@ def _folders(parent: Path) -> list[str]:
 def _of(parent: Path, names: Iterable[str]) -> list[Running]:
     found = []
     for name in sorted(names):
-        if os.path.lexists(os.path.join(parent, name, NAME)):  # most have none
+        if os.path.lexists(f"{parent}{os.sep}{name}{os.sep}{NAME}"):  # most have none
             folder = parent / name
             if (runner := runner_of(folder)) is not None:
                 found.append(Running(folder, runner))

@@ -27,7 +27,7 @@ KEPT_ROWS: Final = 1024
 KEPT_ESTIMATES: Final = 4096
 _FIRST_BYTES: Final = 4_000_000  # of a recording that has grown before it is looked at: half an hour at 10 ms
 _FIRST_EVENTS: Final = 64_000_000  # bytes of its events: days
-_MOST_BYTES: Final = 2_000_000  # that one read takes of each file, so that none takes long
+_MOST_BYTES: Final = _FIRST_BYTES  # that one read takes of each file, so that none takes long
 _MOST_FAULTS: Final = 200
 _COMPUTES: Final = "identify"  # the stage in which nothing drives
 _TESTS: Final = (StageKind.SEARCH, StageKind.RELAY, StageKind.STROKES)
@@ -169,9 +169,12 @@ class LiveView:
         self._script: dict[str, Any] = {}
         self._knows_folder = False
 
-    def read(self, after_row: int = -1) -> Snapshot:
-        """The run now, with the rows after number ``after_row``. Raises OSError where its files cannot be read."""
-        runner = runner_of(self.folder)  # first: what it wrote before its end is read below
+    def read(self, after_row: int = -1, lost: Runner | None = None) -> Snapshot:
+        """The run now, with the rows after number ``after_row``. Raises OSError where its files cannot be read.
+
+        lost  who is known to make it although its flag is gone; None: nobody
+        """
+        runner = runner_of(self.folder) or lost  # first: what it wrote before its end is read below
         for line in self._events.lines():
             self._damaged += not self._story.take(line)
         for line in self._samples.lines():

@@ -8,11 +8,11 @@ import functools
 import json
 import secrets
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
@@ -39,6 +39,7 @@ _MOST_WAITING: Final = 8  # requests for what a process reads or compares: each 
 _STOP_WAITS_S: Final = 0.25  # for the rest of its request
 _POLICY: Final = 1008  # WebSocket close codes
 _TOO_MANY: Final = 1013
+_Read = TypeVar("_Read")
 _KINDS: Final[dict[str, Kind]] = {"GET": "read", "HEAD": "read", "POST": "write"}
 
 
@@ -139,6 +140,7 @@ class _Pages:
         self._panel = panel
         self._one_at_a_time = asyncio.Lock()  # of the processes that check
         self._readers = _Queue()  # who only watches never keeps the operator waiting
+        self._list = _Shared(lambda: bytes(JSONResponse({"runs": panel.runs.rows()}).body))
 
     async def page(self, request: Request) -> Response:
         """The page. A token in its URL becomes a session, and leaves the URL."""
@@ -151,7 +153,8 @@ class _Pages:
             return answer
         answer = FileResponse(STATIC / "index.html")
         if access.has_password and session is None:
-            found = access.log_in(request.headers.get("authorization", ""))
+            peer = request.client.host if request.client is not None else ""
+            found = access.log_in(request.headers.get("authorization", ""), peer)
             if isinstance(found, RefusedError):
                 refused = _refused(found)
                 refused.headers["www-authenticate"] = 'Basic realm="rig panel", charset="UTF-8"'
@@ -242,16 +245,16 @@ class _Pages:
     async def runs(self, request: Request) -> Response:
         """The past runs."""
         self._require_reader(request)
-        return JSONResponse({"runs": await asyncio.to_thread(self._panel.runs.rows)})
+        return Response(await self._list.get(), media_type="application/json")
 
     async def run(self, request: Request) -> Response:
         """One past run, to be drawn."""
         self._require_reader(request)
         runs = self._panel.runs
-        folder = await asyncio.to_thread(runs.find, request.path_params["name"])
         async with self._readers.turn():
+            folder = await _read(runs.find, request.path_params["name"])
             drawn = await answer_of("rig.panel.series", folder)
-        return JSONResponse({**await asyncio.to_thread(runs.row, folder), **drawn})
+            return JSONResponse({**await _read(runs.row, folder), **drawn})
 
     async def compare(self, request: Request) -> Response:
         """Whether past runs are of one motor: ``?run=NAME&run=NAME``."""
@@ -259,14 +262,14 @@ class _Pages:
         names = list(dict.fromkeys(request.query_params.getlist("run")))
         if not 2 <= len(names) <= _MOST_COMPARED:
             raise RefusedError(400, f"two to {_MOST_COMPARED} runs can be compared here", "rig compare takes more")
-        folders = [await asyncio.to_thread(self._panel.runs.find, name) for name in names]
         async with self._readers.turn():
+            folders = [await _read(self._panel.runs.find, name) for name in names]
             return JSONResponse(await answer_of("rig.panel.compared", *folders))
 
     async def report(self, request: Request) -> Response:
         """A run's report, in a sandbox."""
         self._require_reader(request)
-        path = await asyncio.to_thread(self._panel.runs.report, request.path_params["name"])
+        path = await _read(self._panel.runs.report, request.path_params["name"])
         answer = FileResponse(path, media_type="text/html")
         for key, value in security_headers(report=True):
             answer.headers[key.decode()] = value.decode()
@@ -308,6 +311,25 @@ class _Queue:
             yield
         finally:
             self._lock.release()
+
+
+class _Shared:
+    """What many ask for: those who ask before a reading begins have the same one."""
+
+    def __init__(self, read: Callable[[], bytes]) -> None:
+        self._reads = read
+        self._lock = asyncio.Lock()
+        self._next: asyncio.Task[bytes] | None = None
+
+    async def get(self) -> bytes:
+        if self._next is None:
+            self._next = asyncio.create_task(self._read())
+        return await asyncio.shield(self._next)
+
+    async def _read(self) -> bytes:
+        async with self._lock:
+            self._next = None
+            return await _read(self._reads)
 
 
 class _Sockets:
@@ -406,7 +428,13 @@ class _Page:
     session: str | None
 
 
+_readers: Final = ThreadPoolExecutor(2, "read")  # for who only watches: he holds up neither a start nor the live view
 _stoppers: Final = ThreadPoolExecutor(4, "stop")  # its own: whatever else a disk holds up, a Stop does not wait for it
+
+
+async def _read(what: Callable[..., _Read], *arguments: object) -> _Read:
+    """What a call that reads the disk gives, in a thread of the readers."""
+    return await asyncio.get_running_loop().run_in_executor(_readers, what, *arguments)
 
 
 async def _stop(panel: Panel, run: str | None) -> dict[str, Any]:

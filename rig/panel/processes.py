@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from rig.live.born import born
 from rig.panel.attendance import FOLDER
 from rig.panel.errors import RefusedError
 from rig.signals import plain
@@ -66,7 +67,7 @@ class StartedProcess:
         """Whether it goes on."""
         if self._child is not None:
             return self._child.poll() is None
-        return bool(self._born) and _born(self.pid) == self._born
+        return bool(self._born) and born(self.pid) == self._born
 
     def interrupt(self) -> None:
         """Ask it to stop: it counts from the command's first moment on."""
@@ -109,13 +110,13 @@ def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
                 [sys.executable, "-P", "-m", "rig", command, *arguments, "--out", str(out)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True,
             )  # fmt: skip
-        born = _born(child.pid)
-        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": born}), encoding="utf-8")
+        began = born(child.pid)
+        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": began}), encoding="utf-8")
     except OSError as error:
         raise RefusedError(
             503, f"the {command} cannot be started: {error.strerror}", "check the disk and its permissions"
         ) from error
-    return StartedProcess(note, command, child.pid, born, child)
+    return StartedProcess(note, command, child.pid, began, child)
 
 
 def found_again(out: Path) -> list[StartedProcess]:
@@ -132,16 +133,3 @@ def found_again(out: Path) -> list[StartedProcess]:
         else:
             process.end()
     return found
-
-
-def _born(pid: int) -> str:
-    """What tells this process from a later one of the same number: the time at which it began; empty if there is none.
-
-    A process that has ended, but whose end nobody has asked for, is none. Systems without /proc tell of none: there a
-    new panel finds a run once it has its folder, as any other's run.
-    """
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    except OSError:
-        return ""
-    return "" if fields[0] == "Z" else fields[19]

@@ -78,7 +78,7 @@ class Door(socket.socket):
         return connection, peer
 
     def came_in(self, peer: Any) -> None:
-        """This connection has done its handshake."""
+        """Take note that this connection has done its handshake."""
         self._greeting.pop(peer, None)
 
 

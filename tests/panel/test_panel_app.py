@@ -17,11 +17,12 @@ from processes import PATIENCE_S
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
+from rig.live.born import born
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
 from rig.panel.attendance import FOLDER
 from rig.panel.bench import StopAnswer
-from rig.panel.processes import StartedProcess, _born
+from rig.panel.processes import StartedProcess
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
 from rig.panel.watch import Follower
 
@@ -325,7 +326,7 @@ def test_a_page_is_told_what_a_start_says_that_takes_long(tmp_path: Path) -> Non
     """As the first one after an installation, which compiles the motor's model."""
     folder = tmp_path / FOLDER
     folder.mkdir()
-    note = {"command": "run", "pid": os.getpid(), "born": _born(os.getpid())}
+    note = {"command": "run", "pid": os.getpid(), "born": born(os.getpid())}
     (folder / "one.json").write_text(json.dumps(note))
     (folder / "one.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
     watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch
