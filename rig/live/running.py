@@ -62,19 +62,19 @@ class Seen:
         self._lock = threading.Lock()
         self._runs: dict[int, tuple[Running, str]] = {}  # by process
 
-    def lost(self, found: Iterable[Running]) -> list[Running]:
+    def others(self, found: Iterable[Running]) -> list[Running]:
         """Those that were seen before, are not found now, and go on.
 
-        found  all that have their flag
+        found  that have their flag
         """
         flagged = {one.runner.pid: one for one in found}
         with self._lock:
             before = dict(self._runs)
-        lost = [one for pid, (one, _) in before.items() if pid not in flagged and self.goes_on(one)]
+        others = [one for pid, (one, _) in before.items() if pid not in flagged and self.goes_on(one)]
         known = {pid: (one, before[pid][1] if pid in before else born(pid)) for pid, one in flagged.items()}
         with self._lock:
-            self._runs = {**known, **{one.runner.pid: before[one.runner.pid] for one in lost}}
-        return lost
+            self._runs = {**known, **{one.runner.pid: before[one.runner.pid] for one in others}}
+        return others
 
     def goes_on(self, one: Running) -> bool:
         """Whether a run that was seen before goes on, by its process and its events: it lives, and has no end."""

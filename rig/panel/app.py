@@ -133,6 +133,13 @@ def make_app(panel: Panel) -> ASGIApp:
     return Gate(app, panel.access)
 
 
+class _Json(JSONResponse):
+    """JSON in ASCII: a file's name may have bytes that are no text."""
+
+    def render(self, content: object) -> bytes:
+        return json.dumps(content, allow_nan=False, separators=(",", ":")).encode("ascii")
+
+
 class _Pages:
     """The answers over HTTP."""
 
@@ -140,7 +147,7 @@ class _Pages:
         self._panel = panel
         self._one_at_a_time = asyncio.Lock()  # of the processes that check
         self._readers = _Queue()  # who only watches never keeps the operator waiting
-        self._list = _Shared(lambda: bytes(JSONResponse({"runs": panel.runs.rows()}).body))
+        self._list = _Shared(lambda: bytes(_Json({"runs": panel.runs.rows()}).body))
 
     async def page(self, request: Request) -> Response:
         """The page. A token in its URL becomes a session, and leaves the URL."""
@@ -166,7 +173,7 @@ class _Pages:
         """What the page shows before anything moves."""
         self._require_reader(request)
         panel, session = self._panel, self._session(request)
-        return JSONResponse(
+        return _Json(
             {
                 "version": VERSION,
                 "config": None if panel.bench.config is None else panel.bench.config.name,
@@ -185,13 +192,13 @@ class _Pages:
         """Make this browser the operator's."""
         if not self._panel.access.take(self._session(request)):
             raise _no_session()
-        return JSONResponse({"operator": True})
+        return _Json({"operator": True})
 
     async def check(self, request: Request) -> Response:
         """What `rig check` says, and the confirmation for a start."""
         self._require_operator(request)
         async with self._one_at_a_time:
-            return JSONResponse(await self._panel.bench.check())
+            return _Json(await self._panel.bench.check())
 
     async def start(self, request: Request) -> Response:
         """Start the run that was confirmed."""
@@ -199,38 +206,38 @@ class _Pages:
         asked = await _json_of(request)
         if asked.get("confirmed") is not True:
             raise RefusedError(400, "a start must be confirmed", "look at what will happen, then confirm it")
-        return JSONResponse(await asyncio.to_thread(self._panel.bench.start, asked.get("confirmation")))
+        return _Json(await asyncio.to_thread(self._panel.bench.start, asked.get("confirmation")))
 
     async def stop(self, request: Request) -> Response:
         """Stop. It needs no session and asks nothing; a body that is no JSON, or does not come, stops all the same."""
         name = None
         with contextlib.suppress(RefusedError, ClientDisconnect, TimeoutError):
             name = (await asyncio.wait_for(_json_of(request), _STOP_WAITS_S)).get("run")
-        return JSONResponse(await _stop(self._panel, name if isinstance(name, str) else None))
+        return _Json(await _stop(self._panel, name if isinstance(name, str) else None))
 
     async def start_jog(self, request: Request) -> Response:
         """Open the device for a jog. Nothing moves until a page holds."""
         self._require_operator(request)
         async with self._one_at_a_time:
-            return JSONResponse(await self._panel.bench.start_jog())
+            return _Json(await self._panel.bench.start_jog())
 
     async def end_jog(self, request: Request) -> Response:
         """End the jog, as its operator leaves it."""
         self._require_operator(request)
         await asyncio.to_thread(self._panel.bench.end_jog)
-        return JSONResponse({"ended": True})
+        return _Json({"ended": True})
 
     async def calibration(self, request: Request) -> Response:
         """The calibration: what was said, the open question; null before the first."""
         self._require_reader(request)
         found = self._panel.bench.calibration
-        return JSONResponse({"calibration": None if found is None else found.shown()})
+        return _Json({"calibration": None if found is None else found.shown()})
 
     async def begin_calibration(self, request: Request) -> Response:
         """Begin a calibration."""
         self._require_operator(request)
         await asyncio.to_thread(self._panel.bench.calibrate)
-        return JSONResponse({"begun": True})
+        return _Json({"begun": True})
 
     async def answer_calibration(self, request: Request) -> Response:
         """Answer its question, leave the step out, or end it without writing."""
@@ -240,7 +247,7 @@ class _Pages:
             raise RefusedError(409, "no calibration goes on", "begin one")
         asked = await _json_of(request)
         await asyncio.to_thread(found.answer, asked.get("question"), _answer(asked))
-        return JSONResponse({"answered": True})
+        return _Json({"answered": True})
 
     async def runs(self, request: Request) -> Response:
         """The past runs."""
@@ -254,7 +261,7 @@ class _Pages:
         async with self._readers.turn():
             folder = await _read(runs.find, request.path_params["name"])
             drawn = await answer_of("rig.panel.series", folder)
-            return JSONResponse({**await _read(runs.row, folder), **drawn})
+            return _Json({**await _read(runs.row, folder), **drawn})
 
     async def compare(self, request: Request) -> Response:
         """Whether past runs are of one motor: ``?run=NAME&run=NAME``."""
@@ -264,7 +271,7 @@ class _Pages:
             raise RefusedError(400, f"two to {_MOST_COMPARED} runs can be compared here", "rig compare takes more")
         async with self._readers.turn():
             folders = [await _read(self._panel.runs.find, name) for name in names]
-            return JSONResponse(await answer_of("rig.panel.compared", *folders))
+            return _Json(await answer_of("rig.panel.compared", *folders))
 
     async def report(self, request: Request) -> Response:
         """A run's report, in a sandbox."""
@@ -488,7 +495,7 @@ def _no_session() -> RefusedError:
 
 
 def _refused(error: RefusedError) -> Response:
-    return JSONResponse({"error": {"what": error.what, "cure": error.cure}}, status_code=error.status)
+    return _Json({"error": {"what": error.what, "cure": error.cure}}, status_code=error.status)
 
 
 async def _answer_refused(request: Request, error: Exception) -> Response:

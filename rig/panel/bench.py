@@ -93,8 +93,9 @@ class Bench:
         at_all  False: a look as one of many; not for two threads
         """
         found = running(self.out) if at_all else self._lookout.look()
-        self._lost = self._seen.lost(found)
-        self._running = [*self._lost, *found]
+        others = self._seen.others(found)
+        self._lost = [one for one in others if runner_of(one.folder) is None]
+        self._running = [*others, *found]
         pids = {one.runner.pid for one in self._running}
         with self._lock:
             for process in self._started:

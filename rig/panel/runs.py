@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import re
 import stat
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ REPORT: Final = "report.html"
 MOST_RUNS: Final = 300
 _FILES: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, REPORT)
 _LARGEST_JSON: Final = 20_000_000  # bytes of a file that says what came of a run; ours have some thousands
-_NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\\x00-\x1f]{1,180}")
+_NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\]{1,180}")
 
 
 class Runs:
@@ -40,11 +41,11 @@ class Runs:
 
     def find(self, name: str) -> Path:
         """The run folder of this name. Raises RefusedError 404 if there is none."""
-        if _NAME.fullmatch(name):
+        if _is_a_name(name):
             with contextlib.suppress(OSError):  # a name that is longer than the disk has any
                 if _is_a_run(found := self.folder / name):
                     return found
-        raise RefusedError(404, f"there is no run {plain(name)[:200]!r} in {self.folder}", "reload the list of runs")
+        raise RefusedError(404, f"there is no run {plain(name)[:200]} in {self.folder}", "reload the list of runs")
 
     def report(self, name: str) -> Path:
         """The report of a run. Raises RefusedError 404 if it has none."""
@@ -95,10 +96,15 @@ class Runs:
             names = [path.name for path in self.folder.iterdir()]
         except OSError:
             return
-        for name in sorted(filter(_NAME.fullmatch, names), reverse=True):
+        for name in sorted(filter(_is_a_name, names), reverse=True):
             with contextlib.suppress(OSError):  # it went meanwhile
                 if _is_a_run(folder := self.folder / name):
                     yield folder
+
+
+def _is_a_name(name: str) -> bool:
+    """Whether a run folder of rig may have this name; none has a character that cannot be seen, or is no text."""
+    return _NAME.fullmatch(name) is not None and name.isprintable()
 
 
 def _is_a_run(path: Path) -> bool:
@@ -120,6 +126,8 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
     fault = result.faults[0].code if result is not None and result.faults else None
     loop = None if result is None else result.loop
     lasts_s = None if loop is None or not loop.ticks or not loop.period_s else loop.ticks * loop.period_s
+    if lasts_s is not None and not math.isfinite(lasts_s):
+        lasts_s = None
     return {
         "name": folder.name,
         "when": meta.started_utc or _stamp(folder.name),
@@ -149,7 +157,8 @@ def _numbers(estimate: EstimateResult) -> dict[str, Any]:
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         value, interval = estimate.value(name), estimate.interval(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])
-        numbers[name] = None if value is None else [value, half]
+        is_number = value is not None and math.isfinite(value)
+        numbers[name] = [value, half if half is not None and math.isfinite(half) else None] if is_number else None
     return numbers
 
 

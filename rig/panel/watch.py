@@ -74,6 +74,7 @@ class Watch:
         self._ticks = 0
         self._over_ticks = 0
         self._trouble = ""
+        self._lost: Path | None = None  # folder of the run whose flag the pages know to be gone
         self.scene = Scene()
         self._followers: set[Follower] = set()
 
@@ -141,18 +142,21 @@ class Watch:
 
     def _read(self, view: LiveView) -> Snapshot:
         """The run that is followed; whoever deletes its flag does not make it look over."""
-        snapshot = view.read(lost=self._bench.lost(view.folder))
+        lost = self._bench.lost(view.folder)
+        snapshot = view.read(lost=lost)
         if snapshot.state == "died" and self._ended is None:
             self._bench.look(at_all=False)
-            if lost := self._bench.lost(view.folder):
-                snapshot = view.read(lost=lost)
-                self._tell(
-                    {
-                        "type": "trouble", "code": "Stop flag gone",
-                        "what": f"{view.folder.name} goes on without its stop.flag: Stop is a signal to its process",
-                        "cure": "press Stop, and find out what deletes files of a run that goes on",
-                    }
-                )  # fmt: skip
+            lost = self._bench.lost(view.folder)
+            snapshot = view.read(lost=lost)
+        if lost is not None and self._lost != view.folder:
+            self._lost = view.folder
+            self._tell(
+                {
+                    "type": "trouble", "code": "Stop flag gone",
+                    "what": f"{view.folder.name} goes on without its stop.flag: Stop is a signal to its process",
+                    "cure": "press Stop, and find out what deletes files of a run that goes on",
+                }
+            )  # fmt: skip
         return snapshot
 
     def _choose(self) -> None:
