@@ -213,8 +213,8 @@ class Bench:
             for one in self._running:
                 if one.folder not in reached and name in (None, one.folder.name):
                     try:
-                        self._stop(one, by)
-                        reached.append(one.folder)
+                        if self._stop(one, by):
+                            reached.append(one.folder)
                     except StopError as error:
                         failed[one.folder] = str(error)
         waiting = self.opening if name is None else []
@@ -227,21 +227,26 @@ class Bench:
             self.calibration.stop(by_flag=is_run)
         return StopAnswer(tuple(reached), len(waiting), "; ".join(failed.values()))
 
-    def _stop(self, one: Running, by: str) -> None:
-        """Stop this run: by its flag, or where that is gone by a signal. Raises StopError."""
+    def _stop(self, one: Running, by: str) -> bool:
+        """Stop this run: by its flag, or where that is gone by a signal. Raises StopError.
+
+        Returns False if it has come to its end since the look.
+        """
         try:
             request_stop(one.folder, by)
         except StopError:
             if runner_of(one.folder) is not None:
                 raise
-            if self._seen.goes_on(one):  # else it has come to its end since the look
-                try:
-                    os.kill(one.runner.pid, signal.SIGTERM)
-                except OSError as error:
-                    raise StopError(
-                        f"{one.folder} has no stop flag any more, and process {one.runner.pid} takes no signal of "
-                        "this user: use the e-stop"
-                    ) from error
+            if not self._seen.goes_on(one):
+                return False
+            try:
+                os.kill(one.runner.pid, signal.SIGTERM)
+            except OSError as error:
+                raise StopError(
+                    f"{one.folder} has no stop flag any more, and process {one.runner.pid} takes no signal of this "
+                    "user: use the e-stop"
+                ) from error
+        return True
 
     # ------------------------------------------------------------------ jog
 
