@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import PATIENCE_S
 
 from rig.live.running import Running, running
 from rig.live.stop_flag import Runner, StopFlag
@@ -23,6 +24,8 @@ from rig.panel.bench import HOLD_ENDS_S, Bench, StopAnswer
 from rig.panel.errors import RefusedError
 from rig.panel.processes import StartedProcess
 from rig.panel.watch import ALIVE_S, PERIOD_S, Follower
+
+SILENCE = Path(__file__).parent / "browser" / "silence.mjs"
 
 
 def refused(what: Callable[[], object]) -> str:
@@ -169,6 +172,19 @@ def test_a_drive_that_is_not_confirmed_within_a_second_of_a_stop_is_told_once(
             events.write('{"kind": "stop", "t_s": 1, "confirmed": true}\n')
         now_s = 1.5
         assert told() == [(folder.name, False, 1100), (folder.name, True, 1500)]
+
+
+def test_a_page_says_within_a_second_that_it_is_not_connected_and_then_sends_nothing_but_stop() -> None:
+    """The page's own code, with a clock that the test moves."""
+    told = subprocess.run(["node", SILENCE], stdout=subprocess.PIPE, check=True, timeout=PATIENCE_S)
+    seen = json.loads(told.stdout)
+    assert seen["lively"] == 1, "a page that hears something says nothing of the kind"
+    assert [what for what, _ in seen["said"]] == ["alive", "silent", "alive", "silent"]
+    (_, frozen_ms), (_, dead_ms) = seen["said"][1], seen["said"][3]
+    assert 700 <= frozen_ms <= 1000
+    assert dead_ms == 0, "a socket that closes says so at once"
+    assert seen["sent"] == [False, True, ["stop"]]
+    assert seen["connects_again"]
 
 
 def test_a_page_hears_something_at_least_four_times_a_second(tmp_path: Path) -> None:
