@@ -97,7 +97,10 @@ class Bench:
         self._lost = [one for one in others if runner_of(one.folder) is None]
         self._running = [*others, *found]
         pids = {one.runner.pid for one in self._running}
+        others_started = processes.of_others(self.out, self.pids)  # it reads the disk: not with the lock
         with self._lock:
+            known = {process.pid for process in self._started}
+            self._started += [process for process in others_started if process.pid not in known]
             for process in self._started:
                 process.has_folder |= process.pid in pids
 
@@ -206,6 +209,7 @@ class Bench:
         self.release()
         reached: list[Path] = []
         failed: dict[Path, str] = {}
+        waiting: set[int] = set()
         for look in (None, self.look):  # first what is known, then what a look at all folders finds
             if look is not None:
                 look()
@@ -217,9 +221,9 @@ class Bench:
                             reached.append(one.folder)
                     except StopError as error:
                         failed[one.folder] = str(error)
-        waiting = self.opening if name is None else []
-        for process in waiting:
-            process.interrupt()
+            for process in self.opening if name is None else ():
+                process.interrupt()
+                waiting.add(process.pid)
         if self.calibration is not None and name is None:
             is_run = self.calibration.pid in {one.runner.pid for one in self._running if one.folder in reached}
             if self.calibration.works and not is_run:

@@ -13,7 +13,7 @@ import secrets
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -56,6 +56,7 @@ class StartedProcess:
         self.command, self.pid = command, pid
         self.has_folder = False
         self._stopped = False
+        self.is_others = False  # another panel that lives started it, and cleans up
         self._note, self._born, self._child = note, born, child
 
     def status(self) -> int | None:
@@ -79,7 +80,7 @@ class StartedProcess:
     def end(self) -> Ended:
         """How it ended; it is forgotten."""
         ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped, self.has_folder)
-        for path in (self._note, self._words):
+        for path in () if self.is_others else (self._note, self._words):
             with contextlib.suppress(OSError):
                 path.unlink()
         return ended
@@ -122,14 +123,29 @@ def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
 def found_again(out: Path) -> list[StartedProcess]:
     """The processes that an earlier panel started and that go on. What it noted of others is deleted."""
     found = []
-    for note in sorted((out / FOLDER).glob("*.json")) if (out / FOLDER).is_dir() else ():
-        try:
-            said = json.loads(note.read_text(encoding="utf-8"))
-            process = StartedProcess(note, str(said["command"]), int(said["pid"]), str(said["born"]), None)
-        except (OSError, ValueError, KeyError, TypeError):
-            process = StartedProcess(note, "", 0, "?", None)
+    for process in _noted(out):
         if process.lives:
             found.append(process)
         else:
             process.end()
     return found
+
+
+def of_others(out: Path, known: Collection[int]) -> list[StartedProcess]:
+    """The processes that go on, and that another panel of the same folder has started meanwhile.
+
+    known  the numbers of those that are known already
+    """
+    found = [process for process in _noted(out) if process.pid not in known and process.lives]
+    for process in found:
+        process.is_others = True
+    return found
+
+
+def _noted(out: Path) -> Iterator[StartedProcess]:
+    for note in sorted((out / FOLDER).glob("*.json")) if (out / FOLDER).is_dir() else ():
+        try:
+            said = json.loads(note.read_text(encoding="utf-8"))
+            yield StartedProcess(note, str(said["command"]), int(said["pid"]), str(said["born"]), None)
+        except (OSError, ValueError, KeyError, TypeError):
+            yield StartedProcess(note, "", 0, "?", None)

@@ -15,11 +15,13 @@ from typing import Any
 import pytest
 from processes import PATIENCE_S
 
+from rig.live.born import born
 from rig.live.running import Running, running
 from rig.live.stop_flag import Runner, StopFlag
 from rig.panel import bench as module
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel
+from rig.panel.attendance import FOLDER
 from rig.panel.bench import HOLD_ENDS_S, Bench, StopAnswer
 from rig.panel.errors import RefusedError
 from rig.panel.processes import StartedProcess
@@ -134,6 +136,27 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
     assert bench.stop() == StopAnswer((), 0, ""), "its process lives a moment longer than the run"
     bench.look()
     assert bench.running == [] and len(sent) == 1
+
+
+def test_what_another_panel_starts_is_known_here_stopped_here_and_cleaned_up_there(tmp_path: Path) -> None:
+    """Else a Stop on a second panel would miss a run whose device is being opened, and a start would be another."""
+    bench = Bench(None, tmp_path)
+    (tmp_path / FOLDER).mkdir()
+    note = tmp_path / FOLDER / "one.json"
+    with subprocess.Popen(["sleep", "60"]) as other:
+        note.write_text(json.dumps({"command": "run", "pid": other.pid, "born": born(other.pid)}))
+        (tmp_path / FOLDER / "torn.json").write_text('{"command": "run", "p')
+        bench.look()
+        bench.look()
+        assert [one.pid for one in bench.opening] == [other.pid]
+        assert "run goes on already" in refused(lambda: bench._start("run", "config"))
+        assert bench.stop() == StopAnswer((), 1, "")
+        assert other.wait(PATIENCE_S) == -signal.SIGTERM
+    assert [one.stopped for one in bench.ended()] == [True]
+    bench.look()
+    assert bench.opening == [] and note.exists()
+    Bench(None, tmp_path)
+    assert not note.exists(), "a panel that starts cleans up"
 
 
 def test_a_process_that_has_ended_makes_no_run_without_a_flag(tmp_path: Path) -> None:
