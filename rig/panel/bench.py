@@ -222,8 +222,9 @@ class Bench:
                     except StopError as error:
                         failed[one.folder] = str(error)
             for process in self.opening if name is None else ():
-                process.interrupt()
-                waiting.add(process.pid)
+                if process.pid not in waiting:  # a second signal would cost it its report
+                    process.interrupt()
+                    waiting.add(process.pid)
         if self.calibration is not None and name is None:
             is_run = self.calibration.pid in {one.runner.pid for one in self._running if one.folder in reached}
             if self.calibration.works and not is_run:
