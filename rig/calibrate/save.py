@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from shlex import quote
 
 from rig.config.edit import EditError, Value, with_values
 from rig.config.problems import Path as Keys
@@ -18,12 +20,22 @@ def read_text(file: Path) -> str:
     return file.read_bytes().decode()
 
 
+def require_writable(file: Path) -> None:
+    """Raise EditError if the file is marked read-only, for to replace it needs no right to write it. Raises OSError."""
+    if not file.stat().st_mode & stat.S_IWUSR:
+        raise EditError(
+            f"{file} is marked read-only", f"nothing is written: calibrate a copy, or type chmod u+w {quote(str(file))}"
+        )
+
+
 def save(file: Path, text: str, values: Mapping[Keys, Value]) -> Path:
     """Put the values into the file. Returns the backup: ``bench.yaml.20261123T123000Z``, the file as it was.
 
     text  the file's text when the values were chosen (``read_text``)
-    Raises EditError, also where the file has changed meanwhile; ConfigError; OSError; RecordingError for a full disk.
+    Raises EditError, also where the file has changed meanwhile or is marked read-only; ConfigError; OSError;
+    RecordingError for a full disk.
     """
+    require_writable(file)
     target = file.resolve()  # a link stays a link
     if read_text(target) != text:
         raise EditError(

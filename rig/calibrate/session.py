@@ -11,7 +11,7 @@ from rig.backends.links.device_file import require_device_file
 from rig.calibrate.dialogue import Ask, Hold, Motion, Say, Skipped, Strokes
 from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
-from rig.calibrate.save import read_text, save
+from rig.calibrate.save import read_text, require_writable, save
 from rig.calibrate.steps import calibration
 from rig.config.edit import EditError
 from rig.config.load import load_with_places
@@ -92,8 +92,15 @@ def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front, go
     gone   who has to be there while it drives, and is not: as of ``StopRequest``
     Raises NotWrittenError, Fault, ConfigError; RecordingError for a full disk.
     """
+    file = opened.file
+    try:
+        require_writable(file)  # before anybody turns a shaft
+    except EditError as error:
+        raise NotWrittenError(error.cause, error.cure) from error
+    except OSError as error:
+        raise NotWrittenError(f"{file}: {error.strerror}", "check the path") from error
     found = _measured(opened.draft, steps, runs, front, gone)
-    file, problems = opened.file, tuple(map(str, preflight(found.experiment).problems))
+    problems = tuple(map(str, preflight(found.experiment).problems))
     if not found.changes:
         front.say(Say(f"{file}: nothing to change"))
         return Finished(found, None, problems)

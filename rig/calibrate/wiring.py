@@ -119,6 +119,7 @@ def text(w: Wiring) -> str:
 
 # px; as narrow as the longest names allow, so that they can be read on a telephone, too
 _ROW, _TOP, _BOX, _GAP = 42, 40, 168, 64
+_LETTERS = 16  # that fit into a box, whatever the font
 
 
 def svg(w: Wiring) -> str:
@@ -154,7 +155,12 @@ def svg(w: Wiring) -> str:
     for row, (left, right) in enumerate(w.wires):
         parts += [
             f'<circle cx="{inner}" cy="{y[row]:g}" r="5"/><circle cx="{outer}" cy="{y[row]:g}" r="5"/>',
-            f'<text x="{inner - 14}" y="{y[row] + 5:g}" text-anchor="end">{escape(left)}</text>',
-            f'<text x="{outer + 14}" y="{y[row] + 5:g}">{escape(right)}</text>',
+            f'<text x="{inner - 14}" y="{y[row] + 5:g}" text-anchor="end"{_fitted(left)}>{escape(left)}</text>',
+            f'<text x="{outer + 14}" y="{y[row] + 5:g}"{_fitted(right)}>{escape(right)}</text>',
         ]
     return "".join([*parts, "</svg>"])
+
+
+def _fitted(name: str) -> str:
+    """Attributes of a name that would leave its box in a wide font."""
+    return f' textLength="{_BOX - 24}" lengthAdjust="spacingAndGlyphs"' if len(name) > _LETTERS else ""

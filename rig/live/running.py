@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
+import threading
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from rig.live.stop_flag import Runner, runner_of
+from rig.live.born import born
+from rig.live.stop_flag import NAME, Runner, runner_of
+from rig.recording.writer import EVENTS
+
+_NEWEST: Final = 50  # by name: a run has its flag soon after its folder
+_OTHERS: Final = 200  # that one look is at
+_LAST_BYTES: Final = 4096  # of the events, with the end of a run
 
 
 class Running(NamedTuple):
@@ -17,8 +27,86 @@ class Running(NamedTuple):
 
 def running(parent: Path) -> list[Running]:
     """The runs that go on in the folders of ``parent``, the newest last; none where it cannot be read."""
+    return _of(parent, _folders(parent))
+
+
+class Lookout:
+    """Looks again and again which runs go on, at a price that hardly grows with the past runs. Not for two threads.
+
+    Each look is at the newest folders, at those whose run went on, and at some of the others, in turn.
+    """
+
+    def __init__(self, parent: Path) -> None:
+        self._parent = parent
+        self._going: set[str] = set()
+        self._turn = 0
+
+    def look(self) -> list[Running]:
+        """As ``running``, but a run that begins in an old folder may be seen some looks later."""
+        there = sorted(_folders(self._parent))
+        newest, others = there[-_NEWEST:], there[:-_NEWEST]
+        first = self._turn if self._turn < len(others) else 0
+        self._turn = first + _OTHERS
+        found = _of(self._parent, {*newest, *others[first : self._turn], *self._going.intersection(there)})
+        self._going = {one.folder.name for one in found}
+        return found
+
+
+class Seen:
+    """The runs that were seen to go on: who deletes or replaces the flag of one does not make it go unseen.
+
+    For several threads. Systems without /proc do not tell which process lives: there it goes unseen.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._runs: dict[int, tuple[Running, str]] = {}  # by process
+
+    def others(self, found: Iterable[Running]) -> list[Running]:
+        """Those that were seen before, are not found now, and go on.
+
+        found  that have their flag
+        """
+        flagged = {one.runner.pid: one for one in found}
+        with self._lock:
+            before = dict(self._runs)
+        others = [one for pid, (one, _) in before.items() if pid not in flagged and self.goes_on(one)]
+        known = {pid: (one, before[pid][1] if pid in before else born(pid)) for pid, one in flagged.items()}
+        with self._lock:
+            self._runs = {**known, **{one.runner.pid: before[one.runner.pid] for one in others}}
+        return others
+
+    def goes_on(self, one: Running) -> bool:
+        """Whether a run that was seen before goes on, by its process and its events: it lives, and has no end."""
+        pid = one.runner.pid
+        began = self._runs[pid][1] if pid in self._runs else ""
+        return began != "" and born(pid) == began and not _has_ended(one.folder)
+
+
+def _has_ended(folder: Path) -> bool:
+    """Whether the events have the run's end. Its process may live a moment longer."""
     try:
-        folders = sorted(one for one in parent.iterdir() if one.is_dir() and not one.is_symlink())
+        with (folder / EVENTS).open("rb") as file:
+            file.seek(max(file.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+            event = json.loads(file.read().rstrip().rpartition(b"\n")[2])
+            return bool(event.get("kind") == "end")
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+def _folders(parent: Path) -> list[str]:
+    try:
+        with os.scandir(parent) as entries:
+            return [entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]
     except OSError:
         return []
-    return [Running(folder, runner) for folder in folders if (runner := runner_of(folder)) is not None]
+
+
+def _of(parent: Path, names: Iterable[str]) -> list[Running]:
+    found = []
+    for name in sorted(names):
+        if os.path.lexists(f"{parent}{os.sep}{name}{os.sep}{NAME}"):  # most have none
+            folder = parent / name
+            if (runner := runner_of(folder)) is not None:
+                found.append(Running(folder, runner))
+    return found

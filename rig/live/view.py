@@ -26,6 +26,9 @@ from rig.signals import FLAG_SKIPPED, Limits
 KEPT_ROWS: Final = 1024
 KEPT_ESTIMATES: Final = 4096
 _FIRST_BYTES: Final = 4_000_000  # of a recording that has grown before it is looked at: half an hour at 10 ms
+_FIRST_EVENTS: Final = 64_000_000  # bytes of its events: days
+_MOST_BYTES: Final = _FIRST_BYTES  # that one read takes of each file, so that none takes long
+_MOST_FAULTS: Final = 200
 _COMPUTES: Final = "identify"  # the stage in which nothing drives
 _TESTS: Final = (StageKind.SEARCH, StageKind.RELAY, StageKind.STROKES)
 
@@ -149,13 +152,14 @@ class Snapshot:
 class LiveView:
     """Follows the run in ``folder``. It never waits for the run, and the run never waits for it.
 
-    Not for two threads at once. Of a long recording it begins with the last rows.
+    Not for two threads at once. Of a long recording it begins with the last rows. What has grown by more than
+    ``_MOST_BYTES`` is read piece by piece, one with each ``read``.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._samples = Tail(folder / SAMPLES, _FIRST_BYTES)
-        self._events = Tail(folder / EVENTS)
+        self._samples = Tail(folder / SAMPLES, _FIRST_BYTES, _MOST_BYTES)
+        self._events = Tail(folder / EVENTS, _FIRST_EVENTS, _MOST_BYTES)
         self._rows: deque[LiveRow] = deque(maxlen=KEPT_ROWS)
         self._seen = 0  # rows
         self._skipped = 0
@@ -165,9 +169,12 @@ class LiveView:
         self._script: dict[str, Any] = {}
         self._knows_folder = False
 
-    def read(self, after_row: int = -1) -> Snapshot:
-        """The run now, with the rows after number ``after_row``. Raises OSError where its files cannot be read."""
-        runner = runner_of(self.folder)  # first: what it wrote before its end is read below
+    def read(self, after_row: int = -1, lost: Runner | None = None) -> Snapshot:
+        """The run now, with the rows after number ``after_row``. Raises OSError where its files cannot be read.
+
+        lost  who is known to make it although its flag is gone; None: nobody
+        """
+        runner = runner_of(self.folder) or lost  # first: what it wrote before its end is read below
         for line in self._events.lines():
             self._damaged += not self._story.take(line)
         for line in self._samples.lines():
@@ -317,7 +324,7 @@ class _Story:
                     _with_half(event, "fc_V", "fc_percent"),
                 )
             )
-        elif kind == "fault":
+        elif kind == "fault" and len(self.faults) < _MOST_FAULTS:
             words = (str(event.get(name) or "") for name in ("code", "cause", "detail", "cure"))
             self.faults.append(SeenFault(t_s, *words))
         elif kind == "link":

@@ -28,6 +28,7 @@ RawHeaders = Iterable[tuple[bytes, bytes]]
 LEAST_PASSWORD: Final = 12  # letters
 _MOST_SESSIONS: Final = 64  # of a password; the oldest is forgotten
 _WRONG_PASSWORD_COSTS_S: Final = 1.0
+_MOST_WRONG: Final = 256  # addresses that gave a wrong password within that time; more: all are told to wait
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
 _PAGE_POLICY: Final = (
@@ -150,7 +151,7 @@ class Access:
         self._clock = clock
         self._sessions: list[str] = []
         self._operator: str | None = None
-        self._closed_until_s = -1.0
+        self._closed_until_s: dict[str, float] = {}  # by address
         self._hosts = frozenset(address.hosts)
         self._origins = frozenset(f"{address.scheme}://{host}" for host in address.hosts)
 
@@ -192,16 +193,20 @@ class Access:
         self.token = None
         return self._new_session()
 
-    def log_in(self, authorization: str) -> str | RefusedError:
-        """A new session for a header Authorization with the password; the user's name does not matter."""
-        again = RefusedError(429, "a wrong password was given a moment ago", "wait a second, then try again")
-        if self._clock() < self._closed_until_s:
-            return again
+    def log_in(self, authorization: str, peer: str = "") -> str | RefusedError:
+        """A new session for a header Authorization with the password; the user's name does not matter.
+
+        peer  the address that it came from: after a wrong password this address waits, and no other one
+        """
         given = _basic_password(authorization)
-        if given is not None and self._password is not None and hmac.compare_digest(given, self._password.encode()):
-            return self._new_session()
         if given is not None:
-            self._closed_until_s = self._clock() + _WRONG_PASSWORD_COSTS_S
+            now_s, who = self._clock(), _neighbourhood(peer)
+            self._closed_until_s = {one: until_s for one, until_s in self._closed_until_s.items() if now_s < until_s}
+            if who in self._closed_until_s or len(self._closed_until_s) >= _MOST_WRONG:
+                return RefusedError(429, "a wrong password was given a moment ago", "wait a second, then try again")
+            if self._password is not None and hmac.compare_digest(given, self._password.encode()):
+                return self._new_session()
+            self._closed_until_s[who] = now_s + _WRONG_PASSWORD_COSTS_S
         return RefusedError(401, "the panel asks for its password", "it is in the file that --password-file names")
 
     def session_of(self, raw: RawHeaders) -> str | None:
@@ -268,6 +273,17 @@ def _is_fetched_by_another_site(headers: Collection[tuple[bytes, bytes]]) -> boo
         return False
     followed = _all(headers, b"sec-fetch-mode") == ["navigate"] and _all(headers, b"sec-fetch-dest") == ["document"]
     return not followed
+
+
+def _neighbourhood(peer: str) -> str:
+    """Of an IPv6 address its network, of which one machine has all addresses; else the address itself."""
+    try:
+        address = ipaddress.ip_address(peer.partition("%")[0])
+    except ValueError:
+        return peer
+    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is None:
+        return str(ipaddress.ip_network((address, 64), strict=False))
+    return peer
 
 
 def _basic_password(authorization: str) -> bytes | None:

@@ -8,11 +8,11 @@ import functools
 import json
 import secrets
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
@@ -39,6 +39,7 @@ _MOST_WAITING: Final = 8  # requests for what a process reads or compares: each 
 _STOP_WAITS_S: Final = 0.25  # for the rest of its request
 _POLICY: Final = 1008  # WebSocket close codes
 _TOO_MANY: Final = 1013
+_Read = TypeVar("_Read")
 _KINDS: Final[dict[str, Kind]] = {"GET": "read", "HEAD": "read", "POST": "write"}
 
 
@@ -132,6 +133,13 @@ def make_app(panel: Panel) -> ASGIApp:
     return Gate(app, panel.access)
 
 
+class _Json(JSONResponse):
+    """JSON in ASCII: a file's name may have bytes that are no text."""
+
+    def render(self, content: object) -> bytes:
+        return json.dumps(content, allow_nan=False, separators=(",", ":")).encode("ascii")
+
+
 class _Pages:
     """The answers over HTTP."""
 
@@ -139,6 +147,7 @@ class _Pages:
         self._panel = panel
         self._one_at_a_time = asyncio.Lock()  # of the processes that check
         self._readers = _Queue()  # who only watches never keeps the operator waiting
+        self._list = _Shared(lambda: bytes(_Json({"runs": panel.runs.rows()}).body))
 
     async def page(self, request: Request) -> Response:
         """The page. A token in its URL becomes a session, and leaves the URL."""
@@ -151,7 +160,8 @@ class _Pages:
             return answer
         answer = FileResponse(STATIC / "index.html")
         if access.has_password and session is None:
-            found = access.log_in(request.headers.get("authorization", ""))
+            peer = request.client.host if request.client is not None else ""
+            found = access.log_in(request.headers.get("authorization", ""), peer)
             if isinstance(found, RefusedError):
                 refused = _refused(found)
                 refused.headers["www-authenticate"] = 'Basic realm="rig panel", charset="UTF-8"'
@@ -163,7 +173,7 @@ class _Pages:
         """What the page shows before anything moves."""
         self._require_reader(request)
         panel, session = self._panel, self._session(request)
-        return JSONResponse(
+        return _Json(
             {
                 "version": VERSION,
                 "config": None if panel.bench.config is None else panel.bench.config.name,
@@ -182,13 +192,13 @@ class _Pages:
         """Make this browser the operator's."""
         if not self._panel.access.take(self._session(request)):
             raise _no_session()
-        return JSONResponse({"operator": True})
+        return _Json({"operator": True})
 
     async def check(self, request: Request) -> Response:
         """What `rig check` says, and the confirmation for a start."""
         self._require_operator(request)
         async with self._one_at_a_time:
-            return JSONResponse(await self._panel.bench.check())
+            return _Json(await self._panel.bench.check())
 
     async def start(self, request: Request) -> Response:
         """Start the run that was confirmed."""
@@ -196,38 +206,38 @@ class _Pages:
         asked = await _json_of(request)
         if asked.get("confirmed") is not True:
             raise RefusedError(400, "a start must be confirmed", "look at what will happen, then confirm it")
-        return JSONResponse(await asyncio.to_thread(self._panel.bench.start, asked.get("confirmation")))
+        return _Json(await asyncio.to_thread(self._panel.bench.start, asked.get("confirmation")))
 
     async def stop(self, request: Request) -> Response:
         """Stop. It needs no session and asks nothing; a body that is no JSON, or does not come, stops all the same."""
         name = None
         with contextlib.suppress(RefusedError, ClientDisconnect, TimeoutError):
             name = (await asyncio.wait_for(_json_of(request), _STOP_WAITS_S)).get("run")
-        return JSONResponse(await _stop(self._panel, name if isinstance(name, str) else None))
+        return _Json(await _stop(self._panel, name if isinstance(name, str) else None))
 
     async def start_jog(self, request: Request) -> Response:
         """Open the device for a jog. Nothing moves until a page holds."""
         self._require_operator(request)
         async with self._one_at_a_time:
-            return JSONResponse(await self._panel.bench.start_jog())
+            return _Json(await self._panel.bench.start_jog())
 
     async def end_jog(self, request: Request) -> Response:
         """End the jog, as its operator leaves it."""
         self._require_operator(request)
         await asyncio.to_thread(self._panel.bench.end_jog)
-        return JSONResponse({"ended": True})
+        return _Json({"ended": True})
 
     async def calibration(self, request: Request) -> Response:
         """The calibration: what was said, the open question; null before the first."""
         self._require_reader(request)
         found = self._panel.bench.calibration
-        return JSONResponse({"calibration": None if found is None else found.shown()})
+        return _Json({"calibration": None if found is None else found.shown()})
 
     async def begin_calibration(self, request: Request) -> Response:
         """Begin a calibration."""
         self._require_operator(request)
         await asyncio.to_thread(self._panel.bench.calibrate)
-        return JSONResponse({"begun": True})
+        return _Json({"begun": True})
 
     async def answer_calibration(self, request: Request) -> Response:
         """Answer its question, leave the step out, or end it without writing."""
@@ -237,21 +247,21 @@ class _Pages:
             raise RefusedError(409, "no calibration goes on", "begin one")
         asked = await _json_of(request)
         await asyncio.to_thread(found.answer, asked.get("question"), _answer(asked))
-        return JSONResponse({"answered": True})
+        return _Json({"answered": True})
 
     async def runs(self, request: Request) -> Response:
         """The past runs."""
         self._require_reader(request)
-        return JSONResponse({"runs": await asyncio.to_thread(self._panel.runs.rows)})
+        return Response(await self._list.get(), media_type="application/json")
 
     async def run(self, request: Request) -> Response:
         """One past run, to be drawn."""
         self._require_reader(request)
         runs = self._panel.runs
-        folder = await asyncio.to_thread(runs.find, request.path_params["name"])
         async with self._readers.turn():
+            folder = await _read(runs.find, request.path_params["name"])
             drawn = await answer_of("rig.panel.series", folder)
-        return JSONResponse({**await asyncio.to_thread(runs.row, folder), **drawn})
+            return _Json({**await _read(runs.row, folder), **drawn})
 
     async def compare(self, request: Request) -> Response:
         """Whether past runs are of one motor: ``?run=NAME&run=NAME``."""
@@ -259,14 +269,14 @@ class _Pages:
         names = list(dict.fromkeys(request.query_params.getlist("run")))
         if not 2 <= len(names) <= _MOST_COMPARED:
             raise RefusedError(400, f"two to {_MOST_COMPARED} runs can be compared here", "rig compare takes more")
-        folders = [await asyncio.to_thread(self._panel.runs.find, name) for name in names]
         async with self._readers.turn():
-            return JSONResponse(await answer_of("rig.panel.compared", *folders))
+            folders = [await _read(self._panel.runs.find, name) for name in names]
+            return _Json(await answer_of("rig.panel.compared", *folders))
 
     async def report(self, request: Request) -> Response:
         """A run's report, in a sandbox."""
         self._require_reader(request)
-        path = await asyncio.to_thread(self._panel.runs.report, request.path_params["name"])
+        path = await _read(self._panel.runs.report, request.path_params["name"])
         answer = FileResponse(path, media_type="text/html")
         for key, value in security_headers(report=True):
             answer.headers[key.decode()] = value.decode()
@@ -308,6 +318,25 @@ class _Queue:
             yield
         finally:
             self._lock.release()
+
+
+class _Shared:
+    """What many ask for: those who ask before a reading begins have the same one."""
+
+    def __init__(self, read: Callable[[], bytes]) -> None:
+        self._reads = read
+        self._lock = asyncio.Lock()
+        self._next: asyncio.Task[bytes] | None = None
+
+    async def get(self) -> bytes:
+        if self._next is None:
+            self._next = asyncio.create_task(self._read())
+        return await asyncio.shield(self._next)
+
+    async def _read(self) -> bytes:
+        async with self._lock:
+            self._next = None
+            return await _read(self._reads)
 
 
 class _Sockets:
@@ -406,7 +435,13 @@ class _Page:
     session: str | None
 
 
+_readers: Final = ThreadPoolExecutor(2, "read")  # for who only watches: he holds up neither a start nor the live view
 _stoppers: Final = ThreadPoolExecutor(4, "stop")  # its own: whatever else a disk holds up, a Stop does not wait for it
+
+
+async def _read(what: Callable[..., _Read], *arguments: object) -> _Read:
+    """What a call that reads the disk gives, in a thread of the readers."""
+    return await asyncio.get_running_loop().run_in_executor(_readers, what, *arguments)
 
 
 async def _stop(panel: Panel, run: str | None) -> dict[str, Any]:
@@ -460,7 +495,7 @@ def _no_session() -> RefusedError:
 
 
 def _refused(error: RefusedError) -> Response:
-    return JSONResponse({"error": {"what": error.what, "cure": error.cure}}, status_code=error.status)
+    return _Json({"error": {"what": error.what, "cure": error.cure}}, status_code=error.status)
 
 
 async def _answer_refused(request: Request, error: Exception) -> Response:

@@ -9,7 +9,9 @@ import asyncio
 import contextlib
 import hashlib
 import itertools
+import os
 import secrets
+import signal
 import threading
 import time
 from dataclasses import dataclass
@@ -17,8 +19,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from rig.live.lease import Leaser
-from rig.live.running import Running, running
-from rig.live.stop_flag import StopError, request_stop
+from rig.live.running import Lookout, Running, Seen, running
+from rig.live.stop_flag import Runner, StopError, request_stop, runner_of
 from rig.panel import attendance, processes
 from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
@@ -77,17 +79,28 @@ class Bench:
         self._hold: _Hold | None = None
         self._interrupted: set[str] = set()  # pages whose hold was interrupted, until they let go
         self._running: list[Running] = []
+        self._lookout, self._seen = Lookout(out), Seen()
+        self._lost: list[Running] = []
         self.calibration: Calibration | None = None
         self.calibration_changes = 0
         self._changes = itertools.count(1)
 
     # ------------------------------------------------------------------ what goes on
 
-    def look(self) -> None:
-        """Look anew which runs go on. It reads the folder."""
-        self._running = running(self.out)
+    def look(self, *, at_all: bool = True) -> None:
+        """Look anew which runs go on. It reads the folder.
+
+        at_all  False: a look as one of many; not for two threads
+        """
+        found = running(self.out) if at_all else self._lookout.look()
+        others = self._seen.others(found)
+        self._lost = [one for one in others if runner_of(one.folder) is None]
+        self._running = [*others, *found]
         pids = {one.runner.pid for one in self._running}
+        others_started = processes.of_others(self.out, self.pids)  # it reads the disk: not with the lock
         with self._lock:
+            known = {process.pid for process in self._started}
+            self._started += [process for process in others_started if process.pid not in known]
             for process in self._started:
                 process.has_folder |= process.pid in pids
 
@@ -95,6 +108,10 @@ class Bench:
     def running(self) -> list[Running]:
         """The runs that went on at the last look, the newest last; whoever started them."""
         return self._running
+
+    def lost(self, folder: Path) -> Runner | None:
+        """Who makes the run in this folder if its flag is gone, and he goes on all the same."""
+        return next((one.runner for one in self._lost if one.folder == folder), None)
 
     @property
     def opening(self) -> list[StartedProcess]:
@@ -190,24 +207,51 @@ class Bench:
     def stop(self, name: str | None = None, by: str = "panel") -> StopAnswer:
         """Stop the run of this name, or without a name all that goes on. Raises nothing: it says what did not work."""
         self.release()
-        self.look()
-        reached, failed = [], []
-        for one in self._running:
-            if name is None or one.folder.name == name:
-                try:
-                    request_stop(one.folder, by)
-                    reached.append(one.folder)
-                except StopError as error:
-                    failed.append(str(error))
-        waiting = self.opening if name is None else []
-        for process in waiting:
-            process.interrupt()
+        reached: list[Path] = []
+        failed: dict[Path, str] = {}
+        waiting: set[int] = set()
+        for look in (None, self.look):  # first what is known, then what a look at all folders finds
+            if look is not None:
+                look()
+            failed = {}
+            for one in self._running:
+                if one.folder not in reached and name in (None, one.folder.name):
+                    try:
+                        if self._stop(one, by):
+                            reached.append(one.folder)
+                    except StopError as error:
+                        failed[one.folder] = str(error)
+            for process in self.opening if name is None else ():
+                if process.pid not in waiting:  # a second signal would cost it its report
+                    process.interrupt()
+                    waiting.add(process.pid)
         if self.calibration is not None and name is None:
             is_run = self.calibration.pid in {one.runner.pid for one in self._running if one.folder in reached}
             if self.calibration.works and not is_run:
                 reached.append(CALIBRATION)
             self.calibration.stop(by_flag=is_run)
-        return StopAnswer(tuple(reached), len(waiting), "; ".join(failed))
+        return StopAnswer(tuple(reached), len(waiting), "; ".join(failed.values()))
+
+    def _stop(self, one: Running, by: str) -> bool:
+        """Stop this run: by its flag, or where that is gone by a signal. Raises StopError.
+
+        Returns False if it has come to its end since the look.
+        """
+        try:
+            request_stop(one.folder, by)
+        except StopError:
+            if runner_of(one.folder) is not None:
+                raise
+            if not self._seen.goes_on(one):
+                return False
+            try:
+                os.kill(one.runner.pid, signal.SIGTERM)
+            except OSError as error:
+                raise StopError(
+                    f"{one.folder} has no stop flag any more, and process {one.runner.pid} takes no signal of this "
+                    "user: use the e-stop"
+                ) from error
+        return True
 
     # ------------------------------------------------------------------ jog
 

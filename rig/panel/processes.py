@@ -13,11 +13,12 @@ import secrets
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from rig.live.born import born
 from rig.panel.attendance import FOLDER
 from rig.panel.errors import RefusedError
 from rig.signals import plain
@@ -55,6 +56,7 @@ class StartedProcess:
         self.command, self.pid = command, pid
         self.has_folder = False
         self._stopped = False
+        self.is_others = False  # another panel that lives started it, and cleans up
         self._note, self._born, self._child = note, born, child
 
     def status(self) -> int | None:
@@ -66,7 +68,7 @@ class StartedProcess:
         """Whether it goes on."""
         if self._child is not None:
             return self._child.poll() is None
-        return bool(self._born) and _born(self.pid) == self._born
+        return bool(self._born) and born(self.pid) == self._born
 
     def interrupt(self) -> None:
         """Ask it to stop: it counts from the command's first moment on."""
@@ -78,7 +80,7 @@ class StartedProcess:
     def end(self) -> Ended:
         """How it ended; it is forgotten."""
         ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped, self.has_folder)
-        for path in (self._note, self._words):
+        for path in () if self.is_others else (self._note, self._words):
             with contextlib.suppress(OSError):
                 path.unlink()
         return ended
@@ -109,24 +111,19 @@ def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
                 [sys.executable, "-P", "-m", "rig", command, *arguments, "--out", str(out)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True,
             )  # fmt: skip
-        born = _born(child.pid)
-        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": born}), encoding="utf-8")
+        began = born(child.pid)
+        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": began}), encoding="utf-8")
     except OSError as error:
         raise RefusedError(
             503, f"the {command} cannot be started: {error.strerror}", "check the disk and its permissions"
         ) from error
-    return StartedProcess(note, command, child.pid, born, child)
+    return StartedProcess(note, command, child.pid, began, child)
 
 
 def found_again(out: Path) -> list[StartedProcess]:
     """The processes that an earlier panel started and that go on. What it noted of others is deleted."""
     found = []
-    for note in sorted((out / FOLDER).glob("*.json")) if (out / FOLDER).is_dir() else ():
-        try:
-            said = json.loads(note.read_text(encoding="utf-8"))
-            process = StartedProcess(note, str(said["command"]), int(said["pid"]), str(said["born"]), None)
-        except (OSError, ValueError, KeyError, TypeError):
-            process = StartedProcess(note, "", 0, "?", None)
+    for process in _noted(out):
         if process.lives:
             found.append(process)
         else:
@@ -134,14 +131,21 @@ def found_again(out: Path) -> list[StartedProcess]:
     return found
 
 
-def _born(pid: int) -> str:
-    """What tells this process from a later one of the same number: the time at which it began; empty if there is none.
+def of_others(out: Path, known: Collection[int]) -> list[StartedProcess]:
+    """The processes that go on, and that another panel of the same folder has started meanwhile.
 
-    A process that has ended, but whose end nobody has asked for, is none. Systems without /proc tell of none: there a
-    new panel finds a run once it has its folder, as any other's run.
+    known  the numbers of those that are known already
     """
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    except OSError:
-        return ""
-    return "" if fields[0] == "Z" else fields[19]
+    found = [process for process in _noted(out) if process.pid not in known and process.lives]
+    for process in found:
+        process.is_others = True
+    return found
+
+
+def _noted(out: Path) -> Iterator[StartedProcess]:
+    for note in sorted((out / FOLDER).glob("*.json")) if (out / FOLDER).is_dir() else ():
+        try:
+            said = json.loads(note.read_text(encoding="utf-8"))
+            yield StartedProcess(note, str(said["command"]), int(said["pid"]), str(said["born"]), None)
+        except (OSError, ValueError, KeyError, TypeError):
+            yield StartedProcess(note, "", 0, "?", None)

@@ -5,7 +5,12 @@ A name from a page is looked up among the folders that are there. It never becom
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
 import re
+import stat
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +28,8 @@ from rig.signals import plain
 REPORT: Final = "report.html"
 MOST_RUNS: Final = 300
 _FILES: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, REPORT)
-_NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\\x00-\x1f]{1,180}")
+_LARGEST_JSON: Final = 20_000_000  # bytes of a file that says what came of a run; ours have some thousands
+_NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\]{1,180}")
 
 
 class Runs:
@@ -35,12 +41,11 @@ class Runs:
 
     def find(self, name: str) -> Path:
         """The run folder of this name. Raises RefusedError 404 if there is none."""
-        found = self._folders().get(name)
-        if found is None:
-            raise RefusedError(
-                404, f"there is no run {plain(name)[:200]!r} in {self.folder}", "reload the list of runs"
-            )
-        return found
+        if _is_a_name(name):
+            with contextlib.suppress(OSError):  # a name that is longer than the disk has any
+                if _is_a_run(found := self.folder / name):
+                    return found
+        raise RefusedError(404, f"there is no run {plain(name)[:200]} in {self.folder}", "reload the list of runs")
 
     def report(self, name: str) -> Path:
         """The report of a run. Raises RefusedError 404 if it has none."""
@@ -51,14 +56,18 @@ class Runs:
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each run, the newest first; at most ``MOST_RUNS``."""
-        folders = self._folders()
-        newest = sorted(folders, reverse=True)[:MOST_RUNS]
-        self._known = {name: known for name, known in self._known.items() if name in folders}
-        return [self._row(folders[name]) for name in newest]
+        rows = [self._row(folder) for folder in itertools.islice(self._newest(), MOST_RUNS)]
+        shown = {row["name"] for row in rows}
+        self._known = {name: known for name, known in self._known.items() if name in shown}
+        return rows
 
     def row(self, folder: Path) -> dict[str, Any]:
         """What came of one run; reads its small files."""
         notes: list[str] = []
+        for name in (META, RESULT):
+            with contextlib.suppress(OSError):
+                if (folder / name).stat().st_size > _LARGEST_JSON:
+                    return _summary(folder, RunMeta(), None, [f"{name} is too large to be rig's"])
         try:
             meta, _ = read_meta(folder)
         except RecordingError as error:
@@ -81,21 +90,35 @@ class Runs:
             known = self._known[folder.name] = (changed, self.row(folder))
         return known[1]
 
-    def _folders(self) -> dict[str, Path]:
+    def _newest(self) -> Iterator[Path]:
+        """The run folders, the newest first: each is looked at when its turn comes, for there may be thousands."""
         try:
-            there = list(self.folder.iterdir())
+            names = [path.name for path in self.folder.iterdir()]
         except OSError:
-            return {}
-        return {
-            path.name: path
-            for path in there
-            if _NAME.fullmatch(path.name)
-            and not path.is_symlink()
-            and path.is_dir()
-            and is_run(path)
-            # a link could lead to a file that the watchers of this panel must not read
-            and not any((path / name).is_symlink() for name in _FILES)
-        }
+            return
+        for name in sorted(filter(_is_a_name, names), reverse=True):
+            with contextlib.suppress(OSError):  # it went meanwhile
+                if _is_a_run(folder := self.folder / name):
+                    yield folder
+
+
+def _is_a_name(name: str) -> bool:
+    """Whether a run folder of rig may have this name; none has a character that cannot be seen, or is no text."""
+    return _NAME.fullmatch(name) is not None and name.isprintable()
+
+
+def _is_a_run(path: Path) -> bool:
+    """Whether this is a run folder of plain files. Raises OSError.
+
+    A link could lead to a file that the watchers of this panel must not read, and nobody may write into a pipe.
+    """
+    if not stat.S_ISDIR(path.lstat().st_mode) or not is_run(path):
+        return False
+    for name in _FILES:
+        with contextlib.suppress(FileNotFoundError):
+            if not stat.S_ISREG((path / name).lstat().st_mode):
+                return False
+    return True
 
 
 def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> dict[str, Any]:
@@ -103,6 +126,8 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
     fault = result.faults[0].code if result is not None and result.faults else None
     loop = None if result is None else result.loop
     lasts_s = None if loop is None or not loop.ticks or not loop.period_s else loop.ticks * loop.period_s
+    if lasts_s is not None and not math.isfinite(lasts_s):
+        lasts_s = None
     return {
         "name": folder.name,
         "when": meta.started_utc or _stamp(folder.name),
@@ -132,7 +157,8 @@ def _numbers(estimate: EstimateResult) -> dict[str, Any]:
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         value, interval = estimate.value(name), estimate.interval(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])
-        numbers[name] = None if value is None else [value, half]
+        is_number = value is not None and math.isfinite(value)
+        numbers[name] = [value, half if half is not None and math.isfinite(half) else None] if is_number else None
     return numbers
 
 

@@ -13,7 +13,7 @@ import uvicorn
 
 from rig.panel.access import AccessError, Address
 from rig.panel.app import Panel, make_app
-from rig.panel.sockets import LARGEST_MESSAGE, PING_EVERY_S, PONG_WITHIN_S, CountedProtocol, MeteredProtocol
+from rig.panel.sockets import LARGEST_MESSAGE, PING_EVERY_S, PONG_WITHIN_S, CountedProtocol, Door, MeteredProtocol
 
 _BACKLOG = 128
 _SEND_BUFFER = 32 * 1024  # small, so that a page that reads slowly gets new rows, not old ones from a buffer
@@ -27,10 +27,10 @@ class Certificate:
     key: Path
 
 
-def listen(bind: str, port: int) -> socket.socket:
+def listen(bind: str, port: int) -> Door:
     """The socket that the panel is served on. Raises AccessError if the address is taken, or not this machine's."""
     family = socket.AF_INET6 if ":" in bind else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = Door(family)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
@@ -57,14 +57,15 @@ def require_certificate(certificate: Certificate) -> None:
         ) from error
 
 
-def serve(panel: Panel, listening: socket.socket, certificate: Certificate | None = None) -> None:
+def serve(panel: Panel, listening: Door, certificate: Certificate | None = None) -> None:
     """Serve until Ctrl-C or SIGTERM. Runs that go on are left alone."""
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
     config = uvicorn.Config(
         make_app(panel),
         log_config=None,
         access_log=False,
-        http=CountedProtocol,
+        loop="asyncio",  # others accept connections past the door
+        http=CountedProtocol.behind(listening),
         ws=MeteredProtocol,
         ws_max_size=LARGEST_MESSAGE,
         ws_ping_interval=PING_EVERY_S,

@@ -10,6 +10,7 @@ import json
 import math
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -73,14 +74,16 @@ class Watch:
         self._ticks = 0
         self._over_ticks = 0
         self._trouble = ""
+        self._lost: Path | None = None  # folder of the run whose flag the pages know to be gone
         self.scene = Scene()
         self._followers: set[Follower] = set()
 
     async def go(self) -> None:
         """Look and tell until cancelled."""
         next_s = time.monotonic()
+        loop, thread = asyncio.get_running_loop(), ThreadPoolExecutor(1, "look")  # its own: no reader is in its way
         while True:
-            await asyncio.to_thread(self.look)
+            await loop.run_in_executor(thread, self.look)
             for follower in self._followers:
                 follower.wake.set()
             next_s = max(next_s + PERIOD_S, time.monotonic() + 0.25 * PERIOD_S)
@@ -119,11 +122,11 @@ class Watch:
     def _look(self) -> None:
         bench = self._bench
         if self._ticks % _LOOK_EVERY == 0:
-            bench.look()
+            bench.look(at_all=False)
             self._choose()
         self._ticks += 1
-        snapshot = None if self._view is None else self._view.read()
         folder = None if self._view is None else self._view.folder
+        snapshot = None if self._view is None else self._read(self._view)
         self._take_ends(folder, snapshot)
         self._watch_stops(folder, snapshot)
         opening = bench.opening
@@ -136,6 +139,25 @@ class Watch:
             tuple(self._news),
             bench.calibration_changes,
         )
+
+    def _read(self, view: LiveView) -> Snapshot:
+        """The run that is followed; whoever deletes its flag does not make it look over."""
+        lost = self._bench.lost(view.folder)
+        snapshot = view.read(lost=lost)
+        if snapshot.state == "died" and self._ended is None:
+            self._bench.look(at_all=False)
+            lost = self._bench.lost(view.folder)
+            snapshot = view.read(lost=lost)
+        if lost is not None and self._lost != view.folder:
+            self._lost = view.folder
+            self._tell(
+                {
+                    "type": "trouble", "code": "Stop flag gone",
+                    "what": f"{view.folder.name} goes on without its stop.flag: Stop is a signal to its process",
+                    "cure": "press Stop, and find out what deletes files of a run that goes on",
+                }
+            )  # fmt: skip
+        return snapshot
 
     def _choose(self) -> None:
         """Follow the newest run that goes on, once the one that is followed is over."""

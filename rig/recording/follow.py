@@ -59,12 +59,14 @@ class Tail:
     """Reads the new whole lines of a file while another process appends to it.
 
     last_bytes  of a file that is longer, the first call reads only the whole lines in so many bytes; None: all
+    most_bytes  that one call reads, the rest with later calls; None: all
     """
 
-    def __init__(self, path: Path, last_bytes: int | None = None) -> None:
+    def __init__(self, path: Path, last_bytes: int | None = None, most_bytes: int | None = None) -> None:
         self.path = path
         self._offset = 0
         self._last_bytes = last_bytes
+        self._most_bytes = -1 if most_bytes is None else most_bytes
 
     def lines(self) -> list[str]:
         """Lines completed since the last call; none while there is no file. Raises OSError for what is no file."""
@@ -72,10 +74,12 @@ class Tail:
             with open(self.path, "rb", opener=_without_waiting) as file:
                 torn = self._skip(file)
                 file.seek(self._offset)
-                data = file.read()
+                data = file.read(self._most_bytes)
         except FileNotFoundError:
             return []
         end = data.rfind(b"\n") + 1
+        if not end and len(data) == self._most_bytes:  # no line of ours is as long: go on behind this piece
+            end = len(data)
         self._offset += end
         return data[:end].decode("ascii", errors="replace").splitlines()[torn:]
 

@@ -32,6 +32,17 @@ def test_the_file_changes_in_place_with_a_dated_backup(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 4
 
 
+def test_a_file_that_is_marked_read_only_is_left_alone(tmp_path: Path) -> None:
+    """To replace it would need no right to write it."""
+    file = tmp_path / "bench.yaml"
+    file.write_text("drive: {max_V: 3.0}\n")
+    file.chmod(0o444)
+    with pytest.raises(EditError, match="marked read-only") as refused:
+        save(file, read_text(file), VALUES)
+    assert refused.value.cure.endswith(f"chmod u+w {file}")
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_a_file_that_somebody_changed_meanwhile_is_left_alone(tmp_path: Path) -> None:
     file = tmp_path / "bench.yaml"
     file.write_text("drive: {max_V: 3.0}\n")

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.live.stop_flag import StopFlag
+from rig.live.running import Lookout, running
+from rig.live.stop_flag import Runner, StopFlag
 from rig.live.view import KEPT_ROWS, Cycle, Estimate, LiveView, Planes
 from rig.recording.columns import HEADER, SampleRow, format_row
 
@@ -141,3 +142,52 @@ def test_a_long_recording_begins_with_its_last_rows_and_a_broken_folder_with_wha
     seen = LiveView(folder).read()
     assert seen.rows[-1].tick == 900_000 and seen.rows[-1].number < 4_000_000 // len(line) + 1
     assert (seen.damaged, seen.limits, seen.command, seen.left) == (0, None, None, (None, None))
+
+
+def test_a_file_that_has_grown_by_gigabytes_is_read_piece_by_piece(folder: Path) -> None:
+    """One look stays short, and no line is lost; what has no end of line is no line of a run."""
+    fault = json.dumps({"kind": "fault", "t_s": 1.0, "code": "NOISE", "cause": "x" * 1000, "detail": "", "cure": ""})
+    with (folder / "events.jsonl").open("w") as events:
+        for _ in range(9000):
+            events.write(fault + "\n")
+        events.write(json.dumps({"kind": "stage", "t_s": 2.0, "name": "relay-1"}) + "\n")
+    view = LiveView(folder)
+    stages = [view.read().stage for _ in range(4)]
+    assert stages == [None, None, "relay-1", "relay-1"]
+    assert len(view.read().faults) == 200
+    with (folder / "events.jsonl").open("ab") as events:
+        events.truncate(events.tell() + (2 << 30))  # zeros
+    with (folder / "samples.csv").open("ab") as samples:
+        samples.truncate(2 << 30)
+    assert view.read().damaged <= 2
+    assert LiveView(folder).read().rows == ()
+
+
+def test_a_look_sees_each_run_though_it_does_not_look_at_each_old_folder_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[str] = []
+
+    def runner_of(folder: Path) -> Runner | None:
+        looked.append(folder.name)
+        return Runner(1, 0.0, 0.01)
+
+    monkeypatch.setattr("rig.live.running.runner_of", runner_of)
+    for number in range(700):
+        (tmp_path / f"2026-{number:04}").mkdir()
+    (tmp_path / "2026-link").symlink_to(tmp_path / "2026-0000")
+    lookout = Lookout(tmp_path)
+
+    def look() -> list[str]:
+        return [one.folder.name for one in lookout.look()]
+
+    assert look() == []
+    for name in ("2026-0000", "2026-0649", "2026-0699"):
+        (tmp_path / name / "stop.flag").touch()
+    assert look() == ["2026-0699"], "the newest at once"
+    seen = [look() for _ in range(4)]
+    assert seen[-1] == ["2026-0000", "2026-0649", "2026-0699"], "the others in turn; what was seen, each time"
+    (tmp_path / "2026-0000" / "stop.flag").unlink()
+    assert look() == ["2026-0649", "2026-0699"]
+    assert [one.folder.name for one in running(tmp_path)] == ["2026-0649", "2026-0699"]
+    assert running(tmp_path / "nowhere") == [] == Lookout(tmp_path / "nowhere").look()

@@ -132,6 +132,32 @@ def test_a_password_gives_sessions_and_a_wrong_one_costs_time() -> None:
         assert isinstance(access.log_in(header), RefusedError)
 
 
+def test_who_guesses_passwords_keeps_nobody_else_out() -> None:
+    """A wrong password makes its own address wait, of IPv6 its whole network; and never who has a session."""
+    now_s = 0.0
+    access = Access(Address("192.168.1.5", 443, secure=True), "correct horse battery", lambda: now_s)
+
+    def log_in(password: str, peer: str) -> str | int:
+        found = access.log_in("Basic " + base64.b64encode(f"me:{password}".encode()).decode(), peer)
+        return found.status if isinstance(found, RefusedError) else found
+
+    guesser, network = "192.168.1.66", "2001:db8:0:1:"
+    assert log_in("wrong", guesser) == 401
+    assert log_in("correct horse battery", guesser) == 429, "else there would be no bound on guesses"
+    assert isinstance(log_in("correct horse battery", "192.168.1.7"), str)
+    assert log_in("wrong", f"{network}:1") == 401
+    assert log_in("correct horse battery", f"{network}:2%eth0") == 429
+    assert isinstance(log_in("correct horse battery", "2001:db8:0:2::1"), str)
+    assert log_in("wrong", "::ffff:10.0.0.1") == 401
+    assert isinstance(log_in("correct horse battery", "::ffff:10.0.0.2"), str)
+    now_s = 1.1
+    assert isinstance(log_in("correct horse battery", guesser), str)
+    statuses = [log_in("wrong", f"10.1.{number // 250}.{number % 250}") for number in range(1000)]
+    assert statuses.count(401) == 256, "so many at most in a second, from however many addresses"
+    now_s = 2.2
+    assert isinstance(log_in("correct horse battery", "192.168.1.7"), str)
+
+
 def test_beyond_this_machine_only_with_tls_a_password_and_a_name() -> None:
     for bind in ("127.0.0.1", "127.0.0.9", "::1", "localhost"):
         require_safe(Address(bind, 8470), password=False)

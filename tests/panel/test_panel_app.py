@@ -5,23 +5,28 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import httpx2 as httpx
 import pytest
-from processes import PATIENCE_S
+from processes import PATIENCE_S, wait_until
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
+from rig.live.born import born
+from rig.live.running import Running, Seen
+from rig.live.stop_flag import Runner, StopFlag
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
 from rig.panel.attendance import FOLDER
 from rig.panel.bench import StopAnswer
-from rig.panel.processes import StartedProcess, _born
+from rig.panel.processes import StartedProcess
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
 from rig.panel.watch import Follower
 
@@ -150,6 +155,85 @@ def test_a_name_never_leads_out_of_the_folder_and_a_report_runs_nothing(watcher:
     assert report.status_code == 200
     assert report.headers["content-security-policy"].startswith("sandbox; default-src 'none'")
     assert "allow-scripts" not in report.headers["content-security-policy"]
+
+
+def test_what_others_wrote_into_the_folder_of_runs_hides_none_of_the_rest(tmp_path: Path) -> None:
+    def hostile(name: str | bytes, **files: bytes) -> str:
+        folder = os.path.join(os.fsencode(tmp_path), os.fsencode(name))  # noqa: PTH118
+        os.mkdir(folder)  # noqa: PTH102  # a Path has no bytes
+        for file, content in {"meta": b"{}", **files}.items():
+            Path(os.fsdecode(folder), f"{file}.json").write_bytes(content)
+        return os.fsdecode(name)
+
+    unseen = [hostile(b"20260101T000000Z-run-\xff\xfe"), hostile("20260102T000000Z-new\nline"),
+              hostile("20260103T000000Z-\u202ertl"), hostile("20260104T000000Z-\x1b[2J")]  # fmt: skip
+    odd = [
+        hostile("20260105T000000Z-run-deep", meta=b"[" * 200_000),
+        hostile("20260106T000000Z-run-no-text", meta=b'{"name": "\\ud800", "script": {"name": "\\udfff"}}'),
+        hostile(
+            "20260107T000000Z-run-endless",
+            result=b'{"estimates": {"sampled-data": {"values": {"tau_s": 1e999}}}, '
+            b'"loop": {"ticks": 1000000000, "period_s": 1e308}}',
+        ),
+        hostile("20260108T000000Z-run-types", meta=b"[]", result=b'{"estimates": [1], "faults": 3, "loop": "x"}'),
+        hostile("20260109T000000Z-run-..\u2215..\u2215etc"),
+    ]
+    for name, make in (("pipe", os.mkfifo), ("folder", os.mkdir)):
+        (tmp_path / f"20260110T000000Z-run-{name}").mkdir()
+        make(tmp_path / f"20260110T000000Z-run-{name}" / "meta.json")
+        unseen.append(f"20260110T000000Z-run-{name}")
+    odd.append(hostile("20260111T000000Z-run-large"))
+    with (tmp_path / odd[-1] / "meta.json").open("wb") as file:
+        file.truncate(3 << 30)
+    app = make_app(Panel.of(Access(HERE), tmp_path, opened=tmp_path / os.fsdecode(unseen[0])))
+    with TestClient(app, base_url="http://127.0.0.1:8470", headers=ORIGIN) as client:
+        rows = client.get("/api/runs").json()["runs"]
+        assert [row["name"] for row in rows] == odd[::-1]
+        assert "too large" in rows[0]["notes"][0]
+        for name in (
+            *unseen,
+            "20260112T000000Z-" + "\u0416" * 180,
+        ):
+            error(client.get(f"/api/runs/{quote(os.fsencode(name))}"), 404)
+        wait_until(lambda: client.get("/api/state").json()["run"] == unseen[0])
+
+
+def test_a_run_folder_that_vanishes_is_over_and_the_pages_hear_on(tmp_path: Path) -> None:
+    name = "20260101T000000Z-run-there"
+    (tmp_path / name).mkdir()
+    for file in ("meta.json", "samples.csv", "events.jsonl"):
+        (tmp_path / name / file).write_text("{}\n")
+    watch = Panel.of(Access(HERE), tmp_path, opened=tmp_path / name).watch
+    watch.look()
+    shutil.rmtree(tmp_path / name)
+    for _ in range(8):
+        watch.look()
+    told = [json.loads(one) for one in Follower(0).due(watch.scene, operator=False, now_s=1.0)]
+    assert [one["why"] for one in told if one["type"] == "ended"] == ["the process died, and left no end"]
+
+
+def test_a_stop_reaches_the_run_that_is_known_before_it_looks_for_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A look at a disk that hangs takes long; and a run that has ended since the last look is no fault."""
+    bench = Panel.of(Access(HERE), tmp_path).bench
+    (folder := tmp_path / "20260101T000000Z-run-goes").mkdir()
+    asked: list[str] = []
+
+    with StopFlag() as flag:
+        flag.begin(folder)
+        bench.look()
+
+        def looked(parent: Path) -> list[Running]:
+            asked.append(flag.asked_by())
+            return []
+
+        monkeypatch.setattr("rig.panel.bench.running", looked)
+        assert bench.stop() == StopAnswer((folder,), 0, "")
+        assert asked == ["panel"]
+        bench._running = [Running(folder, Runner(os.getpid(), 0.0, 0.01))]
+        monkeypatch.setattr(Seen, "goes_on", lambda seen, one: False)
+    assert bench.stop() == StopAnswer((), 0, ""), "it ended since the last look: nothing has failed"
 
 
 def test_a_run_is_drawn_with_few_points_and_a_broken_one_says_why(watcher: TestClient) -> None:
@@ -325,7 +409,7 @@ def test_a_page_is_told_what_a_start_says_that_takes_long(tmp_path: Path) -> Non
     """As the first one after an installation, which compiles the motor's model."""
     folder = tmp_path / FOLDER
     folder.mkdir()
-    note = {"command": "run", "pid": os.getpid(), "born": _born(os.getpid())}
+    note = {"command": "run", "pid": os.getpid(), "born": born(os.getpid())}
     (folder / "one.json").write_text(json.dumps(note))
     (folder / "one.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
     watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch

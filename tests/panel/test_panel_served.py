@@ -6,8 +6,10 @@ import json
 import os
 import queue
 import re
+import resource
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import threading
@@ -31,13 +33,15 @@ pytestmark = pytest.mark.realtime
 
 CONFIGS = Path(__file__).resolve().parents[2] / "config"
 DEMO, UNO = CONFIGS / "demo.yaml", CONFIGS / "uno.yaml"
+PANEL = (sys.executable, "-m", "rig", "panel")
+LOCALHOST = Path(__file__).with_name("localhost.pem")  # key and certificate, for tests alone
 
 
 class Served:
     """A `rig panel` process, and a browser that has used its token."""
 
     def __init__(self, folder: Path) -> None:
-        command = [sys.executable, "-m", "rig", "panel", str(folder / "bench.yaml"), "--out", str(folder / "runs")]
+        command = [*PANEL, str(folder / "bench.yaml"), "--out", str(folder / "runs")]
         self.process = subprocess.Popen(
             [*command, "--port", "0"],
             stdout=subprocess.PIPE,
@@ -336,6 +340,136 @@ def test_connections_that_say_nothing_keep_no_stop_out_and_the_longest_silent_on
                 assert one.recv(1) == b""
         opened[-1].sendall(half + b"\r\n" if len(opened) % 2 else b"\r\n")
         assert opened[-1].recv(12) == b"HTTP/1.1 200"
+
+
+def test_handshakes_that_never_end_keep_no_stop_out_and_take_up_no_files(tmp_path: Path) -> None:
+    """With as many of them as the panel may open files."""
+    few = 256
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)
+
+    def with_few_files() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (few, few))
+
+    secret = tmp_path / "password"
+    secret.write_text("correct horse battery\n")
+    secret.chmod(0o600)
+    tls = ssl.create_default_context(cafile=LOCALHOST)
+    with ExitStack() as stack:
+        panel = stack.enter_context(
+            subprocess.Popen(
+                [
+                    *PANEL,
+                    "--out",
+                    str(tmp_path),
+                    "--port",
+                    "0",
+                    "--tls-cert",
+                    str(LOCALHOST),
+                    "--tls-key",
+                    str(LOCALHOST),
+                    "--password-file",
+                    str(secret),
+                ],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                preexec_fn=with_few_files,
+            )
+        )
+        stack.callback(panel.kill)
+        assert panel.stdout is not None and panel.stderr is not None
+        found = re.search(r"https://127\.0\.0\.1:(\d+)", panel.stdout.readline())
+        assert found is not None
+        port = int(found[1])
+
+        def connection() -> socket.socket:
+            return stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S))
+
+        def stop() -> bytes:
+            request = f"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: {found[0]}\r\n\r\n"
+            with tls.wrap_socket(connection(), server_hostname="127.0.0.1") as asked:
+                asked.sendall(request.encode())
+                return asked.recv(12)
+
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(files[0], min(files[1], 4096)), files[1]))
+        stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, files)
+        connection()  # the process listens before it serves: wait for it
+        assert stop() == b"HTTP/1.1 200"
+        silent = [connection() for _ in range(2 * few)]
+        assert stop() == b"HTTP/1.1 200"
+        assert silent[0].recv(1) == b"", "the oldest is let go"
+        assert len(list(Path(f"/proc/{panel.pid}/fd").iterdir())) < few
+        silent[-1].settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            silent[-1].recv(1)
+        panel.send_signal(signal.SIGINT)
+        assert panel.wait(PATIENCE_S) == 0
+        assert panel.stderr.read() == ""
+
+
+@pytest.fixture
+def untiring(bench: Path) -> Iterator[None]:
+    """The panel's config is of a run in virtual time that goes on until it is stopped: no busy machine ends it."""
+    config = bench / "bench.yaml"
+    good = config.read_bytes()
+    config.write_bytes(
+        (CONFIGS / "simulated.yaml").read_bytes().replace(b"interval_percent: 0.4", b"interval_percent: 0.1")
+    )
+    yield
+    config.write_bytes(good)
+
+
+def started(panel: Served, page: Page) -> dict[str, Any]:
+    """A run that has rows: its first live message with some."""
+    before = panel.browser.get("/api/state").json()["run"]
+    panel.post("/api/start", confirmed=True, confirmation=panel.post("/api/check")["confirmation"])
+    return page.until("live", lambda live: live["run"] != before and live["rows"]["t_s"])
+
+
+@pytest.mark.usefixtures("untiring")
+@pytest.mark.parametrize("instead", ["nothing", "folder", "link"])
+def test_a_run_whose_stop_flag_is_gone_goes_on_in_the_page_and_is_stopped(
+    served: list[Served], bench: Path, instead: str
+) -> None:
+    panel = served[-1]
+    page = panel.page()
+    seen = started(panel, page)
+    run, flag = seen["run"], bench / "runs" / seen["run"] / "stop.flag"
+    flag.unlink()
+    if instead == "folder":
+        flag.mkdir()
+    elif instead == "link":
+        flag.symlink_to("/dev/zero")
+    assert page.until("trouble")["code"] == "Stop flag gone"
+    for _ in range(3):
+        assert page.until("live", lambda live: live["rows"]["t_s"])["run"] == run, "it goes on"
+    confirmed = {"confirmed": True, "confirmation": panel.post("/api/check")["confirmation"]}
+    again = panel.browser.post("/api/start", json=confirmed)
+    assert (again.status_code, run in again.text) == (409, True), "it is known to go on"
+    said = panel.post("/api/stop")
+    assert (said["received"], said["run"], said["drive_zero"]) == (True, run, None)
+    assert page.until("stop", lambda stop: stop["drive_zero"] is True)["run"] == run
+    ended = page.until("ended")
+    assert (ended["run"], ended["why"]) == (run, "INTERRUPTED")
+    wait_until(lambda: not alive(seen["pid"]))
+
+
+@pytest.mark.usefixtures("untiring")
+def test_stop_of_a_loop_that_hangs_says_that_nothing_is_confirmed(served: list[Served]) -> None:
+    """A device has a watchdog of its own, but nobody here can know what it has done."""
+    panel = served[-1]
+    page = panel.page()
+    seen = started(panel, page)
+    os.kill(seen["pid"], signal.SIGSTOP)
+    try:
+        assert panel.post("/api/stop")["drive_zero"] is None
+        said = page.until("stop", lambda stop: stop["drive_zero"] is not None)
+        assert (said["drive_zero"], said["why"]) == (False, "the device has not confirmed 0 V")
+        assert panel.post("/api/stop")["run"] == seen["run"], "pressed again"
+    finally:
+        os.kill(seen["pid"], signal.SIGCONT)
+    assert page.until("ended")["why"] == "INTERRUPTED"
+    wait_until(lambda: not alive(seen["pid"]))
 
 
 def test_ctrl_c_ends_the_panel_and_says_nothing_wrong(served: list[Served]) -> None:

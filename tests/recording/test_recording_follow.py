@@ -61,6 +61,9 @@ def test_a_tail_begins_with_the_last_whole_lines_and_waits_for_no_pipe(tmp_path:
         file.write("100\n10")
     assert tail.lines() == ["100"]
     assert Tail(long, last_bytes=10_000).lines()[0] == "000"
+    long.write_text("0123456789" * 3 + "\n100\n101\n102\n")
+    pieces = Tail(long, most_bytes=10)
+    assert [pieces.lines() for _ in range(7)] == [*[["0123456789"]] * 3, ["", "100", "101"], ["102"], [], []]
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="not seekable"):
         Tail(tmp_path / "pipe").lines()

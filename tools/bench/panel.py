@@ -196,9 +196,11 @@ def clicked_ms(panel: Panel) -> dict[str, float]:
         told = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
         offset_s = time.time() - time.monotonic()
         wait_for(lambda: not running(panel.out))
-        if told.returncode == 0:
+        events = read_run(run).events
+        faults = [event.detail["code"] for event in events if event.kind == "fault"]
+        if told.returncode == 0 and faults == ["INTERRUPTED"]:  # else a busy machine ended it before the click
             click = json.loads(told.stdout)
-            off_s = next(event.t_s for event in reversed(read_run(run).events) if event.kind == "stop")
+            off_s = next(event.t_s for event in reversed(events) if event.kind == "stop")
             click_s = 1e-3 * click["click_ms"] - offset_s - zero_s
             return {
                 "click_to_confirmed_zero_ms": round(1e3 * (off_s - click_s), 1),

@@ -1,6 +1,6 @@
 // The bench view: the newest message of the run as numbers, and the curves drawn once a frame.
 
-import { byId, element, setText, show } from "./dom.js";
+import { byId, element, setText, show, withCode } from "./dom.js";
 import { Narrowing } from "./narrowing.js";
 import { Phase } from "./phase.js";
 import { Rows } from "./rows.js";
@@ -57,7 +57,7 @@ export class Bench {
     const list = byId("faults");
     const when = Number.isFinite(t_s) ? `${fixed(t_s, 1)} s` : "";
     list.prepend(
-      element("article", { className: "fault" }, element("h3", {}, code, element("small", { textContent: when })), element("p", { textContent: detail ? `${cause}: ${detail}.` : `${cause}.` }), element("p", { className: "cure" }, element("b", { textContent: "Do: " }), `${cure}.`)),
+      element("article", { className: "fault" }, element("h3", {}, code, element("small", { textContent: when })), element("p", {}, ...withCode(detail ? `${cause}: ${detail}.` : `${cause}.`)), element("p", { className: "cure" }, element("b", { textContent: "Do: " }), ...withCode(`${cure}.`))),
     );
     while (list.children.length > FAULTS_KEPT) list.lastChild.remove();
     show(byId("no-faults"), false);
@@ -112,7 +112,8 @@ export class Bench {
     number("stage-left", fixed(live.stage_left_s, 1));
     number("run-left", fixed(live.run_left_s, 1));
     number("y", fixed(y_rad.at(-1), 3, { signed: true }));
-    number("u", fixed(u_V.at(-1), 2, { signed: true }));
+    // 0 as soon as the device has confirmed it: the newest row is from before
+    number("u", fixed(live.drive_is_off && u_V.length > 0 ? 0 : u_V.at(-1), 2, { signed: true }));
     number("amplitude", fixed(live.amplitude_rad, 3));
     number("period", fixed(live.period_s, 3));
     number("cycles", whole(live.cycles));

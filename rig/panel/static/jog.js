@@ -4,6 +4,7 @@
 import { ask, byId, setText } from "./dom.js";
 
 const RENEW_MS = 50;
+const OPENS = "Opening the device…";
 
 export class Jog {
   #connection;
@@ -26,6 +27,9 @@ export class Jog {
     connection.addEventListener("silent", () => this.release());
     // a hold that was lost on the way: the server takes no other one until it hears that it is over
     connection.addEventListener("alive", () => connection.send({ type: "release" }));
+    connection.addEventListener("ended", () => {
+      if (byId("jog-state").textContent === OPENS) setText(byId("jog-state"), "The jog did not begin.");
+    });
     connection.addEventListener("refused", ({ detail }) => {
       this.release();
       setText(byId("jog-state"), `${detail.what}: ${detail.cure}.`);
@@ -84,7 +88,7 @@ export class Jog {
 
   async #beginOrEnd() {
     const state = byId("jog-state");
-    setText(state, this.#allowed ? "Ending the jog…" : "Opening the device…");
+    setText(state, this.#allowed ? "Ending the jog…" : OPENS);
     try {
       await ask(this.#allowed ? "/api/jog/end" : "/api/jog/start", {});
     } catch (error) {

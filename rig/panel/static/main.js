@@ -114,7 +114,7 @@ connection.addEventListener("idle", ({ detail }) => {
   drives(null);
 });
 connection.addEventListener("trouble", ({ detail }) => {
-  bench.fault({ code: "Not readable", cause: detail.what, cure: "check the disk and the folder of runs" });
+  bench.fault({ code: detail.code ?? "Not readable", cause: detail.what, cure: detail.cure ?? "check the disk and the folder of runs" });
 });
 connection.addEventListener("operator", ({ detail }) => {
   state.operator = detail.you;

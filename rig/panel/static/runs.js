@@ -91,7 +91,7 @@ export class Runs {
     } else this.#ticked.push(name);
     setText(byId("overlay-empty"), "Reading…");
     try {
-      if (!this.#read.has(name)) this.#read.set(name, await ask(`/api/runs/${encodeURIComponent(name)}`));
+      if (!this.#read.has(name)) this.#read.set(name, await ask(`/api/runs/${encodeURIComponent(name)}`, undefined, { timeout_ms: 60000 }));
     } catch (error) {
       this.#ticked = this.#ticked.filter((other) => other !== name);
       tick.checked = false;

@@ -1,0 +1,223 @@
+"""What a page may make the bench do, without a process: starts, holds, Stop, and what comes of it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import PATIENCE_S
+
+from rig.live.born import born
+from rig.live.running import Running, running
+from rig.live.stop_flag import Runner, StopFlag
+from rig.panel import bench as module
+from rig.panel.access import Access, Address
+from rig.panel.app import Panel
+from rig.panel.attendance import FOLDER
+from rig.panel.bench import HOLD_ENDS_S, Bench, StopAnswer
+from rig.panel.errors import RefusedError
+from rig.panel.processes import StartedProcess
+from rig.panel.watch import ALIVE_S, PERIOD_S, Follower
+
+SILENCE = Path(__file__).parent / "browser" / "silence.mjs"
+
+
+def refused(what: Callable[[], object]) -> str:
+    with pytest.raises(RefusedError) as error:
+        what()
+    return error.value.what
+
+
+def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[str] = []
+    config = tmp_path / "bench.yaml"
+    config.write_text("as checked")
+
+    async def answer_of(name: str, *paths: Path) -> dict[str, Any]:
+        return {"may_run": True, "plan": {"jog_V": 1.0}}
+
+    def start(out: Path, command: str, arguments: object) -> StartedProcess:
+        started.append(command)
+        return StartedProcess(tmp_path / "note.json", command, 1, "", None)
+
+    monkeypatch.setattr(module, "answer_of", answer_of)
+    monkeypatch.setattr("rig.panel.processes.start", start)
+    bench = Bench(config, tmp_path / "runs")
+    assert "not confirmed" in refused(lambda: bench.start(None))
+    key = asyncio.run(bench.check())["confirmation"]
+    assert "not confirmed" in refused(lambda: bench.start("made up"))
+    assert "not confirmed" in refused(lambda: bench.start(key)), "whoever guesses ends it"
+    key = asyncio.run(bench.check())["confirmation"]
+    bench.start(key)
+    assert "not confirmed" in refused(lambda: bench.start(key))
+    key = asyncio.run(bench.check())["confirmation"]
+    config.write_text("changed")
+    assert "has changed" in refused(lambda: bench.start(key))
+    key = asyncio.run(bench.check())["confirmation"]
+    monkeypatch.setattr("rig.panel.bench.time.monotonic", lambda: 1e12)
+    assert "too long ago" in refused(lambda: bench.start(key))
+    assert started == ["run"]
+
+
+class Lease:
+    """Takes what a hold gives."""
+
+    def __init__(self, folder: Path) -> None:
+        self.given: list[float | None] = GIVEN
+
+    def drive(self, u_V: float) -> None:
+        self.given.append(u_V)
+
+    def release(self) -> None:
+        self.given.append(None)
+
+    def close(self) -> None:
+        pass
+
+
+GIVEN: list[float | None] = []
+
+
+def test_one_page_holds_the_jog_and_what_comes_after_a_pause_drives_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    GIVEN.clear()
+    monkeypatch.setattr(module, "Leaser", Lease)
+    monkeypatch.setattr("rig.panel.bench.time.monotonic", lambda: now_s)
+    bench = Bench(None, tmp_path)
+    assert "no jog goes on" in refused(lambda: bench.jog("one", 0.5))
+    jogs = [Running(tmp_path, Runner(1, 0.0, 0.01))]
+    bench._running, bench._jog_V = jogs, 2.0
+    bench.jog("one", 0.5)
+    assert "another page" in refused(lambda: bench.jog("other", 0.5))
+    bench.release("other")
+    bench.jog("one", -7.0)
+    now_s += HOLD_ENDS_S + 0.01
+    for _ in range(2):
+        assert "interrupted" in refused(lambda: bench.jog("one", 0.5))
+    bench.jog("other", 1.0)
+    bench.stop()
+    bench._running = jogs
+    bench.release("one")
+    bench.jog("one", 0.25)
+    assert GIVEN == [1.0, -2.0, None, 2.0, None, 0.5]
+
+
+def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[tuple[int, int]] = []
+    monkeypatch.setattr("rig.panel.bench.os.kill", lambda *given: sent.append(given))
+    bench = Bench(None, tmp_path)
+    (folder := tmp_path / "20260101T000000Z-run-goes").mkdir()
+    with StopFlag() as flag:
+        flag.begin(folder)
+        for _ in range(2):
+            bench.look()
+            assert [one.folder for one in bench.running] == [folder] and bench.lost(folder) is None
+    bench.look()
+    assert running(tmp_path) == [] and [one.folder for one in bench.running] == [folder]
+    assert bench.lost(folder) is not None
+    assert bench.stop("another") == StopAnswer((), 0, "")
+    assert bench.stop() == StopAnswer((folder,), 0, "")
+    assert sent == [(os.getpid(), signal.SIGTERM)]
+    (folder / "events.jsonl").write_text('{"kind": "stop"}\n{"kind": "end", "t_s": 3.0}\n')
+    assert bench.stop() == StopAnswer((), 0, ""), "its process lives a moment longer than the run"
+    bench.look()
+    assert bench.running == [] and len(sent) == 1
+
+
+def test_what_another_panel_starts_is_known_here_stopped_here_and_cleaned_up_there(tmp_path: Path) -> None:
+    """Else a Stop on a second panel would miss a run whose device is being opened, and a start would be another."""
+    bench = Bench(None, tmp_path)
+    (tmp_path / FOLDER).mkdir()
+    note = tmp_path / FOLDER / "one.json"
+    with subprocess.Popen(["sleep", "60"]) as other:
+        note.write_text(json.dumps({"command": "run", "pid": other.pid, "born": born(other.pid)}))
+        (tmp_path / FOLDER / "torn.json").write_text('{"command": "run", "p')
+        bench.look()
+        bench.look()
+        assert [one.pid for one in bench.opening] == [other.pid]
+        assert "run goes on already" in refused(lambda: bench._start("run", "config"))
+        assert bench.stop() == StopAnswer((), 1, "")
+        assert other.wait(PATIENCE_S) == -signal.SIGTERM
+    assert [one.stopped for one in bench.ended()] == [True]
+    bench.look()
+    assert bench.opening == [] and note.exists()
+    Bench(None, tmp_path)
+    assert not note.exists(), "a panel that starts cleans up"
+
+
+def test_a_process_that_has_ended_makes_no_run_without_a_flag(tmp_path: Path) -> None:
+    bench = Bench(None, tmp_path)
+    with subprocess.Popen(["sleep", "60"]) as other:
+        bench._seen.others([Running(tmp_path, Runner(other.pid, 0.0, 0.01))])
+        bench.look()
+        assert [one.runner.pid for one in bench.running] == [other.pid]
+        other.kill()
+    bench.look()
+    assert bench.running == []
+
+
+def test_a_drive_that_is_not_confirmed_within_a_second_of_a_stop_is_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    panel = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path)
+    (folder := tmp_path / "20260101T000000Z-run-hangs").mkdir()
+    monkeypatch.setattr("rig.panel.watch.time.monotonic", lambda: now_s)
+
+    def told() -> list[tuple[str, bool, int]]:
+        panel.watch.look()
+        return [(one["run"], one["drive_zero"], one["after_ms"]) for _, one in panel.watch.scene.news]
+
+    with StopFlag() as flag:
+        flag.begin(folder)
+        (folder / "events.jsonl").write_text('{"kind": "stage", "t_s": 0, "name": "relay-1"}\n')
+        assert panel.watch.stop_asked(panel.bench.stop())["drive_zero"] is None
+        now_s = 0.9
+        assert told() == []
+        now_s = 1.1
+        for _ in range(2):
+            assert told() == [(folder.name, False, 1100)]
+        with (folder / "events.jsonl").open("a") as events:
+            events.write('{"kind": "stop", "t_s": 1, "confirmed": true}\n')
+        now_s = 1.5
+        assert told() == [(folder.name, False, 1100), (folder.name, True, 1500)]
+
+
+def test_a_page_says_within_a_second_that_it_is_not_connected_and_then_sends_nothing_but_stop() -> None:
+    """The page's own code, with a clock that the test moves."""
+    told = subprocess.run(["node", SILENCE], stdout=subprocess.PIPE, check=True, timeout=PATIENCE_S)
+    seen = json.loads(told.stdout)
+    assert seen["lively"] == 1, "a page that hears something says nothing of the kind"
+    assert [what for what, _ in seen["said"]] == ["alive", "silent", "alive", "silent"]
+    (_, frozen_ms), (_, dead_ms) = seen["said"][1], seen["said"][3]
+    assert 700 <= frozen_ms <= 1000
+    assert dead_ms == 0, "a socket that closes says so at once"
+    assert seen["sent"] == [False, True, ["stop"]]
+    assert seen["connects_again"]
+
+
+def test_a_page_hears_something_at_least_four_times_a_second(tmp_path: Path) -> None:
+    """A page that hears nothing for 0.7 s says that it is not connected."""
+    watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch
+    watch.look()
+    follower = Follower(0)
+    looks_s = [PERIOD_S * number for number in range(100)]
+    spoke_s = [at_s for at_s in looks_s if follower.due(watch.scene, operator=False, now_s=at_s)]
+    pauses_s = [later - earlier for earlier, later in itertools.pairwise(spoke_s)]
+    assert max(pauses_s) <= ALIVE_S + 1e-9
+    assert len(spoke_s) < 30, "and no more often than it must"
+    assert json.loads(follower.due(watch.scene, operator=True, now_s=4.0)[0]) == {"type": "operator", "you": True}
