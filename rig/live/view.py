@@ -18,7 +18,7 @@ from rig.config import ConfigError, Experiment, load
 from rig.live.stop_flag import Runner, runner_of
 from rig.recording.columns import COLUMNS
 from rig.recording.folder import CONFIG, META
-from rig.recording.follow import Progress, Tail
+from rig.recording.follow import Progress, Tail, live_remark
 from rig.recording.stage import StageKind, kind_of
 from rig.recording.writer import EVENTS, SAMPLES
 from rig.signals import FLAG_SKIPPED, Limits
@@ -56,12 +56,16 @@ class LiveRow(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """A live estimate: when, and each value with half its 95 % interval; None: not known yet."""
+    """A live estimate: when, and each value with half its 95 % interval; None: not known yet.
+
+    remark  the laws that it has, and whether its residual is too large; else empty
+    """
 
     t_s: float
     tau_s: tuple[float, float] | None
     K_rad_s_V: tuple[float, float] | None
     fc_V: tuple[float, float] | None
+    remark: str = ""
 
 
 class SeenFault(NamedTuple):
@@ -322,6 +326,7 @@ class _Story:
                     _with_half(event, "tau_s", "tau_percent"),
                     _with_half(event, "K_rad_s_V", "K_percent"),
                     _with_half(event, "fc_V", "fc_percent"),
+                    live_remark(event),
                 )
             )
         elif kind == "fault" and len(self.faults) < _MOST_FAULTS:

@@ -169,7 +169,7 @@ class Progress:
 
 
 def live_words(event: dict[str, Any]) -> str:
-    """A live estimate: each value with half its 95 % interval, the laws, and whether the residual is too large."""
+    """A live estimate: each value with half its 95 % interval, and what else it says."""
     values = (
         ("tau", "tau_s", "tau_percent", "s"),
         ("K", "K_rad_s_V", "K_percent", ""),
@@ -180,11 +180,20 @@ def live_words(event: dict[str, Any]) -> str:
         value, percent = event.get(name), event.get(half)
         if value is not None and percent is not None:
             shown.append(f"{title} {value:.4g}{' ' + unit if unit else ''} ±{percent:.2g} %")
-    if laws := event.get("laws"):
-        shown.append("with " + " and ".join(laws.split(", ")).replace("_", " "))
-    residual = event.get("residual_over_noise")
-    lacks = residual is not None and residual > LACKING
-    return ", ".join(shown) + (f": the residual is {residual:.2g} times the noise, so ± is too small" if lacks else "")
+    remark = live_remark(event)
+    separator = ", " if remark.startswith("with") else ": "
+    return ", ".join(shown) + (separator + remark if remark else "")
+
+
+def live_remark(event: dict[str, Any]) -> str:
+    """What else a live estimate says: the laws that it has, and whether its residual is too large; else nothing."""
+    said = []
+    laws, residual = event.get("laws"), event.get("residual_over_noise")
+    if isinstance(laws, str) and laws:
+        said.append("with " + " and ".join(laws.split(", ")).replace("_", " "))
+    if isinstance(residual, float) and residual > LACKING:
+        said.append(f"the residual is {residual:.2g} times the noise, so ± is too small")
+    return ": ".join(said)
 
 
 def decided_words(event: dict[str, Any]) -> str:

@@ -96,7 +96,7 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("gains", 5.0, stage="relay-1", h1_V=0.42, h2_V=0.85, cycles=4),
         event("stage", 5.1, name="relay-1"),
         event("cycle", 6.0, stage="relay-1", number=2, settled=True, period_s=1.0, amplitude_rad=0.58),
-        event("live", 7.0, row=70, of_s=6.9, **live),
+        event("live", 7.0, row=70, of_s=6.9, laws="sag", residual_over_noise=1.04, **live),
         event("link", 7.5, errors=3, most="timeouts"),
         "{torn\n",
         "[1]\n",
@@ -104,7 +104,7 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
     )
     seen = view.read()
     assert (seen.stage, seen.planes, seen.cycle) == ("relay-1", Planes(0.42, 0.85), Cycle(2, 0.58, 1.0))
-    assert seen.estimates == (Estimate(7.0, (0.17, 0.17 * 2.0 / 100.0), None, (0.48, 0.48 * 1.0 / 100.0)),)
+    assert seen.estimates == (Estimate(7.0, (0.17, 0.17 * 2.0 / 100.0), None, (0.48, 0.48 * 1.0 / 100.0), "with sag"),)
     assert (seen.loop.link_errors, seen.damaged) == (3, 3)
     write(
         folder,

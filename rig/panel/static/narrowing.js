@@ -31,7 +31,7 @@ export class Narrowing {
     this.#write();
   }
 
-  /** Take an estimate: {t_s, tau_s: [value, half], K_rad_s_V: ..., fc_V: ...}. */
+  /** Take an estimate: {t_s, tau_s: [value, half], K_rad_s_V: ..., fc_V: ..., remark}. */
   take(estimate) {
     const last = this.#history.at(-1);
     if (last && estimate.t_s <= last.t_s) return;
@@ -45,6 +45,7 @@ export class Narrowing {
       setText(value, withInterval(last?.[key]));
       setText(share, last?.[key] ? percent(last[key]) : "–");
     }
+    setText(byId("estimate-remark"), last?.remark ?? "");
     this.draw();
   }
 
