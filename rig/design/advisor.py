@@ -194,7 +194,7 @@ class Advisor:
             return None
         if not self._must_change and self._given is not None and not self._has_run():
             return None
-        wanted_percent, kinds = s.interval_percent, s.kinds
+        wanted_percent, kinds = self._rule.wanted_percent(estimate), s.kinds
         if estimate.worst_percent <= wanted_percent:
             if estimate.drives_differ or self._given is None:
                 return None  # the next estimate may say that it is enough

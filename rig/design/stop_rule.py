@@ -9,6 +9,7 @@ from typing import Protocol
 MOST_RESIDUAL = 1.04  # of the noise at rest
 SIGMAS = 2.0  # by which that ratio may be larger, by the few rows that it comes from
 IN_A_ROW = 2  # estimates
+BESIDE_LAWS = 0.6  # of the wanted interval: beside a law that shows, another one hides more easily
 DOUBT_SIGMAS = 4.0  # by which the ratio may be larger, and the noise be to blame as well as the motor
 
 
@@ -31,6 +32,10 @@ class Judged(Protocol):
     def drives_differ(self) -> bool:
         """Whether clearly different drives were seen."""
 
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Names of the laws beyond the plain one."""
+
 
 class StopRule:
     """Enough is: the interval is reached, the residual is noise, the drives differ; at estimates in a row.
@@ -46,6 +51,10 @@ class StopRule:
         self.noise_error = noise_error
         self._noise_ratio = 1.0  # of the noise at rest as it is known now to that of the estimates' residuals
         self._last: deque[Judged] = deque(maxlen=IN_A_ROW)
+
+    def wanted_percent(self, estimate: Judged) -> float:
+        """Half width that this estimate must reach, %: a smaller one beside laws."""
+        return self.interval_percent * (BESIDE_LAWS if estimate.laws else 1.0)
 
     def take(self, estimate: Judged) -> str | None:
         """Take the next estimate. Returns why it is enough, in words, or None."""
@@ -75,7 +84,7 @@ class StopRule:
         """Whether the last estimates lack nothing but a smaller residual, and the noise at rest may be to blame."""
         return (
             len(self._last) == IN_A_ROW
-            and all(each.worst_percent <= self.interval_percent and each.drives_differ for each in self._last)
+            and all(each.worst_percent <= self.wanted_percent(each) and each.drives_differ for each in self._last)
             and any(self.lacks(each) is not None for each in self._last)
             and all(self._residual(each) <= self._most(each, DOUBT_SIGMAS) for each in self._last)
         )
@@ -89,7 +98,7 @@ class StopRule:
 
     def lacks(self, estimate: Judged) -> str | None:
         """What an estimate lacks, in words; None if it has all."""
-        if not estimate.worst_percent <= self.interval_percent:  # nan lacks, too
+        if not estimate.worst_percent <= self.wanted_percent(estimate):  # nan lacks, too
             return f"tau, K and f_c are known to {estimate.worst_percent:.2g} %"
         if not self._residual(estimate) <= self._most(estimate, SIGMAS):
             return f"the residual is {self._residual(estimate):.2f} of the noise at rest: the model leaves a part out"

@@ -16,6 +16,7 @@ class Seen:
     residual_over_noise: float = 1.0
     residual_error: float = 0.02
     drives_differ: bool = True
+    laws: tuple[str, ...] = ()
 
 
 def test_two_estimates_in_a_row_are_enough_and_one_is_not() -> None:
@@ -41,6 +42,13 @@ def test_estimates_that_agree_are_not_enough_while_something_lacks(change: dict[
     rule, seen = StopRule(1.0), replace(Seen(), **change)  # type: ignore[arg-type]
     assert words in (rule.lacks(seen) or "")
     assert all(rule.take(seen) is None for _ in range(20))
+
+
+def test_beside_a_law_the_interval_must_be_narrower() -> None:
+    rule = StopRule(1.0)
+    for percent, is_enough in ((0.9, False), (0.61, False), (0.59, True)):
+        assert (rule.lacks(Seen(percent, laws=("sag",))) is None) is is_enough
+    assert rule.lacks(Seen(0.9)) is None
 
 
 def test_the_residual_may_be_larger_by_what_few_rows_make_of_it() -> None:
