@@ -42,9 +42,9 @@ pages: .venv/.ready
 analysis: .venv/.ready
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
 
-docs: .venv/.ready  ## the documentation as a site, with a gallery of reports, in build/site
+docs: .venv/.ready  ## the documentation as a site, the tutorial run and a gallery of reports, in build/site
 	.venv/bin/python tools/gallery.py docs/gallery
-	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+	RIG_TUTORIAL=force .venv/bin/sphinx-build -q -W --keep-going docs build/site
 	@echo "open build/site/index.html"
 
 format: .venv/.ready  ## format the Python code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -23,7 +24,10 @@ html_theme = "furo"
 html_title = f"rig {release}"
 html_extra_path = ["gallery"] if (HERE / "gallery").exists() else []
 myst_heading_anchors = 4
-nb_execution_mode = "off"  # a test runs the tutorial
+nb_execution_mode = os.environ.get("RIG_TUTORIAL", "off")  # `make docs` runs it; so does a test
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 900
 autodoc_typehints = "none"  # the signature has them
 autodoc_member_order = "bysource"
 
@@ -36,7 +40,19 @@ def _named(match: re.Match[str]) -> str:
     return words if path.rstrip("/").endswith(words.strip("`").rstrip("/")) else f"{words} (`{path}`)"
 
 
+_DECISIONS = """
+```{toctree}
+:hidden:
+:glob:
+
+*
+```
+"""
+
+
 def _read(_app: Sphinx, page: str, text: list[str]) -> None:
+    if page == "decisions/README":
+        text[0] += _DECISIONS
     if not page.startswith(("decisions/", "reference/")):
         text[0] = _ELSEWHERE.sub(_named, text[0])
 

@@ -92,8 +92,8 @@ def _model(run_folder: Path, tool: str, into: Path, force: bool, as_json: bool) 
         fail_input(error)
     files = [str(file) for file in written.files]
     if as_json:
-        lacks = dict(written.motor.lacks)
-        click.echo(json.dumps({"ok": True, "tool": tool, "files": files, "lacks": lacks, "notes": written.notes}))
+        told = {key: written.motor.as_json()[key] for key in ("laws", "lacks")}
+        click.echo(json.dumps({"ok": True, "tool": tool, "files": files, **told, "notes": written.notes}))
         return
     for note in (*written.notes, *written.motor.lacks_in_words()):
         click.echo(note)

@@ -148,6 +148,7 @@ def test_the_report_lays_the_runs_over_each_other(tmp_path: Path) -> None:
     page = found.report(tmp_path / "page.html").read_text(encoding="utf-8")
     for figure in ("values", "time", "temperature", "cycles", "residuals", "tracking"):
         assert f'<figure id="{figure}">' in page
+    assert page.count("<td>100 %</td>") == 3
     assert "http" not in page.replace("http://www.w3.org", "")  # nothing is loaded from elsewhere
     again = rig("compare", *runs, "--to", tmp_path / "page.html")
     assert again.exit_code == 2

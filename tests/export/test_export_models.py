@@ -241,6 +241,7 @@ def test_the_command_names_what_it_wrote_and_what_is_lacking(
     forced = rig("export", run, "--to", "c", "--force", "--json")
     assert json.loads(forced.stdout) == {
         "ok": True, "tool": "c", "files": files, "notes": [],
+        "laws": [{"name": "backlash", "value": 0.01, "unit": "V", "ci95": [0.0, 1.0]}],
         "lacks": {"backlash": "the sensor follows the motor without play"},
     }  # fmt: skip
 

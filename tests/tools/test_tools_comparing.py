@@ -23,8 +23,9 @@ def test_a_motor_is_recorded_and_judged_and_stands_on_the_page() -> None:
     assert len(told.chances) == 2
     assert len(told.held) == 3
     drifted = Row(DRIFTED, 1, ([0.0, 0.0, 0.5], [0.0, 0.0, 0.51]), one.covariance[:2])
-    text = command.page({SAME: [one], DRIFTED: [drifted], LAWS: [Row(LAWS, 0, lost="no cycle")]}, "0123abc")
+    text = command.page({SAME: [one], DRIFTED: [drifted], LAWS: [Row(LAWS, 0, lost="no cycle")]}, "0123abc", 17)
     assert "| pairs of runs of one motor called different: false alarms |" in text
+    assert "`make compare SEED=17`" in text
     assert "* laws: 1 motors, 1 without an estimate." in text
 
 

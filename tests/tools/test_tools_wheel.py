@@ -87,6 +87,7 @@ def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -
     for config in sorted((ROOT / "config").glob("*.yaml")):
         assert f"rig/_config/{config.name}" in names
     assert "rig/_firmware/core/rig_core.c" in names
+    assert "rig/py.typed" in names  # the types of rig count in programs that use it
     assert {"rig/panel/static/vendor/uPlot.esm.js", "rig/panel/static/vendor/uPlot-LICENSE"} <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert wheel.name.startswith("motor_rig-")  # on PyPI, rig is another's name

@@ -47,13 +47,13 @@ def main() -> int:
         told[one.group, one.number] = one
         file.add(asdict(one))
     rows = {g: [told[g, k] for k in range(count) if (g, k) in told] for g, count in counts.items()}
-    text = page(rows, commit(MADE_BY))
+    text = page(rows, commit(MADE_BY), given.seed)
     write(given.page, text)
     print(text)
     return 0
 
 
-def page(rows: dict[str, list[Row]], made_at: str) -> str:
+def page(rows: dict[str, list[Row]], made_at: str, seed: int) -> str:
     """The page as Markdown."""
     there = {group: [judged(one) for one in some if not one.lost] for group, some in rows.items()}
     same, drifted, laws = (there[group] for group in (SAME, DRIFTED, LAWS))
@@ -92,6 +92,7 @@ def page(rows: dict[str, list[Row]], made_at: str) -> str:
         TEMPLATE,
         date=today(),
         commit=made_at,
+        seed=seed,
         lines=[line for line in lines if line],
         spreads=spreads,
         names=list(WORDS.values()),
