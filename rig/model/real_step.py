@@ -202,7 +202,8 @@ def level(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> flo
         q = y - frame.centre_rad
         total += m.friction_sin_V * math.sin(q) + m.friction_cos_V * (math.cos(q) - mean_cosine(frame))
     if m.stribeck_V != 0.0 and m.stribeck_rad_s > 0.0:
-        total += m.stribeck_V * math.exp(-speed / m.stribeck_rad_s)
+        # a step that is tried beyond standstill and then cut: compiled, exp is inf there; in Python it raises
+        total += m.stribeck_V * math.exp(min(-speed / m.stribeck_rad_s, 700.0))
     return total
 
 

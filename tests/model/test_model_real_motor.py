@@ -389,6 +389,21 @@ def test_a_moving_motor_reads_as_its_response(names: tuple[str, ...]) -> None:
     assert read == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("stribeck_rad_s", [1e-4, 0.003, 0.0075, 0.01])
+def test_a_stribeck_effect_at_creeping_speeds_moves_as_compiled(stribeck_rad_s: float) -> None:
+    """A step that is tried beyond standstill meets a friction of any size: it is cut there, and nothing is raised."""
+    motor = PLAIN._replace(stribeck_V=0.03, stribeck_rad_s=stribeck_rad_s, delay_s=0.0)
+    k = np.arange(400.0)
+    u_V = np.where((k // 100) % 2 == 0, 1.3 * np.sign(np.sin(k / 11.0)), 0.62 * np.sin(k / 23.0))
+    t_s = np.asarray(0.01 * k, dtype=np.float64)
+    expected = response(motor, FRAME, (t_s, np.asarray(u_V, dtype=np.float64)), t_s, Pieces.one(0.0, 0.1))
+    moving, read = MovingMotor(motor, FRAME, 0.1), []
+    for tick, volts in enumerate(u_V.tolist()):
+        read.append(moving.reading_rad)
+        moving.advance(volts, 0.01 * tick, 0.01)
+    assert read == pytest.approx(expected, abs=1e-6)
+
+
 def test_a_motor_that_is_put_elsewhere_takes_its_sensor_along() -> None:
     moving = MovingMotor(with_parts("backlash"), FRAME, 0.0)
     moving.put(0.0, 0.5)
