@@ -51,9 +51,8 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
 def test_in_real_time_at_10_ms(name: str, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """One reply that is late ends a run, as it must. A machine that was stopped for 3 ms meanwhile runs it again.
 
-    Only silence does: whatever came has to be right in every run. How many there were is in the test's report. On a
-    machine that stands still in each of them, that is all that a real clock can show: the whole experiment runs in
-    virtual time below.
+    Only silence does: whatever came has to be right in every run. How many there were is in the test's report. Where
+    the machine stood still in each of them, the test is skipped and says so: it has not seen a whole run.
     """
     config = shorter(example(name))
     config["relay"] = {"gains": GAINS[:1], "cycles": 5}  # each second is a second here
@@ -72,6 +71,8 @@ def test_in_real_time_at_10_ms(name: str, tmp_path: Path, record_property: Calla
             finds_the_truth(outcome)
             break
     assert "rig emulated I/O block" in outcome["backend"]
+    if codes:
+        pytest.skip(f"this machine stood still in each of {_RUNS} runs, so no whole run in real time was seen")
 
 
 def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) -> None:
