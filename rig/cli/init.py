@@ -87,6 +87,7 @@ def init(
             f"{' and '.join(missing)} {have} no default: a wrong one is dangerous",
             f"give {'it' if len(missing) == 1 else 'them'}; `rig init --help`",
         )
+    told: dict[str, Any] = {}
     try:
         board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
         sensor = _chosen("sensor", sensor, new_bench.SENSORS)
@@ -99,14 +100,10 @@ def init(
         _refuse_unused({} if limits == "turns" else {"--turns": turns}, "--limits turns", limits)
         port = port or _asked("port of the board", _port(board), asks)
         number = partial(_number, partial(new_bench.possible, board, sensor, bridge, limits))
-        answers = new_bench.Answers(
-            board=board,
-            sensor=sensor,
-            bridge=bridge,
-            port=port,
-            limits=limits,
-            supply_V=number("supply_V", "motor supply, V", supply_V, 12.0, asks),
-            counts_per_turn=int(
+        told |= {"board": board, "sensor": sensor, "bridge": bridge, "limits": limits, "port": port}
+        told |= {
+            "supply_V": number("supply_V", "motor supply, V", supply_V, 12.0, asks),
+            "counts_per_turn": int(
                 number(
                     "counts_per_turn",
                     "counts for a turn of the encoder's own shaft (4 x PPR)",
@@ -115,22 +112,30 @@ def init(
                     asks,
                 )
             ),
-            gear=number("gear", "turns of the encoder for one of the measured shaft", gear, 1.0, asks and is_encoder),
-            travel_deg=number(
+            "gear": number(
+                "gear", "turns of the encoder for one of the measured shaft", gear, 1.0, asks and is_encoder
+            ),
+            "travel_deg": number(
                 "travel_deg",
                 "free travel from the centre to a stop, on each side, degrees",
                 travel_deg,
                 103.0,
                 asks and limits == "stops",
             ),
-            turns=number("turns", "turns either way, at most", turns, 10.0, asks and limits == "turns"),
-            no_load_rpm=number(
+            "turns": number("turns", "turns either way, at most", turns, 10.0, asks and limits == "turns"),
+            "no_load_rpm": number(
                 "no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, asks
             ),
-        )
+        }
+        answers = new_bench.Answers(**told)
         text = new_bench.text(answers, str(file))
     except new_bench.AnswerError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+        again = (
+            f"\n     your answers are not lost, change the wrong one here:\n     {_command(file, told)}"
+            if asks and told
+            else ""
+        )
+        fail(EXIT_BAD_INPUT, error.cause, error.cure + again)
     try:
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
@@ -143,6 +148,15 @@ def init(
     click.echo(flash_line(experiment, board))
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
+
+
+def _command(file: Path, told: dict[str, Any]) -> str:
+    """The command that gives these answers, without those that mean nothing beside the others."""
+    unused = {"travel_deg"} if told["limits"] != "stops" else set()
+    unused |= {"turns"} if told["limits"] != "turns" else set()
+    unused |= {"counts_per_turn", "gear"} if told["sensor"] != "encoder" else set()
+    options = [f"--{name.replace('_', '-')} {shlex.quote(f'{told[name]}')}" for name in told if name not in unused]
+    return " ".join(["rig init", shlex.quote(str(file)), *options])
 
 
 def _refuse_unused(given: dict[str, float | None], belongs: str, chosen: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,21 @@ def test_an_answer_that_cannot_be_is_asked_for_again(tmp_path: Path, monkeypatch
     assert e.sensor.encoder is not None and e.sensor.encoder.counts_per_turn == 64 and e.sensor.encoder.gear == 50.0
     angle = CliRunner().invoke(main, ["init", "angle.yaml"], input="uno\npotentiometer\nl298n\n\n9\n20\n60\n350\n")
     assert angle.exit_code == 0 and "20 degrees to each side are not 40 to 125" in angle.output
+
+
+def test_answers_that_contradict_each_other_are_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command that the error prints holds them all: with one number changed it passes."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
+    answers = "uno encoder tb6612 turns /dev/ttyACM3 9 4096 50 20 300".replace(" ", "\n") + "\n"
+    told = CliRunner().invoke(main, ["init", "my bench.yaml"], input=answers)
+    assert told.exit_code == 2 and "edges a second" in told.output
+    command = shlex.split(told.output.split("change the wrong one here:\n     rig ")[1])
+    assert command[:2] == ["init", "my bench.yaml"]
+    again = CliRunner().invoke(main, ["64" if word == "4096" else word for word in command])
+    assert again.exit_code == 0, again.output
+    e = load(tmp_path / "my bench.yaml")
+    assert e.sensor.encoder is not None and e.sensor.encoder.counts_per_turn == 64 and e.limits.turns == 20.0
 
 
 COUNTED = ("--sensor", "encoder", "--counts-per-turn", 64, "--gear", 50)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import re
 import signal
@@ -159,6 +160,7 @@ def wait_for(true: Any) -> None:
 
 def flood(origin: str) -> None:
     """Be the client that floods, until killed."""
+    logging.getLogger("websockets").disabled = True  # being cut off is what a flood is for
     while True:
         with (
             contextlib.suppress(WebSocketException, OSError),

@@ -45,6 +45,10 @@ def main() -> int:
     began_s = time.monotonic()
     out, phases = given.out or OUT[given.board], given.phases or PHASES[given.board]
     if given.only:
+        if not out.exists():
+            parser.error(
+                f"--only replaces rows of a page, and {out} does not exist: copy {OUT[given.board]} there first"
+            )
         text, kept = _part(given.board, phases, given.only, out.read_text(encoding="utf-8"))
     else:
         text, kept = _uno(phases) if given.board == "uno" else _pico(phases)
