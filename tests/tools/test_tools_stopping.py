@@ -15,6 +15,7 @@ from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
 from rig.control.law import Rest
 from rig.experiment import until
+from rig.identify.departures.choice import ASKED
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
@@ -79,6 +80,16 @@ def test_a_motor_with_a_departure_is_identified_with_its_law() -> None:
     assert one.verdict is not None
     assert one.final_error is not None
     assert np.max(np.abs(one.final_error)) < 0.05
+    assert one.gain is not None and one.gain > ASKED.entry and one.found == ("sag",)
+
+
+def test_a_law_that_the_runs_own_tests_cannot_show_is_expected_to_gain_nothing() -> None:
+    """Two long relay tests would show this curve of the sensor, by 107: the run ends after 6 s."""
+    campaign = Campaign(name="stopping", experiments=41, seed=8)
+    curved = next(kind for kind in KINDS if kind.name == "linearity 3")
+    one = row(campaign, 34, (curved,), Asked(0.4, identified=True))
+    assert one.known and one.found == ()
+    assert one.gain is not None and one.gain < 0.0
 
 
 def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
@@ -100,9 +111,9 @@ def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> 
     one = replace(row(CAMPAIGN, 3, (), Asked()), verdict="ok", final_error=(0.0,) * 3, final_inside=(True,) * 3)
     rows = [
         replace(one, number=0, kinds=("plain",)),
-        replace(one, number=1, kinds=("sag 3",), found=("sag",)),
-        replace(one, number=2, kinds=("sag 3",), found=("drag",)),
-        replace(one, number=3, kinds=("lag 2",)),  # too small to be seen
+        replace(one, number=1, kinds=("sag 3",), found=("sag",), gain=1e3),
+        replace(one, number=2, kinds=("sag 3",), found=("drag",), gain=1.0),  # its own tests were too short
+        replace(one, number=3, kinds=("lag 2",), gain=1.0),  # too small to be seen
         replace(one, number=4, kinds=("sag 1",), verdict=None, fault="POLARITY"),  # neither named nor ok
     ]
     gains = {0: {}, 1: {"sag": 1e3}, 2: {"sag": 1e3}, 3: {"lag": 1.0}, 4: {"sag": 1e3}}
@@ -110,5 +121,6 @@ def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> 
     told = {command.PLAIN: {}, command.KNOWN: {}, command.DEPARTING: {one.number: one for one in rows}}
     text = command.page(told, 0.4, "make stopping", "", 5, shown)
     assert "| departures called ok | 75.0 % of 4 |" in text
-    assert "| laws named, of those that can be seen | 1 of 3: 33.3 % |" in text
-    assert "| sag 3 | 2 | 2 | 2 | 0 | 1 of 2 |" in text
+    assert "| laws named, of those that the run's tests can show | 1 of 1: 100.0 % |" in text
+    assert "| laws named, of those that two relay tests can show | 1 of 3: 33.3 % |" in text
+    assert "| sag 3 | 2 | 2 | 2 | 0 | 1 of 1 |" in text

@@ -36,6 +36,7 @@ class DepartingShaft:
     """Motor, drive stage and potentiometer, as ``rig.model.bench.BenchModel`` is driven and read.
 
     furthest_rad   largest position, as an ideal sensor in its place would read it, that the shaft ever had
+    ideal_rad      of each reading so far: what it would have been without noise and steps
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class DepartingShaft:
         self.parameters = parameters
         self.pin_counts = 0.0
         self.furthest_rad = 0.0
+        self.ideal_rad: list[float] = []
         self._shaft = MovingShaft(motor, departures, (0.0, drifts_over_s))
         self._bench, self._random_V = bench, departures.random_V
         self._rng = np.random.default_rng(seed)
@@ -80,7 +82,9 @@ class DepartingShaft:
     def read_counts(self) -> int:
         """Reading of the position's converter."""
         p = self.parameters
-        y_rad = self._shaft.reading_rad + self._bench.offset_rad + self._bench.noise_rad * self._rng.standard_normal()
+        ideal_rad = self._shaft.reading_rad + self._bench.offset_rad
+        self.ideal_rad.append(ideal_rad)
+        y_rad = ideal_rad + self._bench.noise_rad * self._rng.standard_normal()
         return min(max(round(p.centre_counts + y_rad / p.rad_per_count), 0), p.counts_max)
 
     def read_tachometer_rad_s(self) -> float:

@@ -27,6 +27,7 @@ MADE_BY = (  # rows of another code start anew
     *(f"rig/{room}" for room in ("control", "design", "experiment", "identify", "loop", "model", "preflight")),
     "tools/stopping/rows.py",
     "tools/stopping/in_memory.py",
+    "tools/stopping/shown.py",
     *(f"tools/campaign_real/{name}.py" for name in ("departing_bench", "departing_motor", "kinds")),
 )
 GAINS_BY = (  # what a law could show needs no run
@@ -44,9 +45,10 @@ TITLES = {
 TITLE = "# How soon an experiment knows its motor"
 DEPARTING_TITLE = "# How soon an experiment knows a motor that departs from the plain model"
 SEEN = (
-    "*named*: laws that are found, alone or in a group of at most three, of those that can be seen: two relay tests of",
-    f"the motor, as in `make campaign-real`, should lower BIC by more than the {ASKED.entry:g} that a law needs to",
-    "enter. Motors with a random force are not counted there.",
+    "*named*: laws that are found, alone or in a group of at most three, of those that the run's own tests can show:",
+    f"having the law should lower BIC by more than the {ASKED.entry:g} that it needs to enter. A run that ends soon",
+    "shows less than the two relay tests of `make campaign-real`; what these can show is counted, too. Motors with a",
+    "random force are not counted there.",
 )
 Told = dict[str, dict[int, Row]]
 
@@ -119,7 +121,7 @@ def page(told: Told, percent: float, command: str, made: str, new: int, shown: S
             some = [rows[k] for k in sorted(rows)]
             lines += [f"## {TITLES[group]}", "", *_table(some, shown or {}), ""]
             if group == DEPARTING:
-                lines += [*_kinds(some, shown or {}), ""]
+                lines += [*_kinds(some), ""]
     return "\n".join(lines)
 
 
@@ -161,9 +163,11 @@ def _table(rows: Sequence[Row], shown: Shown) -> list[str]:
             lines.append(f"| departures called ok | {100 * share:.1f} % of {len(departing)} |")
         if ok:
             lines.append(f"| u95 that hold the truth | {100 * np.mean([one.final_inside for one in ok]):.1f} % |")
-        named, seen = named_of(departing, shown) if shown else (0, 0)
-        if seen:
-            lines.append(f"| laws named, of those that can be seen | {named} of {seen}: {100 * named / seen:.1f} % |")
+        for what, gains in (("the run's tests", _own(departing)), ("two relay tests", shown)):
+            named, seen = named_of(departing, gains) if gains else (0, 0)
+            if seen:
+                share = 100 * named / seen
+                lines.append(f"| laws named, of those that {what} can show | {named} of {seen}: {share:.1f} % |")
     beyond = [one for one in rows if one.beyond_rad > 0.0]
     lines.append(f"| motors whose shaft left the soft limits | {len(beyond)}{_most(beyond)} |")
     lines.append(f"| motors whose guard braked | {sum(one.braked > 0 for one in rows)} |")
@@ -175,11 +179,19 @@ def _table(rows: Sequence[Row], shown: Shown) -> list[str]:
     return lines
 
 
+def _own(rows: Sequence[Row]) -> Shown:
+    """For each motor what its one law should gain in its own run."""
+    laws = {kind.name: kind.law for kind in KINDS}
+    return {
+        (False, one.number): {} if one.gain is None else {laws[one.kinds[0]]: one.gain} for one in rows if one.kinds
+    }
+
+
 def _most(rows: Sequence[Row]) -> str:
     return f", by at most {1e3 * max(one.beyond_rad for one in rows):.0f} mrad" if rows else ""
 
 
-def _kinds(rows: Sequence[Row], shown: Shown) -> list[str]:
+def _kinds(rows: Sequence[Row]) -> list[str]:
     lines = ["| departure | motors | known | ok | wrong | named | tests, median |", "|---|---|---|---|---|---|---|"]
     for kind in KINDS:
         some = [one for one in rows if one.kinds == (kind.name,)]
@@ -188,7 +200,7 @@ def _kinds(rows: Sequence[Row], shown: Shown) -> list[str]:
         ok = [one for one in some if one.verdict == "ok"]
         wrong = sum(max(map(abs, one.final_error or (0.0,))) > WRONG for one in ok)
         tests = [one.tests_s for one in some if one.tests_s is not None]
-        named = "{} of {}".format(*named_of(some, shown)) if shown else "-"
+        named = "{} of {}".format(*named_of(some, _own(some)))
         median = f"{np.median(tests):.1f} s" if tests else "-"
         lines.append(
             f"| {kind.name} | {len(some)} | {sum(one.known for one in some)} | {len(ok)} | {wrong} | {named} "

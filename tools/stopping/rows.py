@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -9,9 +10,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
+from campaign_real.departing_bench import REACH_RAD, DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench, Departures
 from campaign_real.kinds import Kind, departures_of, truth_of
+from rig.backends.registry import Bench as OpenBench
+from rig.backends.simulated.driver import SimulatedDriver
 from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
@@ -26,6 +29,7 @@ from rig.preflight.breakaway_strokes import breakaway_strokes
 from rig.recording.recording import Recording
 from rig.session import Session
 from stopping.in_memory import driven
+from stopping.shown import expected_gain
 
 Array = NDArray[np.float64]
 
@@ -47,6 +51,7 @@ class Row:
     verdict         of the identification afterwards; None if it was not asked for
     final_error, final_inside, u95   of it: relative errors, whether u95 holds each, relative u95
     found, groups   of it: names of the laws that were found, and names that are not told apart
+    gain            in BIC, that is to be expected of the motor's law in this run's tests; None: not asked, or no law
     beyond_rad      how far the shaft went beyond the soft limits, rad
     braked          ticks in which the guard braked
     seconds         of computing, s
@@ -66,6 +71,7 @@ class Row:
     u95: tuple[float, ...] | None
     found: tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
+    gain: float | None
     beyond_rad: float
     braked: int
     fault: str | None
@@ -146,6 +152,7 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         u95,
         names,
         groups,
+        _gain(session, opened, shaft, kinds, bench) if asked.identified and stopped is not None else None,
         max(shaft.furthest_rad - REACH_RAD, 0.0),
         session.loop.guard.braked_ticks,
         None if fault is None else fault.code,
@@ -159,6 +166,21 @@ def checked(e: Experiment) -> Experiment:
     while breakaway_strokes(e, max_V) is None and max_V > LEAST_V:
         max_V = round(max_V - LEAST_V, 3)
     return e.model_copy(update={"breakaway": e.breakaway.model_copy(update={"max_V": max_V})})
+
+
+def _gain(
+    session: Session, opened: OpenBench, shaft: DepartingShaft, kinds: Sequence[Kind], bench: Bench
+) -> float | None:
+    """What the motor's one law should gain in BIC, from what the sensor would have read without noise."""
+    if len(kinds) != 1:
+        return None
+    assert isinstance(opened.driver, SimulatedDriver)
+    times_s = np.array([session.loop.since_start_s(t_s) for t_s in opened.driver.shaft()[0]])
+    recording = session.read()
+    ideal_rad = np.interp(recording.t_s, times_s, shaft.ideal_rad)
+    return expected_gain(
+        recording, ideal_rad, kinds[0].law, math.hypot(bench.noise_rad, bench.lsb_rad / math.sqrt(12.0))
+    )
 
 
 def _truth(one: Draw, departures: Departures, recording: Recording) -> Array:
