@@ -37,12 +37,12 @@ class StopAnswer:
     """What became of a Stop.
 
     runs   folders of the runs that it reached; ``CALIBRATION`` for a calibration that does not record
-    waits  commands that have no run folder yet and were interrupted
+    waits  processes of commands that have no run folder yet and were interrupted
     why    what did not work; empty: all of it did
     """
 
     runs: tuple[Path, ...]
-    waits: int
+    waits: tuple[int, ...]
     why: str
 
 
@@ -134,11 +134,12 @@ class Bench:
 
     def _start(self, command: str, *arguments: str) -> dict[str, Any]:
         """Start a command, if nothing else goes on."""
-        self.look()
-        with self._lock:
-            self._require_rest()
-            process = processes.start(self.out, command, arguments)
-            self._started.append(process)
+        with processes.one_at_a_time(self.out):  # two panels of one folder must not both find it at rest
+            self.look()
+            with self._lock:
+                self._require_rest()
+                process = processes.start(self.out, command, arguments)
+                self._started.append(process)
         return {"run": None, "pid": process.pid}
 
     def _require_rest(self) -> None:
@@ -230,7 +231,9 @@ class Bench:
             if self.calibration.works and not is_run:
                 reached.append(CALIBRATION)
             self.calibration.stop(by_flag=is_run)
-        return StopAnswer(tuple(reached), len(waiting), "; ".join(failed.values()))
+        if name is not None and not reached and not failed:
+            return StopAnswer((), (), f"no run {name!r} goes on here: a stop without a name stops all")
+        return StopAnswer(tuple(reached), tuple(sorted(waiting)), "; ".join(failed.values()))
 
     def _stop(self, one: Running, by: str) -> bool:
         """Stop this run: by its flag, or where that is gone by a signal. Raises StopError.
@@ -263,7 +266,7 @@ class Bench:
         config = self._own_config()
         found = await answer_of("rig.panel.prospect", config)
         if not found.get("may_run"):
-            raise RefusedError(409, "rig refuses this config", "press START: the check says why")
+            raise RefusedError(409, "rig refuses this config", "press Check and start…: the check says why")
         self._jog_V = float(found["plan"]["jog_V"])
         started = await asyncio.to_thread(self._start, "jog", str(config), "--leased")
         return {**started, "jog_V": self._jog_V}
@@ -316,7 +319,7 @@ class Bench:
                 return Leaser(one.folder)
             except (OSError, ValueError):
                 continue
-        raise RefusedError(409, "no jog goes on", "press Jog first, and wait until the device is open")
+        raise RefusedError(409, "no jog goes on", "press Get ready to jog, and wait until the device is open")
 
     def _drop(self) -> None:
         if self._hold is not None:

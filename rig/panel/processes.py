@@ -7,6 +7,7 @@ that was started anew finds it again. It cannot know the exit status then: only 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import secrets
@@ -98,6 +99,21 @@ class StartedProcess:
     @property
     def _words(self) -> Path:
         return self._note.with_suffix(".stderr")
+
+
+@contextlib.contextmanager
+def one_at_a_time(out: Path) -> Iterator[None]:
+    """No other panel of this folder starts anything in the block. Raises RefusedError without a lock."""
+    try:
+        (out / FOLDER).mkdir(parents=True, exist_ok=True)
+        lock = (out / FOLDER / "start.lock").open("w")
+    except OSError as error:
+        raise RefusedError(
+            503, f"nothing can be started: {error.strerror}", "check the disk and its permissions"
+        ) from error
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:

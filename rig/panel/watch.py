@@ -28,6 +28,9 @@ _MOST_NEWS: Final = 20
 _MOST_TICKS_TO_EXIT: Final = 100
 _LATE_SHARE: Final = 0.1  # of the period, beyond which a tick counts as late
 _ZERO_WITHIN_S: Final = 1.0
+STARTING: Final = "the run that was starting"
+_NOT_CONFIRMED: Final = "the device has not confirmed 0 V"
+_OVER: Final = "the run is over, and the device has never confirmed 0 V"
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,10 @@ class Scene:
 
 @dataclass
 class _Asked:
-    """A Stop on its way: when it came, and whether the pages know that the drive is not at 0."""
+    """A Stop on its way: when it came, the run as it is seen, and whether the pages know that 0 V is not confirmed."""
 
     at_s: float
+    view: LiveView
     told: bool = False
 
 
@@ -69,6 +73,8 @@ class Watch:
         self._statuses: dict[int, Ended] = {}
         self._pid: int | None = None
         self._asked: dict[Path, _Asked] = {}
+        self._starting: dict[int, float] = {}  # commands that a Stop interrupted before their run folder, and when
+        self._unconfirmed: list[str] = []  # runs that were stopped and are over, and of which 0 V was never confirmed
         self._news: list[tuple[int, dict[str, Any]]] = []
         self._number = 0
         self._ticks = 0
@@ -102,10 +108,16 @@ class Watch:
     def stop_asked(self, answer: StopAnswer) -> dict[str, Any]:
         """A Stop was given on: the message for who asked. What comes of it is told to every page."""
         at_s = time.monotonic()
+        if (answer.runs or answer.waits) and not (self._asked or self._starting):
+            self._unconfirmed = []
         for folder in answer.runs:
-            self._asked.setdefault(folder, _Asked(at_s))
-        run = answer.runs[-1].name if answer.runs else "the run that was starting" if answer.waits else None
-        return _stop_message(run, True if run is None and not answer.why else None, answer.why, None)
+            self._asked.setdefault(folder, _Asked(at_s, LiveView(folder)))
+        for pid in answer.waits:
+            self._starting.setdefault(pid, at_s)
+        if answer.runs or answer.waits:
+            return _stop_message(answer.runs[-1].name if answer.runs else STARTING, None, answer.why, None)
+        why = answer.why or (f"{_OVER}: {', '.join(self._unconfirmed)}" if self._unconfirmed else "")
+        return _stop_message(None, None if why else True, why, None)
 
     # ------------------------------------------------------------------ looking; in a thread of its own
 
@@ -164,6 +176,9 @@ class Watch:
         going = [one.folder for one in self._bench.running]
         if going and (self._view is None or self._view.folder not in going):
             self._view, self._ended, self._pid, self._over_ticks = LiveView(going[-1]), None, None, 0
+            if self._unconfirmed and not (self._asked or self._starting):  # who starts again has looked at the bench
+                self._unconfirmed = []
+                self._tell(_stop_message(None, None, "", None))
 
     def _take_ends(self, folder: Path | None, snapshot: Snapshot | None) -> None:
         """Tell of the run that is over, and of commands that ended before they had a run folder."""
@@ -178,6 +193,8 @@ class Watch:
                 self._end(folder, snapshot)
         for pid in [pid for pid in self._statuses if pid != self._pid]:
             early = self._statuses.pop(pid)
+            if (asked_s := self._starting.pop(pid, None)) is not None:
+                self._settled(STARTING, asked_s, at_zero=not early.began)
             if early.status != 0 and not early.began:  # one that began and took its time to exit was told of already
                 self._tell(_ended_early(early))
 
@@ -192,22 +209,44 @@ class Watch:
         }  # fmt: skip
 
     def _watch_stops(self, folder: Path | None, snapshot: Snapshot | None) -> None:
+        for one in self._bench.running:
+            if (asked_s := self._starting.pop(one.runner.pid, None)) is not None:  # it has its folder now
+                self._asked.setdefault(one.folder, _Asked(asked_s, LiveView(one.folder)))
         now_s = time.monotonic()
-        going = {one.folder for one in self._bench.running}
-        if self._bench.calibration is not None and self._bench.calibration.works:
-            going.add(CALIBRATION)
         for asked, stop in list(self._asked.items()):
-            after_ms = round(1e3 * (now_s - stop.at_s))
-            if asked == folder and snapshot is not None:
-                at_zero = snapshot.drive_is_off or snapshot.is_over or snapshot.state != "runs"
-            else:
-                at_zero = asked not in going
-            if at_zero:
+            at_zero = self._at_zero(asked, stop, snapshot if asked == folder else None)
+            if at_zero is not None:
                 del self._asked[asked]
-                self._tell(_stop_message(asked.name, True, "", after_ms))
+                self._settled(asked.name, stop.at_s, at_zero=at_zero)
             elif now_s - stop.at_s > _ZERO_WITHIN_S and not stop.told:
                 stop.told = True
-                self._tell(_stop_message(asked.name, False, "the device has not confirmed 0 V", after_ms))
+                self._tell(_stop_message(asked.name, False, _NOT_CONFIRMED, round(1e3 * (now_s - stop.at_s))))
+
+    def _at_zero(self, asked: Path, stop: _Asked, snapshot: Snapshot | None) -> bool | None:
+        """Whether the device of this run has confirmed 0 V; False: the run is over without that; None: not yet.
+
+        snapshot  of the run; None: it is read here
+        """
+        if asked == CALIBRATION:
+            calibration = self._bench.calibration
+            return None if calibration is not None and calibration.works else True
+        if snapshot is None:
+            try:
+                snapshot = stop.view.read(lost=self._bench.lost(asked))
+            except OSError:
+                return None  # nobody can know
+        if snapshot.drive_is_off and snapshot.state != "absent":
+            return True
+        return False if snapshot.is_over or snapshot.state != "runs" else None
+
+    def _settled(self, run: str, asked_s: float, *, at_zero: bool) -> None:
+        """A stopped run is over, or at 0 V. The pages have one word for all runs: 0 only if each of them is at 0."""
+        after_ms = round(1e3 * (time.monotonic() - asked_s))
+        if not at_zero:
+            self._unconfirmed.append(run)
+            self._tell(_stop_message(run, False, _OVER, after_ms))
+        elif not (self._asked or self._starting or self._unconfirmed):
+            self._tell(_stop_message(run, True, "", after_ms))
 
     def _tell(self, message: dict[str, Any]) -> None:
         self._number += 1
@@ -297,6 +336,7 @@ def live(run: str, snapshot: Snapshot, rows: Sequence[LiveRow]) -> dict[str, Any
         "amplitude_rad": None if cycle is None else _rounded(cycle.amplitude_rad, 5),
         "period_s": None if cycle is None else _rounded(cycle.period_s, 5),
         "drive_is_off": snapshot.drive_is_off,
+        "is_over": snapshot.is_over,
         "loop": {
             "late": _late(snapshot),
             "latest_us": _rounded(health.latest_us, 0),

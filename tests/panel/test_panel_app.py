@@ -229,11 +229,11 @@ def test_a_stop_reaches_the_run_that_is_known_before_it_looks_for_others(
             return []
 
         monkeypatch.setattr("rig.panel.bench.running", looked)
-        assert bench.stop() == StopAnswer((folder,), 0, "")
+        assert bench.stop() == StopAnswer((folder,), (), "")
         assert asked == ["panel"]
         bench._running = [Running(folder, Runner(os.getpid(), 0.0, 0.01))]
         monkeypatch.setattr(Seen, "goes_on", lambda seen, one: False)
-    assert bench.stop() == StopAnswer((), 0, ""), "it ended since the last look: nothing has failed"
+    assert bench.stop() == StopAnswer((), (), ""), "it ended since the last look: nothing has failed"
 
 
 def test_a_run_is_drawn_with_few_points_and_a_broken_one_says_why(watcher: TestClient) -> None:
@@ -306,7 +306,7 @@ def test_a_stop_whose_request_never_ends_stops(out: Path, monkeypatch: pytest.Mo
 
     def stop(run: str | None) -> StopAnswer:
         stopped.append(run)
-        return StopAnswer((), 0, "")
+        return StopAnswer((), (), "")
 
     monkeypatch.setattr(panel.bench, "stop", stop)
     headers = [(b"host", b"127.0.0.1:8470"), (b"origin", ORIGIN["origin"].encode()), (b"content-length", b"40")]

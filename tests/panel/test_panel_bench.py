@@ -8,7 +8,10 @@ import json
 import os
 import signal
 import subprocess
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -129,11 +132,11 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
     bench.look()
     assert running(tmp_path) == [] and [one.folder for one in bench.running] == [folder]
     assert bench.lost(folder) is not None
-    assert bench.stop("another") == StopAnswer((), 0, "")
-    assert bench.stop() == StopAnswer((folder,), 0, "")
+    assert "no run 'another' goes on here" in bench.stop("another").why
+    assert bench.stop() == StopAnswer((folder,), (), "")
     assert sent == [(os.getpid(), signal.SIGTERM)]
     (folder / "events.jsonl").write_text('{"kind": "stop"}\n{"kind": "end", "t_s": 3.0}\n')
-    assert bench.stop() == StopAnswer((), 0, ""), "its process lives a moment longer than the run"
+    assert bench.stop() == StopAnswer((), (), ""), "its process lives a moment longer than the run"
     bench.look()
     assert bench.running == [] and len(sent) == 1
 
@@ -150,7 +153,7 @@ def test_what_another_panel_starts_is_known_here_stopped_here_and_cleaned_up_the
         bench.look()
         assert [one.pid for one in bench.opening] == [other.pid]
         assert "run goes on already" in refused(lambda: bench._start("run", "config"))
-        assert bench.stop() == StopAnswer((), 1, "")
+        assert bench.stop() == StopAnswer((), (other.pid,), "")
         assert other.wait(PATIENCE_S) == -signal.SIGTERM
     assert [one.stopped for one in bench.ended()] == [True]
     bench.look()
@@ -195,6 +198,121 @@ def test_a_drive_that_is_not_confirmed_within_a_second_of_a_stop_is_told_once(
             events.write('{"kind": "stop", "t_s": 1, "confirmed": true}\n')
         now_s = 1.5
         assert told() == [(folder.name, False, 1100), (folder.name, True, 1500)]
+
+
+class Stopped:
+    """A panel with runs that a test writes by hand, each with a process, and what its pages are told of a Stop."""
+
+    def __init__(self, tmp_path: Path, stack: ExitStack, *names: str) -> None:
+        self.panel = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path)
+        self.flags: dict[str, ExitStack] = {}
+        self.runners: dict[str, subprocess.Popen[bytes]] = {}
+        for name in names:
+            self.runners[name] = stack.enter_context(subprocess.Popen(["sleep", "60"]))
+            stack.callback(self.runners[name].kill)
+            (folder := tmp_path / f"20260101T000000Z-run-{name}").mkdir()
+            (folder / "events.jsonl").write_text('{"kind": "stage", "t_s": 0, "name": "relay-1"}\n')
+            self.flags[name] = stack.enter_context(ExitStack())
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("rig.live.stop_flag.os.getpid", lambda pid=self.runners[name].pid: pid)
+                self.flags[name].enter_context(StopFlag()).begin(folder)
+        self.out = tmp_path
+        self.look()
+
+    def look(self) -> list[tuple[str, bool | None, str]]:
+        for _ in range(7):  # every sixth looks at which runs go on
+            self.panel.watch.look()
+        stops = [one for _, one in self.panel.watch.scene.news if one["type"] == "stop"]
+        return [(one["run"], one["drive_zero"], one["why"]) for one in stops]
+
+    def die(self, name: str) -> None:
+        self.runners[name].kill()
+        self.runners[name].wait()
+        self.flags[name].close()
+
+    def stop(self) -> dict[str, Any]:
+        return self.panel.watch.stop_asked(self.panel.bench.stop())
+
+    def event(self, name: str, **event: object) -> None:
+        with (self.out / f"20260101T000000Z-run-{name}" / "events.jsonl").open("a") as events:
+            events.write(json.dumps({"t_s": 1.0, **event}) + "\n")
+
+
+@pytest.mark.parametrize("how", ["ends", "dies"])
+def test_a_run_that_is_over_without_a_confirmed_0_V_is_never_called_at_0(tmp_path: Path, how: str) -> None:
+    """A pulled cable: the run ends with LINK_TIMEOUT, and nobody knows what the device does."""
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "cut")
+        assert bench.stop()["drive_zero"] is None
+        if how == "ends":
+            bench.event("cut", kind="stop", confirmed=False)
+            bench.event("cut", kind="end")
+        else:
+            bench.die("cut")
+        [(run, at_zero, why)] = bench.look()
+        assert run.endswith("cut") and at_zero is False and "never confirmed 0 V" in why
+        bench.die("cut")
+        bench.look()
+        again = bench.stop()
+        assert again["drive_zero"] is None and "never confirmed 0 V: 20260101T000000Z-run-cut" in again["why"]
+
+
+def test_of_two_runs_that_are_stopped_the_drive_is_called_at_0_when_both_are(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "a", "b")
+        bench.stop()
+        bench.event("b", kind="stop", confirmed=True)
+        assert bench.look() == []
+        bench.event("a", kind="stop", confirmed=True)
+        assert [at_zero for _, at_zero, _ in bench.look()] == [True]
+
+
+def test_one_of_two_runs_that_never_confirms_0_V_is_not_outdone_by_the_other(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "a", "b")
+        bench.stop()
+        bench.die("b")
+        assert [at_zero for _, at_zero, _ in bench.look()] == [False]
+        bench.event("a", kind="stop", confirmed=True)
+        assert [at_zero for _, at_zero, _ in bench.look()] == [False]
+
+
+def test_a_stop_of_a_run_that_is_not_there_says_so(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "goes")
+        said = bench.panel.watch.stop_asked(bench.panel.bench.stop("typo"))
+        assert said["drive_zero"] is None and "no run 'typo'" in said["why"]
+
+
+def test_two_panels_of_one_folder_do_not_both_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each looks first, then starts: between the two the other one may not."""
+    begun: list[subprocess.Popen[bytes]] = []
+
+    def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
+        time.sleep(0.2)  # the other one looks now, if it may
+        child = subprocess.Popen(["sleep", "60"])
+        begun.append(child)
+        note = out / FOLDER / f"{child.pid}.json"
+        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": born(child.pid)}))
+        return StartedProcess(note, command, child.pid, born(child.pid), child)
+
+    monkeypatch.setattr("rig.panel.bench.processes.start", start)
+    benches = [Bench(None, tmp_path), Bench(None, tmp_path)]
+
+    def try_to(bench: Bench) -> bool:
+        try:
+            bench._start("run", "config")
+        except RefusedError:
+            return False
+        return True
+
+    try:
+        with ThreadPoolExecutor(2) as threads:
+            assert sorted(threads.map(try_to, benches)) == [False, True]
+    finally:
+        for child in begun:
+            child.kill()
+            child.wait()
 
 
 def test_a_page_says_within_a_second_that_it_is_not_connected_and_then_sends_nothing_but_stop() -> None:

@@ -8,6 +8,7 @@ import { Scope } from "./scope.js";
 import { fixed, whole } from "./words.js";
 
 const OLD_MS = 1000; // rows older than this are not live: the run computes, or it hangs
+const COMPUTES = "identify"; // the stage in which nothing drives
 const FAULTS_KEPT = 20;
 
 export class Bench {
@@ -85,7 +86,7 @@ export class Bench {
     this.#live = null;
     setText(byId("stage-left"), "–");
     setText(byId("run-left"), "–");
-    setText(byId("u"), "–");
+    for (const id of ["y", "u", "age"]) setText(byId(id), "–"); // of now, and there is none
     show(byId("computing"), false);
     document.body.classList.remove("old");
   }
@@ -124,7 +125,8 @@ export class Bench {
     const old = live.age_ms > OLD_MS;
     document.body.classList.toggle("old", old);
     show(byId("computing"), old);
-    if (old) setText(byId("computing"), `The run computes: no reading for ${fixed(live.age_ms / 1000, 0)} s.`);
+    const silent = `no reading for ${fixed(live.age_ms / 1000, 0)} s`;
+    if (old) setText(byId("computing"), live.stage === COMPUTES ? `The run computes: ${silent}.` : `The run is silent: ${silent}.`);
     this.#scope.draw();
     this.#phase.draw();
     this.#onDrawn(live.n);

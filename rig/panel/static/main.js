@@ -28,6 +28,7 @@ const bench = new Bench((number) => {
 let state = { operator: false, has_token: false, config: null };
 let command = null; // of the run that drives
 let opened = false; // a jog that waits for a hold: its device is open
+let ending = false; // the run has its end, and its process not yet
 let opens = null; // command that was started, and opens its device
 let opensWith = ""; // the last that it said
 
@@ -47,9 +48,9 @@ function route() {
 function drives(next) {
   command = next;
   if (next !== null) opens = null;
-  else opened = false;
+  else opened = ending = false;
   body.dataset.bench = next === null ? "idle" : "driving";
-  setText(byId("lamp"), next === null ? (opens ? "Opening" : "Idle") : next === "jog" ? "Jogging" : "Running");
+  setText(byId("lamp"), next === null ? (opens ? "Opening" : "Idle") : ending ? "Ending" : next === "jog" ? "Jogging" : "Running");
   buttons();
 }
 
@@ -88,9 +89,9 @@ async function readState() {
 connection.addEventListener("live", ({ detail }) => {
   bench.live(detail);
   if (command === null) stop.forget();
-  const waits = detail.command === "jog" && detail.stage === "jog";
-  if (command !== (detail.command ?? "run") || opened !== waits) {
-    opened = waits;
+  const waits = detail.command === "jog" && detail.stage === "jog" && !detail.drive_is_off;
+  if (command !== (detail.command ?? "run") || opened !== waits || ending !== detail.is_over) {
+    [opened, ending] = [waits, detail.is_over];
     drives(detail.command ?? "run");
   }
   // the report's frame would swallow Stop's keys

@@ -12,9 +12,9 @@ const WORDS = {
   asked: "Stop asked…",
   received: "Stop received. Waiting for the drive to be at 0…",
   zero: "Stopped: the drive is at 0.",
-  nothing: "Stop received. No run is driving.",
+  nothing: "Stop received. This panel knows of no run that drives.",
   lost: "Stop did not get through. Use the e-stop.",
-  driving: "Stop was received, but the drive is not at 0. Use the e-stop.",
+  driving: "Stop was received, but the drive may not be at 0. Use the e-stop.",
 };
 
 const isText = (node) => node?.matches?.("textarea, [contenteditable], input:not([type=range], [type=checkbox])") ?? false;
@@ -50,9 +50,6 @@ export class Stop extends EventTarget {
     connection.addEventListener("alive", () => {
       if (this.#state === "unreachable") this.#show("ready");
     });
-    connection.addEventListener("ended", () => {
-      if (["asked", "received", "driving"].includes(this.#state)) this.#show("zero");
-    });
   }
 
   /** Ask for Stop. */
@@ -78,6 +75,10 @@ export class Stop extends EventTarget {
 
   #answer(answer) {
     if (!answer?.received) return;
+    if (!answer.run && answer.drive_zero === null && !answer.why) {
+      if (this.#state === "driving") this.#show("ready"); // another run has begun
+      return;
+    }
     if (answer.why) {
       this.#show("driving", answer.why);
     } else if (answer.run === null || answer.run === undefined) {
@@ -85,7 +86,7 @@ export class Stop extends EventTarget {
     } else if (answer.drive_zero === true) {
       this.#show("zero");
     } else if (answer.drive_zero === false) {
-      this.#show("driving");
+      this.#show("driving", answer.why);
     } else if (this.#state === "asked" || this.#state === "lost") {
       this.#show("received"); // what becomes of it comes over the socket, within about a second
     }
