@@ -128,6 +128,7 @@ def test_stop_is_one_key_anywhere_but_in_text(seen: dict[str, Any]) -> None:
     assert "Do: start it again" in stopped["fault"]
     assert stopped["stops"] == 1
     assert seen["typed"]["stops"] == 0, "a space in a text is a space"
+    assert seen["typed"]["stops_with_escape"] > 0, "Esc is Stop everywhere"
 
 
 def test_past_runs_are_laid_over_each_other_and_reports_opened(seen: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ const WORDS = {
 };
 
 const isText = (node) => node?.matches?.("textarea, [contenteditable], input:not([type=range], [type=checkbox])") ?? false;
-const isStopKey = (event) => (event.key === " " || event.key === "Escape") && !isText(event.target);
+const isStopKey = (event) => event.key === "Escape" || (event.key === " " && !isText(event.target)); // a space may be typed
 
 export class Stop extends EventTarget {
   #connection;
