@@ -418,6 +418,8 @@ class _Sockets:
             if isinstance(share, bool) or not isinstance(share, int | float) or not -1.0 <= share <= 1.0:
                 raise RefusedError(400, "volts_share is a number from -1 to 1", "")
             try:
+                if page.session is None:
+                    raise _no_session()
                 if not panel.access.is_operator(page.session):
                     raise RefusedError(403, "another page has the bench", "take it first")
                 panel.bench.jog(page.name, float(share))

@@ -397,7 +397,7 @@ def test_each_page_knows_who_drives_and_only_that_one_jogs(watcher: TestClient, 
         assert until(other, "operator")["you"] is True
         assert until(one, "idle")["opening"] is None
         one.send_json({"type": "take"})
-        for socket, what in ((one, "another page has the bench"), (other, "no jog goes on")):
+        for socket, what in ((one, "this browser may only watch and stop"), (other, "no jog goes on")):
             socket.send_json({"type": "jog", "volts_share": 0.5, "lease": 1})
             assert until(socket, "refused")["what"] == what
             socket.send_json({"type": "release"})
