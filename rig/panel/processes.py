@@ -14,6 +14,7 @@ import secrets
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ from rig.signals import plain
 
 _LAST_WORDS_BYTES: Final = 2000
 _LAST_WORDS_LINES: Final = 12
+_WAIT_S: Final = 2.0  # for another panel that starts something
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class StartedProcess:
 
 @contextlib.contextmanager
 def one_at_a_time(out: Path) -> Iterator[None]:
-    """No other panel of this folder starts anything in the block. Raises RefusedError without a lock."""
+    """No other panel of this folder starts anything in the block. Raises RefusedError if one does for ``_WAIT_S``."""
     try:
         (out / FOLDER).mkdir(parents=True, exist_ok=True)
         lock = (out / FOLDER / "start.lock").open("w")
@@ -112,7 +114,17 @@ def one_at_a_time(out: Path) -> Iterator[None]:
             503, f"nothing can be started: {error.strerror}", "check the disk and its permissions"
         ) from error
     with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        until_s = time.monotonic() + _WAIT_S
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError as error:  # a panel that was frozen in its start may hold it for long
+                if time.monotonic() > until_s:
+                    raise RefusedError(
+                        409, "another panel of this folder starts something", "wait for it, or end that panel"
+                    ) from error
+                time.sleep(0.02)
         yield
 
 

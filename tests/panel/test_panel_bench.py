@@ -22,6 +22,7 @@ from rig.live.born import born
 from rig.live.running import Running, running
 from rig.live.stop_flag import Runner, StopFlag
 from rig.panel import bench as module
+from rig.panel import processes
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel
 from rig.panel.attendance import FOLDER
@@ -313,6 +314,14 @@ def test_two_panels_of_one_folder_do_not_both_start(tmp_path: Path, monkeypatch:
         for child in begun:
             child.kill()
             child.wait()
+
+
+def test_a_panel_that_is_frozen_in_its_start_does_not_hang_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.panel.processes._WAIT_S", 0.0)
+    with processes.one_at_a_time(tmp_path):
+        assert "another panel of this folder" in refused(lambda: Bench(None, tmp_path)._start("run", "config"))
 
 
 def test_a_page_says_within_a_second_that_it_is_not_connected_and_then_sends_nothing_but_stop() -> None:
