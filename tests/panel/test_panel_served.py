@@ -460,6 +460,13 @@ def test_stop_of_a_loop_that_hangs_says_that_nothing_is_confirmed(served: list[S
     panel = served[-1]
     page = panel.page()
     seen = started(panel, page)
+    # in the pause before, the device has confirmed 0 V
+    page.until(
+        "live",
+        lambda live: (
+            live["run"] == seen["run"] and live["stage"] not in ("rest", "breakaway") and not live["drive_is_off"]
+        ),
+    )
     os.kill(seen["pid"], signal.SIGSTOP)
     try:
         assert panel.post("/api/stop")["drive_zero"] is None
