@@ -28,6 +28,8 @@ from rig.recording.stage import Stage, StageKind
 Array = NDArray[np.float64]
 
 KNOWN_PERCENT = 20.0  # tau, K and f_c must be known so well before a test is designed
+WIDE = 0.3  # of the room: swings so wide show what a first test would meet
+LONG_ENOUGH_S = 10.0  # of the start without a model: where its speed is bounded, its swings stay small
 LEAST_S = 1.2  # of a test before another one takes its place
 LEAST_TURNS = 2  # turning points in that test
 TOO_SLOW_S = 5.0  # a test that has not swung by then tells too little
@@ -155,6 +157,9 @@ class Advisor:
         else:
             stop = self._rule.take(estimate)
         if stop is not None:
+            estimate = self._fit.estimate(seeks_laws=True) or estimate
+            stop = self._rule.confirm(estimate)
+        if stop is not None:
             laws = " and ".join(estimate.laws).replace("_", " ")
             return Advice(estimate, stop=f"{stop}; with {laws}" if laws else stop)
         if self._rule.noise_in_doubt and self._can_rest:
@@ -192,6 +197,8 @@ class Advisor:
             return None  # a model without friction: no test can be designed for its intervals in %
         if s.live.prior is None and not estimate.worst_percent <= KNOWN_PERCENT:
             return None
+        if self._extrapolates():
+            return None
         if not self._must_change and self._given is not None and not self._has_run():
             return None
         wanted_percent, kinds = self._rule.wanted_percent(estimate), s.kinds
@@ -209,6 +216,19 @@ class Advisor:
             return None
         self._given, self._given_in, self._must_change = design, self._stage, False
         return design
+
+    def _extrapolates(self) -> bool:
+        """Whether a first test would go far beyond the swings so far.
+
+        A law that shows in wide swings only, or in small ones only, makes an estimate that explains the small ones and
+        is three times off in wide ones: bristles bend in small swings.
+        """
+        if self._given is not None or self._stage != str(StageKind.SEARCH):
+            return False
+        if self._last_s - self._stage_s > LONG_ENOUGH_S:
+            return False
+        least_rad = WIDE * min(-self._room.low_rad, self._room.high_rad)
+        return not self._swings.half_way_rad >= least_rad
 
     def _static_V(self, estimate: LiveEstimate) -> float:
         """The level that the shaft breaks away at, V, at most.

@@ -57,7 +57,21 @@ class StopRule:
         return self.interval_percent * (BESIDE_LAWS if estimate.laws else 1.0)
 
     def take(self, estimate: Judged) -> str | None:
-        """Take the next estimate. Returns why it is enough, in words, or None."""
+        """Take the next estimate. Returns why it is enough, in words, or None.
+
+        Estimates with other laws than this one do not count with it.
+        """
+        if self._last and self._last[-1].laws != estimate.laws:
+            self._last.clear()
+        self._last.append(estimate)
+        return self.enough()
+
+    def confirm(self, estimate: Judged) -> str | None:
+        """Take the last estimate anew, of the same rows. Returns why it is enough, in words, or None."""
+        if self._last:
+            laws = self._last.pop().laws
+            if laws != estimate.laws:
+                self._last.clear()
         self._last.append(estimate)
         return self.enough()
 

@@ -43,6 +43,7 @@ STRANGE = (
     1.2  # residual over the noise beyond which another valley is looked for, or a delay, once the record has doubled
 )
 LACKING = 1.1  # residual over the noise beyond which laws are looked for, once the record has doubled
+LONGER = 1.2  # times the record in which laws were looked for last: worth another look if one is asked for
 EXPLAINS = 0.8  # of the residual, that a delay which no row tells must leave at most
 USABLE_PERCENT = 60.0  # half width beyond which a fit says nothing
 UNEXPLAINED = 0.3  # residual over the spread of positions beyond which a fit says nothing
@@ -198,8 +199,11 @@ class LiveFit:
             self._rows.append(rows)
             self._count += int(rows.row.size)
 
-    def estimate(self) -> LiveEstimate | None:
-        """What the rows so far say; None if they say next to nothing, and nothing was known beforehand."""
+    def estimate(self, *, seeks_laws: bool = False) -> LiveEstimate | None:
+        """What the rows so far say; None if they say next to nothing, and nothing was known beforehand.
+
+        seeks_laws  whether to look for laws although the residual does not ask for them: it takes a second
+        """
         record = self._record()
         if record is None:
             return self._of_prior()
@@ -219,7 +223,7 @@ class LiveFit:
         if self._looks_late(fit, moving):
             fit, found = self._later(fit, found)
         speeds = swing_speeds(fit.problem.cut.windows, found, self.settings.sigma_rad)
-        if self._looks_for_laws(fit, moving, len(speeds)):
+        if self._looks_for_laws(fit, moving, len(speeds), seeks_laws):
             self._laws_at = moving
             fit = self._with_laws(fit, found, 2.0 * moving / len(speeds))
         estimate = self._estimate(fit, speeds, moving)
@@ -249,10 +253,13 @@ class LiveFit:
         self._late = False
         return fit, found
 
-    def _looks_for_laws(self, fit: Fit, moving_s: float, swings: int) -> bool:
-        """Whether to look for laws: the residual says that something is lacking, and the record has doubled since."""
-        is_lacking = math.sqrt(unit(fit)) > LACKING
-        return is_lacking and swings >= 2 * ENOUGH_SWINGS and moving_s > 2.0 * self._laws_at
+    def _looks_for_laws(self, fit: Fit, moving_s: float, swings: int, seeks: bool) -> bool:
+        """Whether to look for laws: asked to, or by the residual; and the record has grown since they were last."""
+        if swings < 2 * ENOUGH_SWINGS:
+            return False
+        if seeks and moving_s > LONGER * self._laws_at:
+            return True
+        return math.sqrt(unit(fit)) > LACKING and moving_s > 2.0 * self._laws_at
 
     def _with_laws(self, fit: Fit, found: list[list[Motion]], cycle_s: float) -> Fit:
         """The fit with the laws that the rows show, if these explain more; else the same fit."""
