@@ -28,7 +28,7 @@ from rig.recording.stage import Stage, StageKind
 Array = NDArray[np.float64]
 
 KNOWN_PERCENT = 20.0  # tau, K and f_c must be known so well before a test is designed
-WIDE = 0.3  # of the room: swings so wide show what a first test would meet
+WIDE = 0.15  # of the room: swings so wide show what a first test would meet
 LONG_ENOUGH_S = 10.0  # of the start without a model: where its speed is bounded, its swings stay small
 LEAST_S = 1.2  # of a test before another one takes its place
 LEAST_TURNS = 2  # turning points in that test
