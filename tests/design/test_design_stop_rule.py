@@ -51,6 +51,16 @@ def test_beside_a_law_the_interval_must_be_narrower() -> None:
     assert rule.lacks(Seen(0.9)) is None
 
 
+def test_estimates_with_other_laws_do_not_count_together() -> None:
+    rule = StopRule(1.0)
+    assert rule.take(Seen()) is None
+    assert rule.take(Seen(0.5, laws=("sag",))) is None
+    assert rule.take(Seen(0.5, laws=("sag",))) is not None
+    assert rule.confirm(Seen(0.5, laws=("dead_band",))) is None
+    assert rule.take(Seen(0.5, laws=("dead_band",))) is not None
+    assert rule.confirm(Seen(0.7, laws=("dead_band",))) is None
+
+
 def test_the_residual_may_be_larger_by_what_few_rows_make_of_it() -> None:
     few, many = Seen(residual_over_noise=1.09, residual_error=0.03), Seen(residual_over_noise=1.09, residual_error=0.01)
     assert StopRule(1.0).lacks(few) is None and StopRule(1.0).lacks(many) is not None

@@ -225,10 +225,25 @@ def test_a_law_that_the_residual_asks_for_is_found_while_the_run_goes_on(part: d
     assert max(errors(last, truth).values()) < 2.0 and last.worst_percent < 5.0
 
 
+@pytest.mark.parametrize(("part", "law"), [({"dead_band_V": 0.04}, "dead_band"), ({"backlash_rad": 0.004}, "backlash")])
+def test_a_law_that_the_residual_hides_is_found_if_it_is_looked_for(part: dict[str, float], law: str) -> None:
+    run = of_real(RealMotor(0.17, 6.5, 0.4, **part))
+    fit = LiveFit(SETTINGS)
+    fit.take(rows_of(run, 0, len(run)))
+    for seeks, laws in ((False, ()), (True, (law,)), (False, (law,))):
+        estimate = fit.estimate(seeks_laws=seeks)
+        assert estimate is not None and estimate.laws == laws and estimate.residual_over_noise < 1.1
+
+
 def test_a_plain_motor_gets_no_laws() -> None:
     for seed in range(4):
         found = every_second(of_real(RealMotor(0.17, 6.5, 0.4), seed))
         assert found and all(one.laws == () for one in found)
+        fit = LiveFit(SETTINGS)
+        run = of_real(RealMotor(0.17, 6.5, 0.4), seed)
+        fit.take(rows_of(run, 0, len(run)))
+        sought = fit.estimate(seeks_laws=True)
+        assert sought is not None and sought.laws == ()
 
 
 @pytest.mark.parametrize("told", [True, False])
