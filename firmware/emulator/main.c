@@ -13,7 +13,9 @@
 
 #define QUANTUM_NS 250000
 #define TRACE_EVERY_NS 10000000
-#define STALL_S 1.0 /* after a longer one than this the chip goes on where it stood, instead of running after the time */
+/* After a longer one than this the chip goes on where it stood, instead of running after the time. It is longer than a
+ * host measures the clock for: time that the chip loses then looks like a restart. */
+#define STALL_S 10.0
 #define POWER_ON 1u
 #define RESET_INPUT 2u
 
@@ -63,10 +65,13 @@ static void run_to_now(board *self)
     }
 }
 
+/* Bytes both ways, and the chip's time up to now. That time is read after the bytes, and they go on the wire at that
+ * time: the chip hears nothing before the host has said it, however long this process stood still. */
 static void carry_bytes(board *self)
 {
     uint8_t bytes[256];
     size_t n = process_read(&self->process, bytes, sizeof bytes);
+    run_to_now(self);
     (void)virtual_write(self->chip, bytes, (uint32_t)n); /* what the wire does not take is lost */
     n = virtual_read(self->chip, bytes, sizeof bytes);
     process_write(&self->process, bytes, n);
@@ -110,8 +115,8 @@ int main(int argc, char **argv)
     self.start_s = process_now_s();
     process_announce(&self.process);
     while (process_wait(&self.process, self.start_s + 1e-9 * (double)(virtual_now_ns(self.chip) + QUANTUM_NS))) {
-        run_to_now(&self);
         if (process_reset_asked()) {
+            run_to_now(&self);
             virtual_boot(self.chip, RESET_INPUT, 0.0);
             trace(&self);
         }

@@ -13,7 +13,8 @@ from rig.backends.emulated.board_process import BoardProcess
 class PicoBoard(BoardProcess):
     """The very .uf2 that is flashed, on rp2040js, with the bench behind it. Opening the port does not reset it.
 
-    The chip runs after real time in steps of 1 ms. A stall of this machine of more than a second is not caught up.
+    The chip runs after real time in steps of 1 ms, and whenever bytes come. A stall of this machine of more than ten
+    seconds is not caught up.
     """
 
     def start(self, parameters: dict[str, Any], link: Path | None = None, trace: Path | None = None) -> str:

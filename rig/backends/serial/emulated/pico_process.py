@@ -24,7 +24,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 
 _STEP_S = 0.001
-_STALL_S = 1.0
+_STALL_S = 10.0  # longer than a host measures the clock for: time that the chip loses then looks like a restart
 _TRACE_EVERY_S = 0.010
 _EXTERNAL, _POWER_ON = 2, 1  # causes of a reset
 _BYTES = 4096
@@ -73,7 +73,7 @@ class _Board:
         """Until a signal ends it."""
         end_s, stdin = math.inf, sys.stdin.fileno()
         while (now_s := time.monotonic()) < end_s:
-            files = [ends, *([stdin] if watches_stdin else [])]
+            files = [ends, self._host, *([stdin] if watches_stdin else [])]
             due_s = self._start_s + self._chip.now_s() + _STEP_S
             ready = select.select(files, [], [], max(due_s - now_s, 0.0))[0]
             if ends in ready:
@@ -91,14 +91,21 @@ class _Board:
         self._chip.end()
 
     def _carry(self) -> None:
-        """Bytes both ways, and the chip's time up to now."""
+        """Bytes both ways, and the chip's time up to now.
+
+        The time is read after the bytes, and they go on the wire at that time. So the chip hears nothing before the host
+        has said it, however long this process or the chip's stood still.
+        """
+        sent = b""
         with contextlib.suppress(BlockingIOError, OSError):  # nobody has opened the port
-            self._chip.write(os.read(self._host, _BYTES))
-        behind_s = time.monotonic() - self._start_s - self._chip.now_s()
+            sent = os.read(self._host, _BYTES)
+        now_s = time.monotonic()
+        behind_s = now_s - self._start_s - self._chip.now_s()
         if behind_s > _STALL_S:
             sys.stderr.write(f"the emulated Pico stood still for {behind_s:.1f} s, and its clock with it\n")
             self._start_s += behind_s
-        self._chip.sleep_until(time.monotonic() - self._start_s)
+        self._chip.sleep_until(now_s - self._start_s)
+        self._chip.write(sent)
         if self._rows is not None:
             self._trace(self._chip.truth())
         if arrived := self._chip.read(0.0):
