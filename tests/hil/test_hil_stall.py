@@ -1,4 +1,4 @@
-"""Emulated devices whose process stands still for a while, in real time: nothing here asserts how long anything takes."""
+"""Emulated devices whose process stands still for a while, in real time: no test asserts how long anything takes."""
 
 from __future__ import annotations
 

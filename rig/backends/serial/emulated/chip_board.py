@@ -14,7 +14,7 @@ from rig.config.schema import Emulated, Tachometer
 class ChipBoard(BoardProcess):
     """The very .hex that is flashed, on libsimavr, with the bench behind it. Opening the port does not reset it.
 
-    The chip runs after real time in steps of 0.25 ms. A stall of this machine of more than ten seconds is not caught up.
+    The chip runs after real time in steps of 0.25 ms. It does not catch up on a stall of more than ten seconds.
     """
 
     def start(

@@ -93,8 +93,8 @@ class _Board:
     def _carry(self) -> None:
         """Bytes both ways, and the chip's time up to now.
 
-        The time is read after the bytes, and they go on the wire at that time. So the chip hears nothing before the host
-        has said it, however long this process or the chip's stood still.
+        The time is read after the bytes, and they go on the wire at that time. So the chip hears nothing before the
+        host has said it, however long this process or the chip's stood still.
         """
         sent = b""
         with contextlib.suppress(BlockingIOError, OSError):  # nobody has opened the port
