@@ -221,9 +221,9 @@ class Advisor:
         """Whether a first test would go far beyond the swings so far.
 
         A law that shows in wide swings only, or in small ones only, makes an estimate that explains the small ones and
-        is three times off in wide ones: bristles bend in small swings.
+        is three times off in wide ones: bristles bend in small swings. A shaft that turns without end leaves nothing.
         """
-        if self._given is not None or self._stage != str(StageKind.SEARCH):
+        if self._given is not None or self._stage != str(StageKind.SEARCH) or self._room.is_endless:
             return False
         if self._last_s - self._stage_s > LONG_ENOUGH_S:
             return False

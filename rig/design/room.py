@@ -33,6 +33,11 @@ class Room:
         if not (min(self.max_V, self.max_speed_rad_s) > 0.0 and min(self.static_V, self.horizon_s) >= 0.0):
             raise ValueError("need max_V, max_speed_rad_s > 0 and static_V, horizon_s >= 0")
 
+    @property
+    def is_endless(self) -> bool:
+        """Whether the guard never brakes for the position."""
+        return math.isinf(self.stop_rad[0]) and math.isinf(self.stop_rad[1])
+
 
 @dataclass(frozen=True)
 class Reading:

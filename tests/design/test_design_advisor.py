@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -105,7 +106,11 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     settings = AdvisorSettings(
-        1.0, LiveSettings(0.01, 0.003, 0.0, 3.0), Room(-1.0, 1.0, 3.0, 4.9), Reading(0.01, 0.003), turn_rad=0.08
+        1.0,
+        LiveSettings(0.01, 0.003, 0.0, 3.0),
+        Room(-1.0, 1.0, 3.0, 4.9, stop_rad=(-1.1, 1.1)),
+        Reading(0.01, 0.003),
+        turn_rad=0.08,
     )
     return Bench(settings, monkeypatch)
 
@@ -136,6 +141,15 @@ def test_the_first_test_waits_for_swings_that_are_not_much_narrower_than_the_roo
     assert advice is not None and advice.design is None and not bench.asked
     bench.drive("search", 2.0, 0.2)
     advice = bench.advisor.advise()
+    assert advice is not None and advice.design is not None
+
+
+def test_it_does_not_wait_where_the_shaft_turns_without_end(bench: Bench) -> None:
+    room = replace(bench.settings.room, stop_rad=(-math.inf, math.inf))
+    endless = Bench(replace(bench.settings, room=room), bench.monkeypatch)
+    endless.drive("search", 2.0, 0.1)
+    endless.says = estimate(10.0)
+    advice = endless.advisor.advise()
     assert advice is not None and advice.design is not None
 
 
