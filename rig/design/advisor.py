@@ -223,7 +223,7 @@ class Advisor:
         A law that shows in wide swings only, or in small ones only, makes an estimate that explains the small ones and
         is three times off in wide ones: bristles bend in small swings. A shaft that turns without end leaves nothing.
         """
-        if self._given is not None or self._stage != str(StageKind.SEARCH) or self._room.is_endless:
+        if self._given is not None or self._settings.live.prior is not None or self._room.is_endless:
             return False
         if self._last_s - self._stage_s > LONG_ENOUGH_S:
             return False
