@@ -42,11 +42,13 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
     path = tmp_path / "kill.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     device = subprocess.Popen([*RIG, "emulate", str(path), "--link", str(link), "--trace", str(trace)])
+    loop: subprocess.Popen[bytes] | None = None
     try:
         wait_until(link.exists)
         loop = subprocess.Popen([*RIG, "run", str(path), "--out", str(runs)])
 
         def cycles() -> int:
+            assert loop is not None and loop.poll() is None, "the run ended by itself: the captured stderr says why"
             events = list(runs.glob("*/events.jsonl"))
             return events[0].read_text().count('"cycle"') if events else 0
 
@@ -57,6 +59,9 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
         assert status == (-9 if number == signal.SIGKILL else 1)
         wait_until(lambda: time.monotonic() > killed_s + 0.5)
     finally:
+        if loop is not None:
+            loop.kill()
+            loop.wait()
         device.send_signal(signal.SIGINT)
         device.wait(timeout=10)
     with trace.open() as file:
