@@ -21,7 +21,7 @@ from rig.results.listed import ListedRun
 from rig.results.reading import DamagedError, parsed
 
 INDEX = ".rig-index.jsonl"
-FORM = 1  # of the index
+FORM = 2  # of the index
 FROM = (META, RESULT)  # files that a line is made from
 
 Stamp = tuple[tuple[int, int], ...]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.friction_map import FrictionMap, friction_map
+from rig.identify.known_model import model_of
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
@@ -26,12 +28,20 @@ from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
 from rig.identify.verdict import largest_drive_V
-from rig.model.real_motor import Frame, FramedMotor, RealMotor
+from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import LATENCY_S, TimeSeries
 from rig.recording.stage import StageKind, kind_of
-from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
+from rig.results import (
+    Answer,
+    HystereticResult,
+    IdentificationResult,
+    RelayTestResult,
+    StaticFrictionResult,
+    answer_of,
+    chosen,
+)
 
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
@@ -67,29 +77,47 @@ class Identification:
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
         return IdentificationResult(
-            relays=tuple(self.relays),
+            answer=self.answer,
             estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
+            relays=tuple(self.relays),
             notes=tuple(self.notes),
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
             friction_map=None if self.friction_map is None else self.friction_map.as_result(),
-            **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
+            **self.evidence,
         )
 
     @property
-    def real_motor(self) -> FramedMotor | None:
-        """The motor with the laws that the tests show; None without any, or if its estimate is refused."""
+    def answer(self) -> Answer | None:
+        """The numbers to use, with their laws, u95 and verdict, as in result.json; None without an estimate."""
         law = self.motor_law
-        if law is None or law.estimate is None or law.estimate.verdict == "refused":
-            return None
-        return law.motor
+        return answer_of(
+            {method: estimate.as_result() for method, estimate in self.estimates.items()},
+            **({} if law is None else law.of_answer()),
+        )
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """The keys of a result that say what the answer was fitted to, and what its uncertainty is made of."""
+        return {} if self.motor_law is None else dict(self.motor_law.as_result())
+
+    @property
+    def leading(self) -> Estimate | None:
+        """The estimate of the answer, whatever its verdict; None without an estimate."""
+        found = chosen(self.estimates, None if self.motor_law is None else self.motor_law.estimate)
+        return None if found is None else found[1]
 
     @property
     def best(self) -> Estimate | None:
-        """The first estimate of the list that is not refused and has tau and K; None without one."""
-        usable = (estimate for estimate in self.estimates.values() if estimate.verdict != "refused")
-        return next((estimate for estimate in usable if estimate.is_motor), None)
+        """The estimate of the answer; None where that is refused, or has no tau and K."""
+        found = self.leading
+        return found if found is not None and found.is_motor and found.verdict != "refused" else None
+
+    @property
+    def real_motor(self) -> FramedMotor | None:
+        """The motor of the answer, with its laws; None without one. Raises ValueError as ``model_of``."""
+        return model_of(self.answer, in_its_time=True)
 
 
 def identify(
@@ -119,15 +147,15 @@ def identify(
     require_known(recordings, without)
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     found = _found(data)
-    chosen = [e for e in wanted if methods or e.series(data)]
-    errors = _add_estimates(chosen, data, found)
+    used = [e for e in wanted if methods or e.series(data)]
+    errors = _add_estimates(used, data, found, bool(methods))
     leading = found.estimates.get(LEADING)
     if leading is not None and _tells_no_motor(leading, data) and data.take_searches():
         found = _found(data)
-        errors = _add_estimates(chosen, data, found)
+        errors = _add_estimates(used, data, found, bool(methods))
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
-        errors = _add_estimates(chosen, data, found)
+        errors = _add_estimates(used, data, found, bool(methods))
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -183,16 +211,20 @@ def _made(entry: EstimatorEntry) -> Estimator:
 
 
 def _add_estimates(
-    estimators: Sequence[Estimator], data: Measurements, found: Identification
+    estimators: Sequence[Estimator], data: Measurements, found: Identification, by_name: bool
 ) -> dict[str, IdentifyError]:
-    """Add what each estimator finds, and its notes. Returns why the others cannot work on the data, by name."""
+    """Add what each estimator finds, and its notes. Returns why the others cannot work on the data, by name.
+
+    by_name   whether somebody asked for these estimators; else one that reads relay tests has nothing to say of a chirp
+    """
     errors: dict[str, IdentifyError] = {}
     for estimator in estimators:
         try:
             estimate = _estimate(estimator, data, found.estimates)
         except IdentifyError as error:
             errors[estimator.name] = error
-            found.notes.append(f"{estimator.name}: {error.cause}")
+            if by_name or data.of_relay or not estimator.reads_relay_tests:
+                found.notes.append(f"{estimator.name}: {error.cause}")
         else:
             found.estimates[estimator.name] = estimate
             found.notes += estimator.notes(estimate, data)
@@ -270,9 +302,6 @@ def _said(sentence: str | None) -> list[str]:
 def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], found: Identification) -> None:
     """The friction map of the first recording with a survey, with the identified motor beside it."""
     motor = found.real_motor
-    if motor is None and found.best is not None:
-        best = found.best
-        motor = FramedMotor(RealMotor(best.tau_s, best.K_rad_s_V, max(best.fc_V, 0.0), best.asym_V), Frame())
     stage = str(StageKind.SURVEY)
     for recording in recordings:
         if motor is None or stage not in recording.stages() or stage in left_out(recording, without):

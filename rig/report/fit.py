@@ -13,10 +13,11 @@ from rig.estimators import LEADING
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
+from rig.identify.known_model import model_of
 from rig.identify.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.model.real_motor import Frame, FramedMotor, Pieces, response
+from rig.model.real_motor import FramedMotor, Pieces, response
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
 from rig.report.source import Array, ReportedRun, Span
@@ -103,16 +104,10 @@ def cycles_of(run: ReportedRun, span: Span) -> Cycles | None:
     return Cycles(series, rows) if len(rows) >= 2 else None
 
 
-def law_motor(run: ReportedRun) -> FramedMotor | None:
-    """The leading model with the laws that the tests show; None without any, or if it was refused or is damaged."""
-    estimate, laws, frame = run.result.with_law, run.result.law, run.result.law_frame
-    if estimate is None or not laws or frame is None or estimate.is_refused:
-        return None
-    numbers: dict[str, float | None] = {name: value for law in laws for name, value in law.numbers.items()}
-    numbers |= {name: estimate.value(name) for name in PARAMETERS} | {"bias_V": estimate.asym_V}
-    numbers |= {name: getattr(frame, name) for name in Frame._fields}
+def answer_motor(run: ReportedRun) -> FramedMotor | None:
+    """The motor of the run's answer; None without one, if it was refused, or is damaged."""
     try:
-        return FramedMotor.of({name: known(value) for name, value in numbers.items()})
+        return model_of(run.result.answer, in_its_time=True)
     except ValueError:
         return None
 
@@ -128,16 +123,26 @@ def motor_of(estimate: EstimateResult | None) -> Motor | None:
     return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
 
 
-def predict_cycles(run: ReportedRun, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
-    """Predict each cycle under its recorded drive, from the start (v0, y0) that fits best; empty without a model.
+def models(run: ReportedRun) -> dict[str, tuple[EstimateResult, Motor | FramedMotor]]:
+    """The estimates that are models, by method: the answer, and those of the other methods beside it.
 
-    The leading estimate predicts with the laws that the tests show, if there are any.
+    A refused answer is a model, too: its residual shows what is wrong.
     """
-    motor: Motor | FramedMotor | None = motor_of(estimate)
-    if estimate is run.estimates.get(LEADING) and (real := law_motor(run)) is not None:
-        motor, estimate = real, run.result.with_law
-    if motor is None:
-        return []
+    found = run.estimates
+    answer = run.result.answer
+    if answer is not None:
+        found = {answer.method: answer} | {m: e for m, e in found.items() if m != answer.method}
+    real = answer_motor(run)
+    motors: dict[str, Motor | FramedMotor | None] = {method: motor_of(estimate) for method, estimate in found.items()}
+    if answer is not None and real is not None and real.parts:
+        motors[answer.method] = real
+    return {m: (found[m], motor) for m, motor in motors.items() if motor is not None}
+
+
+def predict_cycles(
+    run: ReportedRun, estimate: EstimateResult, motor: Motor | FramedMotor, cycles: Cycles
+) -> list[Predicted]:
+    """Predict each cycle under its recorded drive by one of ``models``, from the start (v0, y0) that fits best."""
     series = cycles.series
     edges = series.edge_s
     if series.t_u_s is None:  # the drive acts later, by the delay that a method estimated
@@ -189,7 +194,7 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 def fits_of(run: ReportedRun, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
     """Estimates with their residuals and recursions; or none, and a sentence that says why.
 
-    The leading one has the laws that the tests show.
+    That of the answer has the laws that the tests show.
 
     identification  of this recording; None: identify it here
     """
@@ -198,17 +203,15 @@ def fits_of(run: ReportedRun, identification: Identification | None = None) -> t
     if not (run.spans("relay") or run.spans("hysteretic")):
         return {}, "There was no relay test, so there is no residual to show."
     if identification is not None:
-        return _with_laws(identification), ""
+        return _by_method(identification), ""
     try:
-        return _with_laws(identify([run.recording], choose_law=law_motor(run) is not None)), ""
+        return _by_method(identify([run.recording], choose_law=bool(run.laws))), ""
     except IdentifyError as error:
         return {}, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:
         return {}, f"The estimators cannot read this recording: {error}."
 
 
-def _with_laws(found: Identification) -> dict[str, Estimate]:
-    law = found.motor_law
-    if found.real_motor is None or law is None or law.estimate is None:
-        return found.estimates
-    return found.estimates | {LEADING: law.estimate}
+def _by_method(found: Identification) -> dict[str, Estimate]:
+    answer = found.leading
+    return found.estimates if answer is None else found.estimates | {answer.method: answer}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from rig.estimators import ESTIMATORS, LEADING
+from rig.estimators import ESTIMATORS
 from rig.identify import Identification, IdentifyError, identify
 from rig.identify.verdict import PROMISE, RISK
 from rig.package import VERSION
@@ -65,12 +65,13 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         return run, None
     identified = found.as_result()
     result = RunResult(
+        answer=identified.answer,
         estimates=identified.estimates,
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
         friction_map=identified.friction_map,
-        **identified.law_keys(),
+        **found.evidence,
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
     return replace(run, result=result), found
@@ -98,7 +99,6 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         motor_law=tables.motor_law(run),
         promise_percent=100.0 * PROMISE,
         risk_percent=100.0 * RISK,
-        with_law=tables.with_law(run),
         records=tables.records(run),
         budget=tables.budget(run),
         hysteretic=tables.hysteretic(run),
@@ -119,7 +119,6 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
     """All figures by section. For a missing one: the sentence that says why."""
     with style():
         fits, trouble = fits_of(run, identification)
-        best = next(iter(run.estimates), LEADING)
         relays = run.spans("relay")
 
         def transients() -> list[Figure]:
@@ -150,7 +149,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             "map": surveyed(),
             "transients": transients(),
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
-            "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, best, fits))],
+            "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, fits))],
             "tracking": [_figure(lambda: checked.tracking(run))],
             "tuned": [] if run.result.tuned is None else [_figure(lambda: tuned_loop.loop(run))],
             "loop": [_figure(lambda: checked.loop_timing(run))],

@@ -44,6 +44,6 @@ export function moment(iso) {
 /** Name, symbol and unit of each estimated parameter. */
 export const PARAMETERS = [
   { key: "tau_s", symbol: "τ", name: "time constant", unit: "s" },
-  { key: "K_rad_s_V", symbol: "K", name: "speed per volt", unit: "rad/s/V" },
+  { key: "K_rad_s_V", symbol: "K", name: "speed per volt", unit: "(rad/s)/V" },
   { key: "fc_V", symbol: "f_c", name: "friction", unit: "V" },
 ];
