@@ -57,7 +57,7 @@ def _found(result: RunResult) -> dict[str, object]:
     if answer.is_refused:
         return found  # a refusal gives no number
     for key, percent in (("tau_s", "tau_percent"), ("K_rad_s_V", "K_percent"), ("fc_V", "fc_percent")):
-        value, interval = known(answer.value(key)), answer.interval(key)
+        value, interval = known(answer.value(key)), answer.at_95(key)
         found[key] = value if math.isfinite(value) else None
         if interval is not None and value > 0.0:
             found[percent] = 50.0 * (interval[1] - interval[0]) / value

@@ -57,6 +57,7 @@ class Identification:
     relays      the accepted relay tests
     hysteretic  the runs of hysteretic relays
     cycles      stage -> averaged cycle
+    tests       the series that the estimators read
     breakaway   drives at break-away in both directions; None without breakaway ramps
     friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
     friction_map    the drive over speed and over position; None without a survey, or without a motor
@@ -68,6 +69,7 @@ class Identification:
     relays: list[RelayTestResult] = field(default_factory=list)
     hysteretic: list[HystereticResult] = field(default_factory=list)
     cycles: dict[str, Cycle] = field(default_factory=dict)
+    tests: list[TimeSeries] = field(default_factory=list, repr=False)
     breakaway: StaticFrictionResult | None = None
     friction_law: FrictionLawChoice | None = None
     friction_map: FrictionMap | None = None
@@ -107,6 +109,11 @@ class Identification:
         """The estimate of the answer, whatever its verdict; None without an estimate."""
         found = chosen(self.estimates, None if self.motor_law is None else self.motor_law.estimate)
         return None if found is None else found[1]
+
+    @property
+    def by_method(self) -> dict[str, Estimate]:
+        """The estimates by method; that of the answer in the place of its method's own."""
+        return self.estimates if self.leading is None else self.estimates | {self.leading.method: self.leading}
 
     @property
     def best(self) -> Estimate | None:
@@ -254,6 +261,7 @@ def _found(data: Measurements) -> Identification:
         relays=[_relay(name, cycle) for name, cycle in cycles],
         hysteretic=[Transient.of(run).as_result() for run in data.hysteretic],
         cycles=dict(cycles),
+        tests=list(data.tests),
         notes=list(data.notes),
     )
 

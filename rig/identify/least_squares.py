@@ -471,8 +471,8 @@ def _wide_interval(estimate: Estimate, runs: Sequence[Transient]) -> Iterator[Ob
     if share > WIDE:
         yield Objection(
             "refused" if share > TOO_WIDE else "doubtful",
-            f"f_c is {f'only known to {in_percent(share)}' if share <= 1.0 else 'unknown'} (at 95 %): record drives that "
-            "differ more, with a wider hysteresis, or sample faster",
+            f"f_c is {f'only known to {in_percent(share)}' if share <= 1.0 else 'unknown'} (at 95 %): "
+            "record drives that differ more, with a wider hysteresis, or sample faster",
         )
 
 

@@ -147,7 +147,7 @@ def _numbers(estimate: EstimateResult) -> dict[str, Any]:
     """tau, K and f_c, each with half its 95 % interval; null where there is none."""
     numbers: dict[str, Any] = {}
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        value, interval = estimate.value(name), estimate.interval(name)
+        value, interval = estimate.value(name), estimate.at_95(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])
         is_number = value is not None and math.isfinite(value)
         numbers[name] = [value, half if half is not None and math.isfinite(half) else None] if is_number else None

@@ -1,8 +1,9 @@
-"""The cycles of a relay test, and an estimated model's prediction of each cycle under the recorded drive."""
+"""The cycles of a relay test, and an estimated model's prediction of a recording under the recorded drive."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -47,7 +48,7 @@ class Cycles:
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recorded cycle and its prediction from a fitted start. All arrays have one length.
+    """One recorded cycle or test, and its prediction from a fitted start. All arrays have one length.
 
     phase        time since the cycle's start over its length, 0 to 1
     measured_rad, y_rad   position as recorded and as predicted
@@ -144,18 +145,22 @@ def predict_cycles(
 ) -> list[Predicted]:
     """Predict each cycle under its recorded drive by one of ``models``, from the start (v0, y0) that fits best."""
     series = cycles.series
-    edges = series.edge_s
-    if series.t_u_s is None:  # the drive acts later, by the delay that a method estimated
-        delays = (known(e.delay_s) for e in (estimate, run.estimates.get(LEADING)) if e is not None)
-        edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
-    found = []
-    for first, last in cycles.rows:
-        part = slice(first - series.first_row, last + 1 - series.first_row)
-        found.append(_predict(motor, edges, series.u_V, series.t_s[part], series.y_rad[part]))
-    return found
+    delays_s = [known(e.delay_s) for e in (estimate, run.estimates.get(LEADING)) if e is not None]
+    return [
+        predicted(motor, series, slice(first - series.first_row, last + 1 - series.first_row), delays_s)
+        for first, last in cycles.rows
+    ]
 
 
-def _predict(motor: Motor | FramedMotor, edges: Array, u: Array, t: Array, y: Array) -> Predicted:
+def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delays_s: Sequence[float] = ()) -> Predicted:
+    """Predict a part of a test under its recorded drive, from the start (v0, y0) that fits best.
+
+    part      of the rows of ``series``
+    delays_s  of the drive, where the test does not know it: the first that is finite counts, s
+    """
+    edges, u, t, y = series.edge_s, series.u_V, series.t_s[part], series.y_rad[part]
+    if series.t_u_s is None:
+        edges = edges + next((d for d in delays_s if math.isfinite(d)), 0.0)
     first = max(int(np.searchsorted(edges, t[0], side="right")) - 1, 0)
     stop = int(np.searchsorted(edges, t[-1], side="right"))
     edge, drive = edges[first:stop].copy(), u[first:stop]
@@ -203,15 +208,10 @@ def fits_of(run: ReportedRun, identification: Identification | None = None) -> t
     if not (run.spans("relay") or run.spans("hysteretic")):
         return {}, "There was no relay test, so there is no residual to show."
     if identification is not None:
-        return _by_method(identification), ""
+        return identification.by_method, ""
     try:
-        return _by_method(identify([run.recording], choose_law=bool(run.laws))), ""
+        return identify([run.recording], choose_law=bool(run.laws)).by_method, ""
     except IdentifyError as error:
         return {}, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:
         return {}, f"The estimators cannot read this recording: {error}."
-
-
-def _by_method(found: Identification) -> dict[str, Estimate]:
-    answer = found.leading
-    return found.estimates if answer is None else found.estimates | {answer.method: answer}

@@ -11,6 +11,8 @@ from typing import Literal, NamedTuple
 from rig.estimators import LEADING
 from rig.report.source import ReportedRun
 from rig.results import BreakawayResult, EstimateResult, known
+from rig.results.answer_words import rounded as as_digits
+from rig.results.answer_words import share
 
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
@@ -78,18 +80,8 @@ class Headline:
 
 
 def rounded(value: float, half_width: float = math.nan) -> str:
-    """``value`` rounded to two digits of its uncertainty ``half_width``, in the same unit; without one: four digits."""
-    if not math.isfinite(value):
-        return "–"
-    if math.isfinite(half_width) and half_width > 0.0:
-        digits = 1 - math.floor(math.log10(half_width))
-        if value != 0.0:
-            digits = max(digits, 1 - math.floor(math.log10(abs(value))))
-    elif value != 0.0:
-        digits = 3 - math.floor(math.log10(abs(value)))
-    else:
-        digits = 0
-    return f"{value:.{min(max(digits, 0), 9)}f}".replace("-", "−")
+    """As ``answer_words.rounded``, with the minus sign of print."""
+    return as_digits(value, half_width).replace("-", "−")
 
 
 def percent(ratio: float) -> str:
@@ -107,7 +99,7 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
     if not math.isfinite(exact):
         return Quantity(parameter, None, "–", "", "", "", "")
     value = parameter.factor * exact
-    bounds = estimate.interval(parameter.key)
+    bounds = estimate.at_95(parameter.key)
     if parameter not in HEADLINE_PARAMETERS and exact == 0.0 and bounds is None:
         return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
     between = plus_minus = relative = ""
@@ -119,7 +111,7 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         between = f"{rounded(low, half)} to {rounded(high, half)}"
         plus_minus = f"± {rounded(half, half)}" if middle else between
         if value and parameter in HEADLINE_PARAMETERS:
-            relative = f"± {100.0 * half / abs(value):.2g} %"
+            relative = share(value, half)
     error = ""
     true = truth.get(parameter.key, math.nan)
     if math.isfinite(true):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Protocol, TypeVar
 
 from pydantic import Field, JsonValue
 
 from rig.estimators import ESTIMATORS, LEADING
-from rig.results.estimates import EstimateResult, FoundLawResult, LawFrameResult
+from rig.results.estimates import EstimateResult, FoundLawResult, LawFrameResult, known
 from rig.results.part import Number, Text
 
 
@@ -32,6 +33,14 @@ class Answer(EstimateResult):
     grade: JsonValue = Field(None, description="for a later version: how good each number is")
     predicts: JsonValue = Field(None, description="for a later version: how well it predicts unseen motion")
     holds: JsonValue = Field(None, description="for a later version: the drives, speeds and travel for which it holds")
+
+    def at_95(self, name: str) -> tuple[float, float] | None:
+        """As of an estimate, and as wide as u95 where that is known: what the tests do not exclude is in it, too."""
+        bounds, value = self.interval(name), known(self.value(name))
+        half, u95 = (math.nan if bounds is None else 0.5 * (bounds[1] - bounds[0])), known((self.u95 or {}).get(name))
+        if not math.isfinite(value) or half >= u95 or math.isnan(u95):
+            return bounds
+        return value - u95, value + u95
 
 
 class _Judged(Protocol):

@@ -79,6 +79,10 @@ class EstimateResult(Part):
         """The 95 % interval of one parameter; None if it has none."""
         return _finite((self.ci95 or {}).get(name))
 
+    def at_95(self, name: str) -> tuple[float, float] | None:
+        """The interval of one parameter that people are told, at 95 %; None if it has none."""
+        return self.interval(name)
+
     @property
     def is_refused(self) -> bool:
         """Whether its numbers must not be used."""

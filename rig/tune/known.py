@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -30,18 +29,15 @@ def motor_of(answer: Answer | None) -> UncertainMotor:
         raise TuneError(f"the result holds a model that no motor has: {error}", "give another run") from error
     if framed is None or answer is None:
         raise TuneError("there is no motor that was not refused", "see why: `rig identify RUN`")
-    half = tuple(_half_95(name, answer, answer.u95 or {}) for name in OF)
+    half = tuple(_half_95(answer.at_95(_OF_ESTIMATE.get(name, name))) for name in OF)
     if not half[0] > 0.0 or not half[1] > 0.0:
         raise TuneError("tau and K have no intervals, so no worst case is known", "identify the run anew")
     return UncertainMotor(framed, max(answer.delay_s or 0.0, 0.0), half, _correlation(answer))
 
 
-def _half_95(name: str, estimate: EstimateResult, u95: Mapping[str, float | None]) -> float:
+def _half_95(interval: tuple[float, float] | None) -> float:
     """Half the 95 % interval of a number; 0 if it is not known to have one."""
-    interval = estimate.interval(_OF_ESTIMATE.get(name, name))
-    scatter = 0.0 if interval is None else 0.5 * (interval[1] - interval[0])
-    whole = u95.get(name)
-    return max(scatter, whole) if whole is not None and math.isfinite(whole) else scatter
+    return 0.0 if interval is None else 0.5 * (interval[1] - interval[0])
 
 
 def _correlation(estimate: EstimateResult) -> NDArray[np.float64]:

@@ -28,9 +28,10 @@ export function withInterval(pair) {
   return `${fixed(value, decimals)} ±${fixed(half, decimals)}`;
 }
 
-/** Half an interval in per cent of its value. */
+/** Half an interval in per cent of its value; beyond the value itself it is unknown. */
 export function percent([value, half]) {
   const share = Math.abs(half / value) * 100;
+  if (share > 100) return "unknown";
   return Number.isFinite(share) ? `±${share < 10 ? share.toFixed(2) : share.toFixed(0)} %` : NONE;
 }
 
