@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -27,7 +27,7 @@ from rig.report.simulated import figure_of, simulated
 from rig.report.style import AbsentError, laid_out, style
 from rig.report.tables import estimates as estimate_rows
 from rig.report.words import PARAMETERS, quantity
-from rig.results import Answer, FoundLawResult, RunMeta, RunResult
+from rig.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult
 from rig.results.answer_words import answer_lines
 from rig.terminal import (
     BUDGET_HEADINGS,
@@ -179,32 +179,36 @@ class FoundEstimate(Estimate):
         rows = self._rows()
         return _html_table(None, facts) + (_html_table(_PARAMETER_HEADINGS, rows) if rows else "")
 
+    def _result(self) -> EstimateResult:
+        return self.as_result()
+
     def _rows(self) -> list[list[str]]:
         """The parameters that it has, a row each: meaning and unit, value, interval."""
         if self.verdict == "refused":
             return []
-        all_of_them = [quantity(parameter, self.as_result(), {}) for parameter in PARAMETERS]
+        all_of_them = [quantity(parameter, self._result(), {}) for parameter in PARAMETERS]
         known = [one for one in all_of_them if one.exact is not None]
         return [[f"{one.parameter.meaning}, {one.parameter.unit}", one.text, one.interval] for one in known]
 
 
 @dataclass(frozen=True, repr=False)
 class FoundAnswer(FoundEstimate):
-    """The answer: an estimate, with the laws that the tests show, and with u95.
+    """The answer: an estimate with the laws that the tests show, and with ``answer``, which is as in result.json."""
 
-    law     what the motor has beyond tau, K and friction; (): nothing; None: nobody looked
-    u95, u95_absolute   half widths at 95 % by parameter, of all that the tests do not exclude; None: not known
-    """
+    answer: Answer = field(default_factory=Answer)
 
-    law: tuple[FoundLawResult, ...] | None = None
-    u95: Mapping[str, float | None] | None = None
-    u95_absolute: Mapping[str, float | None] | None = None
+    @property
+    def law(self) -> tuple[FoundLawResult, ...] | None:
+        """What the motor has beyond tau, K and friction; (): nothing; None: nobody looked."""
+        return self.answer.law
 
-    @classmethod
-    def with_answer(cls, estimate: Estimate, answer: Answer) -> Self:
-        """The estimate of an answer, with what the answer knows beside it."""
-        columns = {field.name: getattr(estimate, field.name) for field in fields(Estimate)}
-        return cls(**columns, law=answer.law, u95=answer.u95, u95_absolute=answer.u95_absolute)
+    @property
+    def u95(self) -> Mapping[str, float | None]:
+        """Half widths at 95 % by parameter, in its unit, of all that the tests do not exclude; empty: not known."""
+        return self.answer.u95 or {}
+
+    def _result(self) -> EstimateResult:
+        return self.answer
 
 
 @dataclass(repr=False)
@@ -227,7 +231,7 @@ class Found(Identification):
     def best(self) -> FoundAnswer | None:
         """The answer: its estimate, with laws and u95; None where it is refused, or has no tau and K."""
         best, answer = super().best, self.answer
-        return None if best is None or answer is None else FoundAnswer.with_answer(best, answer)
+        return None if best is None or answer is None else replace(FoundAnswer.of(best), answer=answer)
 
     def to_control(self) -> Any:
         """The linear part of the answer, as a transfer function of python-control: see ``Estimate.to_control``.

@@ -114,7 +114,7 @@ def test_prediction_is_that_of_the_command() -> None:
 
 
 def test_figures_need_no_display_and_are_not_shown(swing: rig.Run, found: rig.Found) -> None:
-    for figure, panels in ((swing.plot(), 2), (found.plot(), 3)):
+    for figure, panels in ((swing.plot(), 2), (found.plot(), 2), (found.plot_methods(), 3)):
         assert len(figure.axes) == panels
         assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
     assert "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()
@@ -122,7 +122,8 @@ def test_figures_need_no_display_and_are_not_shown(swing: rig.Run, found: rig.Fo
 
 def test_one_estimate_shows_itself(found: rig.Found) -> None:
     best = found.best
-    assert best is not None and best is found.estimates["sampled-data"]
+    assert best is not None and best.tau_s == found["sampled-data"].tau_s
+    assert found.answer is not None and best.answer == found.answer and best.u95 == found.answer.u95
     lines = best.summary().splitlines()
     assert lines[0] == "sampled-data: ok" and lines[1].split("  ")[0] == "parameter"
     assert any(line.startswith("Coulomb friction") and " to " in line for line in lines)

@@ -83,7 +83,7 @@ def test_a_run_with_laws_is_replayed_and_says_what_it_drove_with(sagging: tuple[
     assert FramedMotor.of({k: v for k, v in driven.items() if isinstance(v, float)}) == real
     result = json.loads((run / "result.json").read_text(encoding="utf-8"))
     assert result["tracking"][LEADING]["law"] == ["sag"]
-    assert result["law_frame"]["half_travel_rad"] == real.frame.half_travel_rad
+    assert result["answer"]["law_frame"]["half_travel_rad"] == real.frame.half_travel_rad
 
 
 def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
