@@ -22,6 +22,7 @@ from rig.terminal import patience, show_answer, show_details
 if TYPE_CHECKING:  # it loads slowly
     from rig.identify import Identification
 
+MOST_NOTES = 2  # on what was read; the others are among the details
 Wanted = tuple[Path | None, tuple[str, ...]]
 
 
@@ -106,12 +107,15 @@ def identify(
     result = found.as_result()
     ok = result.answer is not None and not result.answer.is_refused
     if as_json:
-        click.echo(json_text({"ok": ok, "records": records, **result.as_json()}), nl=False)
+        files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
+        click.echo(json_text({"ok": ok, "records": records, **files, **result.as_json()}), nl=False)
         sys.exit(0 if ok else EXIT_FAILED)
     if not verbose:
-        for recording in recordings:
-            for note in recording.notes:
-                click.echo(f"{recording.source.name}: {note}")
+        notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
+        for note in notes[:MOST_NOTES]:
+            click.echo(note)
+        if len(notes) > MOST_NOTES:
+            click.echo(f"{len(notes) - MOST_NOTES} more notes on what was read")
     show_answer(result.answer)
     if verbose:
         show_details(result)
