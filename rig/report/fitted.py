@@ -229,7 +229,7 @@ def forest_figure(run: ReportedRun) -> Figure:
             value = known(estimate.value(key))
             if not math.isfinite(value):
                 continue
-            bounds = estimate.interval(key)
+            bounds = estimate.at_95(key)
             if bounds is not None:
                 axes.plot(bounds, (row, row), "-", color=colour(method), lw=2.2, solid_capstyle="butt")
                 axes.plot(bounds, (row, row), "|", color=colour(method), ms=9, mew=1.6)
