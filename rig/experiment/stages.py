@@ -556,16 +556,16 @@ def verify_models(session: Session) -> None:
     e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
         return
-    trusted = identification.real_motor
+    trusted, first = identification.real_motor, identification.estimates.get(LEADING)
     safe: dict[Method, Motor | FramedMotor] = {}
     further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
         model: Motor | FramedMotor | None
-        if method == LEADING and trusted is not None and e.tracking.with_law:
-            model = trusted if trusted.parts else trusted.plain
-            reason = _why_not(session, model, trusted)
-        elif trusted is None:
+        if method == LEADING and trusted is not None and trusted.parts and e.tracking.with_law:
+            model, reason = trusted, _why_not(session, trusted, trusted)
+        elif trusted is None or (first is not None and first.verdict == "refused"):
+            # if the best estimator refuses the recording, a reference method's model must not drive the bench either
             model, reason = None, "no estimate is good enough for the simulation before the run"
         elif estimate is None or estimate.verdict == "refused":
             model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
