@@ -171,7 +171,7 @@ def shown(answer: Answer | None) -> list[str]:
 
 
 def test_the_answer_is_a_few_lines() -> None:
-    u95 = {"tau_s": 0.0006, "K_rad_s_V": 0.021, "fc_V": 0.0042}
+    u95: dict[str, float | None] = {"tau_s": 0.0006, "K_rad_s_V": 0.021, "fc_V": 0.0042}
     lines = shown(answer_of({"sampled-data": one(0.17, half=1e-4)}, one(0.17, half=1e-4), (LAW,), None, u95))
     assert lines[0].split() == ["tau", "0.17000", "s", "±", "0.35", "%"]
     assert lines[1].split() == ["K", "6.460", "(rad/s)/V", "±", "0.33", "%"]
