@@ -10,12 +10,13 @@ import itertools
 import json
 import math
 import re
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from pydantic import JsonValue
+if TYPE_CHECKING:  # it loads slowly, and whoever follows a run has no other use for it
+    from pydantic import JsonValue
 
 MOST_LEVELS: Final = 40  # lists and objects within each other; a result has 7
-MOST_VALUES: Final = 200_000  # of one text; a result has some hundreds
+MOST_VALUES: Final = 50_000  # of one text; a result has some hundreds
 MOST_DIGITS: Final = 40  # characters of a whole number
 
 # one after the other, so that no text takes long: no part of it can be matched in two ways

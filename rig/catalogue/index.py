@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rig import strict_json
 from rig.catalogue.entry import read_entry
 from rig.package import VERSION
+from rig.plain_file import read_plain
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import META, RESULT, write_whole
 from rig.recording.path_kind import CAMPAIGN_ROWS, is_run, no_run
@@ -22,6 +24,7 @@ from rig.results.reading import DamagedError, parsed
 
 INDEX = ".rig-index.jsonl"
 FORM = 1  # of the index
+_MOST_BYTES = 64 * 2**20  # a hundred thousand runs
 FROM = (META, RESULT)  # files that a line is made from
 
 Stamp = tuple[tuple[int, int], ...]
@@ -85,15 +88,15 @@ def _stamp(path: Path) -> tuple[int, int]:
 def _read(path: Path) -> dict[str, tuple[Stamp, ListedRun]]:
     """The lines of the index by run; empty if it is lost, damaged or of another form."""
     try:
-        head, *lines = path.read_text(encoding="utf-8").splitlines()
-        if json.loads(head) != _head():
+        head, *lines = read_plain(path, _MOST_BYTES).decode("utf-8").splitlines()
+        if strict_json.parse(head) != _head():
             return {}
-        return dict(_line(json.loads(line)) for line in lines)
+        return dict(_line(strict_json.parse(line)) for line in lines)
     except (OSError, ValueError, KeyError, TypeError, DamagedError):
         return {}  # it is made anew from the folder
 
 
-def _line(entry: dict[str, Any]) -> tuple[str, tuple[Stamp, ListedRun]]:
+def _line(entry: Any) -> tuple[str, tuple[Stamp, ListedRun]]:
     run = parsed(ListedRun, entry["run"])
     return run.name, (tuple((int(size), int(ns)) for size, ns in entry["stamp"]), run)
 

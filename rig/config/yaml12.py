@@ -18,7 +18,7 @@ from rig.config.problems import ConfigError, Path, Problem, printable
 
 MOST_BYTES = 2**20  # of a config; ours have some thousands
 _DEEPEST = 20  # sections within sections; the schema needs 5
-_MOST_VALUES = 20_000  # keys among them; a config has some hundreds
+_MOST_VALUES = 10_000  # keys among them; a config has some hundreds
 _LONGEST_NUMBER = 40  # characters
 
 _NULL, _BOOL, _INT, _FLOAT, _STR = (f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str"))
