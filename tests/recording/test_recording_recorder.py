@@ -30,7 +30,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.sink import JsonScalar
-from rig.recording.writer import KeptRoom, Writer
+from rig.recording.writer import AppendOnlyFile, KeptRoom, Writer
 from rig.signals import Sample
 
 STAGES = ("breakaway", "relay-1", "track:sampled-data")
@@ -343,18 +343,18 @@ def test_a_disk_full_from_the_start_is_reported_before_anything_moves(
     os.close(descriptor)
 
 
-@pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
-@pytest.mark.parametrize("put", [Path.symlink_to, Path.hardlink_to])
+@pytest.mark.parametrize(("put", "said"), [(Path.symlink_to, "is a link"), (Path.hardlink_to, "has another name")])
 def test_nothing_is_recorded_into_what_only_has_the_name(
-    tmp_path: Path, name: str, put: Callable[[Path, Path], None]
+    tmp_path: Path, put: Callable[[Path, Path], None], said: str
 ) -> None:
-    """A folder of runs may be one that others write in, too."""
-    victim, folder = tmp_path / "victim", tmp_path / "run"
+    """A folder of runs may be one that others write in, too: the writer itself looks, when it opens."""
+    victim = tmp_path / "victim"
     victim.write_text("precious, and no line end")
-    folder.mkdir()
-    put(folder / name, victim)
-    with pytest.raises(Fault, match=rf"RECORDER_DEAD.*{name}: (it is a link|the file has another name)"):
-        Recorder(folder, STAGES)
+    for name in ("samples.csv", "events.jsonl"):
+        put(tmp_path / name, victim)
+        with pytest.raises(OSError, match=said) as told:
+            AppendOnlyFile(tmp_path / name)
+        assert told.value.filename == str(tmp_path / name)
     assert victim.read_text() == "precious, and no line end"
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from unittest.mock import patch
 
@@ -46,7 +47,7 @@ def panel_folder(put: Callable[[Path, Path], AbstractContextManager[object]]) ->
         runs, victim = injector.folder / "runs", injector.folder / "victim"
         victim.mkdir()
         (victim / _PRECIOUS).write_text(json.dumps(_NOTE), encoding="utf-8")
-        with put(runs / NAME, victim):
+        with _cleared(runs), put(runs / NAME, victim):
             bench = Bench(None, runs)
             _look(bench, runs)
             try:
@@ -56,8 +57,8 @@ def panel_folder(put: Callable[[Path, Path], AbstractContextManager[object]]) ->
                     raise
             else:
                 raise AssertionError("a panel has started a run from a folder that is not rig's")
-        if [path.name for path in victim.iterdir()] != [_PRECIOUS]:
-            raise AssertionError("a panel has deleted what is not rig's")
+            if [path.name for path in victim.iterdir()] != [_PRECIOUS]:
+                raise AssertionError("a panel has deleted what is not rig's")
 
     return act
 
@@ -75,16 +76,26 @@ def neighbour(file: str) -> Callable[[FaultInjector], None]:
     def act(injector: FaultInjector) -> None:
         runs = injector.folder / "runs"
         other = runs / _NEIGHBOUR
-        other.mkdir()
-        for name in {"meta.json", file}:
-            (other / name).write_bytes(HOSTILE[file] if name == file else b"{}")
-        watch = Watch(bench := Bench(None, runs), Runs(runs), opened=other)
-        _look(bench, runs, watch)
-        listed = {run.name for run in catalogue(runs).runs}
+        with _cleared(runs):
+            other.mkdir()
+            for name in {"meta.json", file}:
+                (other / name).write_bytes(HOSTILE[file] if name == file else b"{}")
+            bench = Bench(None, runs)
+            _look(bench, runs, Watch(bench, Runs(runs), opened=other))
+            listed = {run.name for run in catalogue(runs).runs}
         if not any(one.folder.name in listed for one in bench.running) or _NEIGHBOUR not in listed:
             raise AssertionError(f"a run is not listed: {listed}")
 
     return act
+
+
+@contextmanager
+def _cleared(runs: Path) -> Iterator[None]:
+    """After the block there is nothing in the folder but what was there before: whoever judges takes what he finds."""
+    before = set(runs.iterdir())
+    yield
+    for path in set(runs.iterdir()) - before:
+        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
 
 def _look(bench: Bench, runs: Path, watch: Watch | None = None) -> None:
