@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-MOST_CHARACTERS: Final = 300_000
+MOST_CHARACTERS: Final = 40_000
 
 _JSON: Final = (
     "{", "}", "[", "]", ",", ":", '"', "\\", " ", "\n", "null", "true", "false", "NaN", "-Infinity", "1e400",
