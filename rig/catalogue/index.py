@@ -37,7 +37,7 @@ class Catalogue:
 
     runs     by name, which is by their start
     read     how many of them had to be read; the others were in the index
-    notes    why the index was not written
+    notes    why the index was not written, and which folders could not be looked into
     """
 
     runs: tuple[ListedRun, ...]
@@ -54,15 +54,15 @@ def catalogue(folder: Path) -> Catalogue:
         raise no_run(folder)
     if is_run(folder):
         raise RecordingError(folder, "is a run itself", f"list the folder that holds it: `rig list {folder.parent}`")
+    notes: list[str] = []
     try:
-        stamps = dict(sorted(_stamps(folder)))
+        stamps = dict(sorted(_stamps(folder, notes)))
     except OSError as error:
         raise RecordingError(folder, f"cannot be read: {error.strerror}", "check its permissions") from error
     known = _read(folder / INDEX)
     lines = {name: known[name][1] for name, stamp in stamps.items() if name in known and known[name][0] == stamp}
     missing = [name for name in stamps if name not in lines]
     lines |= {name: read_entry(folder / name) for name in missing}
-    notes = []
     if missing or set(known) != set(stamps):
         try:
             _write(folder / INDEX, stamps, lines)
@@ -71,10 +71,14 @@ def catalogue(folder: Path) -> Catalogue:
     return Catalogue(tuple(lines[name] for name in stamps), len(missing), tuple(notes))
 
 
-def _stamps(folder: Path) -> Iterator[tuple[str, Stamp]]:
+def _stamps(folder: Path, notes: list[str]) -> Iterator[tuple[str, Stamp]]:
+    """The runs with their stamps; ``notes`` take the folders that cannot be looked into."""
     for child in folder.iterdir():
-        if child.is_dir() and is_run(child) and not (child / CAMPAIGN_ROWS).exists():
-            yield child.name, tuple(_stamp(child / name) for name in FROM)
+        try:
+            if child.is_dir() and is_run(child) and not (child / CAMPAIGN_ROWS).exists():
+                yield child.name, tuple(_stamp(child / name) for name in FROM)
+        except OSError as error:
+            notes.append(f"left out: {child} cannot be looked into: {error.strerror}")
 
 
 def _stamp(path: Path) -> tuple[int, int]:

@@ -21,7 +21,15 @@ from rig.recording.log_file import read_log
 from rig.recording.log_format import LogFormat
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.recording import Recording
-from rig.recording.text_file import content_of, is_folder, lines_of, text_of, whole_content, without_torn_line
+from rig.recording.text_file import (
+    MOST_LINES,
+    content_of,
+    is_folder,
+    line_of,
+    text_of,
+    whole_content,
+    without_torn_line,
+)
 from rig.recording.writer import EVENTS, SAMPLES
 from rig.results import JsonObject, Part, RunEvent, RunMeta, RunResult
 from rig.results.reading import remarks, salvaged
@@ -111,11 +119,13 @@ def read_events(
     whole, torn = without_torn_line(path, content)
     events: list[RunEvent] = []
     wrong: list[str] = []
-    for number, line in enumerate(lines_of(path, whole), 1):
+    if whole.count(b"\n") > MOST_LINES:
+        raise RecordingError(path, f"has more than {MOST_LINES} lines", "cut it, or delete it")
+    for number, line in enumerate(whole.split(b"\n"), 1):
         if not line.strip():
             continue
         try:
-            event, left_out = _typed(path, RunEvent, line, number, strict=strict)
+            event, left_out = _typed(path, RunEvent, line_of(path, line, number), number, strict=strict)
         except RecordingError as error:
             if broken is None:
                 raise

@@ -78,14 +78,22 @@ def text_of(path: Path, content: bytes) -> str:
     """The content of a file as text. Raises RecordingError with the line that is no UTF-8."""
     zero = content.find(b"\0")
     if zero >= 0:
-        raise RecordingError(
-            path, "is a binary file", "give a text file, saved as CSV in UTF-8", content.count(b"\n", 0, zero) + 1
-        )
+        raise RecordingError(path, "is a binary file", "give a text file in UTF-8", content.count(b"\n", 0, zero) + 1)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise RecordingError(path, "is not UTF-8 text", "save it as CSV in UTF-8", line) from error
+        raise RecordingError(path, "is not UTF-8 text", "save it as text in UTF-8", line) from error
+
+
+def line_of(path: Path, content: bytes, number: int) -> str:
+    """One line of a file as text. Raises RecordingError as ``lines_of``, with the line's number."""
+    try:
+        if len(content) > LONGEST_LINE:
+            raise RecordingError(path, f"the line has {len(content)} characters", "correct or delete it")
+        return text_of(path, content)
+    except RecordingError as error:
+        raise RecordingError(path, error.cause, error.cure, number) from error
 
 
 def lines_of(path: Path, content: bytes) -> list[str]:

@@ -16,6 +16,7 @@ import pytest
 
 from rig import strict_json
 from rig.catalogue.index import INDEX, catalogue
+from rig.compare.comparison import CompareError, compare
 from rig.config import ConfigError, load
 from rig.live.view import LiveView
 from rig.panel.runs import Runs
@@ -108,9 +109,8 @@ def test_a_hostile_value_in_an_event_costs_that_line_and_no_other(tmp_path: Path
     assert view.read().damaged == 1 and view.read().is_over
     messages = shown(folder)
     assert messages[-1]["is_over"]
-    if value not in ("nul", "not utf-8"):  # these are of the whole file
-        report = load_for_report(folder)
-        assert len(report.events) == good.count("\n") and any(said in missing for missing in report.missing)
+    report = load_for_report(folder)
+    assert len(report.events) == good.count("\n") and any(said in missing for missing in report.missing)
 
 
 @pytest.mark.parametrize(
@@ -270,6 +270,29 @@ def test_a_file_that_grows_while_it_is_read_gives_its_whole_lines(tmp_path: Path
     with (folder / "events.jsonl").open("ab") as file:
         file.write(good[half:])
     assert view.read().is_over and view.read().damaged == 0
+
+
+def test_of_several_runs_a_damaged_one_is_left_out_of_a_comparison(tmp_path: Path) -> None:
+    folders = [Path(shutil.copytree(GOOD, tmp_path / f"20260101T00000{k}Z-run")) for k in range(3)]
+    (folders[1] / "result.json").write_text("[" * 100)
+    with pytest.raises(CompareError) as told:  # the good ones are of a jog, and measured no motor
+        compare(folders)
+    assert "levels deep" in str(told.value)
+
+
+def test_a_folder_that_cannot_be_looked_into_hides_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_of(tmp_path)
+    (tmp_path / "locked").mkdir()
+
+    def looks(path: Path) -> bool:
+        if path.name == "locked":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return path.name == NAME
+
+    monkeypatch.setattr("rig.catalogue.index.is_run", looks)
+    found = catalogue(tmp_path)
+    assert [run.name for run in found.runs] == [NAME]
+    assert len(found.notes) == 1 and "locked cannot be looked into: Permission denied" in found.notes[0]
 
 
 # ---------------------------------------------------------------------- the two readers below all others
