@@ -84,11 +84,10 @@ def read_plain(path: str | PathLike[str], most_bytes: int, *, follows_links: boo
 
 def read_open(file: BinaryIO, path: str | PathLike[str], most_bytes: int) -> bytes:
     """The content of an open file of at most ``most_bytes``. Raises TooLargeError; OSError."""
-    if os.fstat(file.fileno()).st_size <= most_bytes:  # before a byte is read: it may be a file full of holes
-        content = file.read(most_bytes + 1)
-        if len(content) <= most_bytes:
-            return content
-    raise TooLargeError(path, most_bytes)
+    content = file.read(most_bytes + 1)  # a look at its size would say nothing of what is appended meanwhile
+    if len(content) > most_bytes:
+        raise TooLargeError(path, most_bytes)
+    return content
 
 
 _LINK: Final = ("is a link, and rig follows none here", "put the file itself in its place, or delete the link")
