@@ -145,6 +145,23 @@ def test_an_event_of_any_form_never_ends_the_live_view(tmp_path: Path, event: ob
 
 
 @pytest.mark.parametrize(
+    "event",
+    [
+        {"kind": "cycle", "number": 1, "amplitude_rad": 1.0, "period_s": None, "settled": True},
+        {"kind": "cycle", "number": 10**39, "amplitude_rad": 1.0, "period_s": 1.0, "settled": True},
+        {"kind": "gains", "h1_V": "a", "h2_V": 1.0},
+        {"kind": "link", "errors": 2.5},
+        {"kind": "link", "errors": 10**39},
+    ],
+)
+def test_a_wrong_number_in_an_event_is_damage_and_reaches_no_page(tmp_path: Path, event: dict[str, object]) -> None:
+    folder = run_of(tmp_path)
+    (folder / "events.jsonl").write_text(json.dumps(event) + "\n")
+    seen = LiveView(folder).read()
+    assert (seen.damaged, seen.cycle, seen.planes, seen.loop.link_errors) == (1, None, None, None)
+
+
+@pytest.mark.parametrize(
     "row", [
         f"{'9' * 5000},0,1.0,1.0,0,0,0,0,0,0,relay-1,0,0,0", f"{10**17},0,1.0,1.0,0,0,0,0,0,0,relay-1,0,0,0",
         "0,0,1e400,1.0,0,0,0,0,0,0,relay-1,0,0,0", "0,0,nan,1.0,0,0,0,0,0,0,relay-1,0,0,0",
@@ -156,6 +173,7 @@ def test_a_row_of_any_form_never_ends_the_live_view(tmp_path: Path, row: str) ->
     with (folder / "samples.csv").open("a") as file:
         file.write(row + "\n")
     assert shown(folder)[-1]["type"] == "live"
+    assert LiveView(folder).read().damaged == (0 if row.startswith("0,0,1.0,1.0,inf") else 1)
 
 
 @pytest.mark.parametrize("config", CONFIGS)

@@ -290,7 +290,7 @@ def test_broken_small_files_are_said(run: Path) -> None:
     words = page_of(run).words
     assert "result.json (line 1) is broken JSON" in words
     assert "meta.json is no JSON object" in words
-    assert "config.yaml:1:4: not valid YAML" in words
+    assert "config.yaml:1:5: not valid YAML" in words
     assert "events.jsonl: line 2, the last, is torn and was left out" in words
 
 
