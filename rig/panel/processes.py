@@ -117,7 +117,7 @@ def one_at_a_time(out: Path) -> Iterator[None]:
                 409, "another panel of this folder starts something", "wait for it, or end that panel"
             ) from error
         except OSError as error:
-            raise _cannot_start("nothing can", error) from error
+            raise RefusedError(503, *_cannot_start("nothing can", error)) from error
         yield
 
 
@@ -134,13 +134,14 @@ def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
             began = born(child.pid)
             folder.write(note, json.dumps({"command": command, "pid": child.pid, "born": began}).encode())
     except OSError as error:
-        raise _cannot_start(f"the {command} cannot", error) from error
+        raise RefusedError(503, *_cannot_start(f"the {command} cannot", error)) from error
     return StartedProcess(out, note, command, child.pid, began, child)
 
 
-def _cannot_start(what: str, error: OSError) -> RefusedError:
+def _cannot_start(what: str, error: OSError) -> tuple[str, str]:
+    """What is wrong, and the cure."""
     cure = "" if isinstance(error, NotOwnError) else "check the disk and its permissions"
-    return RefusedError(503, f"{what} be started: {error.strerror}", cure)
+    return f"{what} be started: {error.strerror}", cure
 
 
 def found_again(out: Path) -> list[StartedProcess]:
