@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.backends.clock import MonotonicClock
+from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock
 from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
@@ -38,7 +38,7 @@ from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
 from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
-from rig.run_summary import Findings, least_result, run_meta, run_result
+from rig.run_summary import Findings, least_result, run_meta, run_result, run_time
 from rig.signals import BenchDelay
 
 Array = NDArray[np.float64]
@@ -224,7 +224,7 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.close()
     if fault is not None:
         session.note("fault", **fault.as_dict())
-    session.found.notes += _loop_notes(session.loop)
+    session.found.notes += _loop_notes(session.loop) + _time_notes(session)
     session.note("end")
     return fault
 
@@ -251,6 +251,23 @@ def _loop_notes(loop: Loop) -> list[str]:
             "passed unseen; wire the e-stop so that it cuts the motor's supply"
         )
     return notes
+
+
+def _time_notes(session: Session) -> list[str]:
+    """Whether a paced time kept its pace, also into meta.json."""
+    clock = session.bench.clock
+    if not isinstance(clock, PacedClock):
+        return []
+    session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
+    with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
+        write_meta(session.folder, session.meta)
+    stood = "without a stall"
+    if clock.stalls:
+        times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
+        stood = (
+            f"it stood {times}, {clock.longest_stall_s:.3g} s at most, while the machine or rig's own sums took longer"
+        )
+    return [f"virtual time at pace {clock.pace:g}: {stood}"]
 
 
 def _close(recorder: Recorder) -> Fault | None:

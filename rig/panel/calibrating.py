@@ -97,11 +97,11 @@ def _tell(type_: str, /, **what: object) -> None:
 def _attended(e: Experiment, out: Path) -> Iterator[Gone | None]:
     """What tells, for the block, that the panel is gone. Raises NotWrittenError where there is no room for its leases.
 
-    In simulation nothing moves, and time is not the panel's: there is nothing to end.
+    In virtual time nothing moves, and time is not the panel's: there is nothing to end.
     """
     with ExitStack() as stack:
         gone = None
-        if not backend_of(e).seconds_words(e):  # real seconds
+        if not backend_of(e).in_virtual_time(e):
             try:
                 gone = stack.enter_context(watched(out))
             except OSError as error:
