@@ -80,7 +80,7 @@ def test_every_step_on_a_simulated_bench(tmp_path: Path) -> None:
     ("name", "port", "rpc"),
     [
         pytest.param("demo-pico", "emulated-pico", 0.25 * RPC, id="the Pico's chip"),
-        pytest.param("modbus-rtu", "emulated-virtual", -RPC, id="Modbus"),
+        pytest.param("modbus-rtu", "emulated", -RPC, id="Modbus"),
         pytest.param("demo", "emulated", RPC, id="a board in real time", marks=pytest.mark.realtime),
     ],
 )

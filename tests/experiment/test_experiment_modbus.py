@@ -77,10 +77,10 @@ def test_in_real_time_at_10_ms(name: str, tmp_path: Path, record_property: Calla
 
 def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) -> None:
     searched = example("rtu")
-    searched["daq"]["port"] = "emulated-virtual"
+    searched["daq"]["port"] = "emulated"
     searched["tracking"]["methods"] = ["sampled-data"]
     separate = shorter(example("rtu"))
-    separate["daq"] |= {"port": "emulated-virtual", "watchdog_s": 0.08}
+    separate["daq"] |= {"port": "emulated", "watchdog_s": 0.08}
     separate["daq"]["modbus"]["requests"] = "separate"
     separate["period_s"] = 0.02
     orders = []
