@@ -264,9 +264,7 @@ def _time_notes(session: Session) -> list[str]:
     stood = "without a stall"
     if clock.stalls:
         times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
-        stood = (
-            f"it stood {times}, {clock.longest_stall_s:.3g} s at most, while the machine or rig's own sums took longer"
-        )
+        stood = f"it stood {times}, {clock.longest_stall_s:.3g} s at most, for the machine or for sums of rig itself"
     return [f"virtual time at pace {clock.pace:g}: {stood}"]
 
 
