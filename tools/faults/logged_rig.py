@@ -109,6 +109,9 @@ def run(log: str, word: str, arguments: list[str]) -> None:
     @contextmanager
     def opened(backend: LineBackend, experiment: Experiment) -> Iterator[Line]:
         with backend.line(experiment) as line:
+            if line.transport is line.clock:  # in virtual time: no wire of this machine
+                yield line
+                return
             yield line._replace(transport=FaultyLink(line.transport, fault))
 
     with lines_opened_by(opened), patch.object(rig.session, "write_report", lambda *_: None):

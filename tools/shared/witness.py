@@ -47,7 +47,10 @@ class Witness:
 
     def __enter__(self) -> Self:
         self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None and self._process.stdout.readline() == "ready\n"
+        assert self._process.stdout is not None
+        if self._process.stdout.readline() != "ready\n":
+            self._process.communicate()
+            raise RuntimeError(f"the witness did not begin, exit status {self._process.returncode}")
         return self
 
     def __exit__(
@@ -111,9 +114,9 @@ def main() -> None:
     if sys.argv[1] == "1":
         watched.append((cores[0], _own_pty()))
     threads = [threading.Thread(target=_watch, args=(core, over, done_s)) for core, done_s in watched]
+    os.write(1, b"ready\n")
     for thread in threads:
         thread.start()
-    os.write(1, b"ready\n")
     sys.stdin.read()
     over.set()
     for thread in threads:
