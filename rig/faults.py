@@ -94,7 +94,8 @@ FAULTS: dict[str, FaultEntry] = {
     # device, reported by the firmware
     "DEVICE_WATCHDOG": FaultEntry(
         "the device heard nothing from the host within its watchdog time and set 0 V",
-        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows. The breakaway check uses a shorter time: `rig check` prints it",
+        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows. The breakaway "
+        "check uses a shorter time: `rig check` prints it",
     ),
     "DEVICE_TRAVEL": FaultEntry(
         "the device saw the position beyond the hard limit and set 0 V",

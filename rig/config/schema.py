@@ -776,6 +776,12 @@ class Experiment(_Section):
         s = self.sensor
         return Scaling(s.curve, self.drive.map, s.rails, s.counts_max, tachometer)
 
+    def at_pace(self, pace: float | None) -> Self:
+        """With this in place of ``loop.pace``; None: as it is."""
+        if pace is None:
+            return self
+        return self.model_copy(update={"loop": self.loop.model_copy(update={"pace": pace})})
+
     @model_validator(mode="after")
     def _emulated_as_believed(self) -> Self:
         """The emulated bench is the one that the other sections describe, but for what its own section says."""

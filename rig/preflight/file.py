@@ -18,8 +18,7 @@ def check(path: Given, passing: Collection[str] = (), pace: float | None = None)
     Raises ConfigError as ``load`` does, and also if the experiment must not be run: with line and key of each problem.
     """
     experiment, document = load_with_places(path)
-    if pace is not None:
-        experiment = experiment.model_copy(update={"loop": experiment.loop.model_copy(update={"pace": pace})})
+    experiment = experiment.at_pace(pace)
     found = preflight(experiment)
     problems = [problem for problem in found.problems if problem.key not in passing]
     if problems:

@@ -279,7 +279,7 @@ REAL_ROWS = (
             _STALLED,
             {
                 "virtual, paced": ("",),
-                "": ("", "LINK_TIMEOUT") if for_s < 0.1 else ("DEVICE_WATCHDOG", "LINK_TIMEOUT"),
+                "": ("DEVICE_WATCHDOG", "LINK_TIMEOUT", *(("",) if for_s < 0.1 else ())),
             },
             (0, 1),
             only=("board", "virtual, paced"),
