@@ -23,12 +23,12 @@ class Rows(click.ParamType):  # type: ignore[type-arg]
 
 
 class Pace(click.FloatRange):
-    """A positive number."""
+    """A number of seconds in a second; so slow that a tick takes no hour."""
 
     name = "pace"
 
     def __init__(self) -> None:
-        super().__init__(0.0, min_open=True)
+        super().__init__(1e-3)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The number; infinity and nan are none."""

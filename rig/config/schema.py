@@ -97,7 +97,7 @@ class LoopSection(_Section):
     priority: Annotated[int, Field(ge=0, le=99)] = Field(60, description="of SCHED_FIFO; 0: the ordinary scheduler")
     cpu: Annotated[int, Field(ge=0)] | None = Field(None, description="core to stay on; default: any")
     lock_memory: bool = Field(True, description="keep every page of the process in memory")
-    pace: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+    pace: Annotated[float, Field(ge=1e-3, allow_inf_nan=False)] | None = Field(
         None,
         description="of a device in virtual time, for people who watch: seconds of its time in a second, 1 for that of "
         "a clock; default: as fast as the machine. `--pace` sets it",

@@ -91,10 +91,11 @@ def test_a_signal_ends_a_sleep_before_its_time_has_passed() -> None:
 def test_a_paced_run_records_the_same_and_says_how_it_was_paced(tmp_path: Path, name: str, pace: float) -> None:
     rows, times, notes = [], [], []
     for options in ((), ("--pace", pace)):
-        done = rig("jog", ROOT / f"config/{name}.yaml", "--u-V", 0.6, "--out", tmp_path, "--json", *options)
+        out = tmp_path / str(len(rows))
+        done = rig("jog", ROOT / f"config/{name}.yaml", "--u-V", 0.6, "--out", out, *options)
         assert done.exit_code == 0, done.output
-        outcome = json.loads(done.stdout)
-        folder = Path(outcome["folder"])
+        (folder,) = out.iterdir()
+        outcome = json.loads((folder / "result.json").read_text())
         rows.append((folder / "samples.csv").read_bytes())
         times.append(json.loads((folder / "meta.json").read_text())["time"])
         notes.append([note for note in outcome["notes"] if "pace" in note])
@@ -104,11 +105,12 @@ def test_a_paced_run_records_the_same_and_says_how_it_was_paced(tmp_path: Path, 
     assert (times[1]["longest_stall_s"] > STALL_S) == (times[1]["stalls"] > 0)
     (note,) = notes[1]
     assert note.startswith(f"virtual time at pace {pace:g}: ")
+    assert f"\ntime: {note}\nrun: " in done.stdout
     assert note in (folder / "report.html").read_text(encoding="utf-8")
     assert ("without a stall" in note) == (times[1]["stalls"] == 0)
 
 
-@pytest.mark.parametrize("pace", ["0", "-1", "nan", "inf"])
+@pytest.mark.parametrize("pace", ["0", "1e-9", "-1", "nan", "inf"])
 def test_a_pace_that_is_none_is_refused(tmp_path: Path, pace: str) -> None:
     done = rig("jog", ROOT / "config/demo.yaml", "--u-V", 0.6, "--out", tmp_path, "--pace", pace)
     assert done.exit_code == 2 and "--pace" in done.stderr and not list(tmp_path.iterdir())

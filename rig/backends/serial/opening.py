@@ -113,7 +113,9 @@ def emulated_host_board(e: Experiment) -> VirtualBoard:
     """The firmware's core on this machine with the config's bench behind it, as ``emulated_chip``."""
     emulated = emulated_of(e)
     bench = bench_parameters(emulated, e.tachometer)
-    return VirtualBoard(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, baud=e.daq.baud, tells_shaft=True)
+    board = VirtualBoard(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, baud=e.daq.baud)
+    board.keeps_shaft = True
+    return board
 
 
 def emulated_chip(e: Experiment) -> VirtualChip:

@@ -61,7 +61,6 @@ class VirtualBoard(VirtualDevice):
     clock_start_us   reading of the device's clock at a reset, 0 to 2**32 - 1
     baud, bits_per_byte  of the wire, both ways; a real byte takes 10 to 11 bit times
     build_folder     of the firmware; None: the default one
-    tells_shaft      keep the shaft's path, for ``shaft``
     Raises EmulationError if the firmware cannot be built or a parameter is out of range.
     """
 
@@ -75,23 +74,22 @@ class VirtualBoard(VirtualDevice):
         baud: int = 115200,
         bits_per_byte: int = 11,
         build_folder: Path | None = None,
-        tells_shaft: bool = False,
     ) -> None:
         options = device_options(bench, seed, clock_error_ppm, clock_start_us)
         super().__init__(_load(build_folder), options, round(1e9 * bits_per_byte / baud))
-        self._tells_shaft = tells_shaft
+        self.keeps_shaft = False  # the path, for ``shaft``
         self._shaft_t_s, self._shaft_rad = array("d"), array("d")
 
     @override
     def _run(self, until_ns: int, *, to_byte: bool) -> None:
         super()._run(until_ns, to_byte=to_byte)
-        if self._tells_shaft:
+        if self.keeps_shaft:
             truth = self.truth()
             self._shaft_t_s.append(truth.t_s)
             self._shaft_rad.append(truth.y_rad)
 
     def shaft(self) -> ShaftPath:
-        """Where the shaft really was each time that the host had waited, in virtual time; empty if it tells nothing."""
+        """Where the shaft really was each time that the host had waited, in virtual time, while it was kept."""
         return ShaftPath(self._shaft_t_s, self._shaft_rad)
 
     def truth(self) -> Truth:
