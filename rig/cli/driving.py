@@ -34,7 +34,10 @@ def checked(path: Path, pace: float | None = None, *, drives: bool = True) -> Ex
 
 
 def checked_bench(path: Path, pace: float | None = None) -> Experiment:
-    """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports."""
+    """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports.
+
+    pace  seconds of virtual time in a second, as of ``checked``
+    """
     from rig.backends.links.device_file import require_device_file
     from rig.backends.serial.emulated.firmware_build import require_emulator
 
