@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import rig
@@ -89,7 +90,7 @@ def test_a_signal_ends_a_sleep_before_its_time_has_passed() -> None:
 
 @pytest.mark.parametrize(("name", "pace"), [("demo", 3.0), ("modbus-tcp", 20.0), ("simulated", 7.0)])
 def test_a_paced_run_records_the_same_and_says_how_it_was_paced(tmp_path: Path, name: str, pace: float) -> None:
-    rows, times, notes = [], [], []
+    rows, times, notes = list[bytes](), list[dict[str, Any]](), list[list[str]]()
     for options in ((), ("--pace", pace)):
         out = tmp_path / str(len(rows))
         done = rig("jog", ROOT / f"config/{name}.yaml", "--u-V", 0.6, "--out", out, *options)
