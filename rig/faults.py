@@ -32,8 +32,8 @@ FAULTS: dict[str, FaultEntry] = {
     "LINK_TIMEOUT": FaultEntry(
         "no valid reply within the time-out",
         "check supply, cable, interference and daq.baud; on a Modbus device also daq.modbus.unit and "
-        "daq.modbus.parity; `rig check` prints what the link needs. An emulated device shares this machine: on a busy "
-        "machine this can happen; run it again",
+        "daq.modbus.parity; `rig check` prints what the link needs. An emulated device in real time shares this "
+        "machine; where it is busy, leave `-realtime` out of daq.port: virtual time waits for it",
     ),
     "LINK_REPLY": FaultEntry(
         "the reply does not fit the request, or is damaged",
@@ -94,8 +94,8 @@ FAULTS: dict[str, FaultEntry] = {
     # device, reported by the firmware
     "DEVICE_WATCHDOG": FaultEntry(
         "the device heard nothing from the host within its watchdog time and set 0 V",
-        "close programs that load the machine and run it again, or raise daq.watchdog_s within what `rig check` "
-        "allows. The breakaway check uses a shorter time: `rig check` prints it",
+        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows. The breakaway "
+        "check uses a shorter time: `rig check` prints it",
     ),
     "DEVICE_TRAVEL": FaultEntry(
         "the device saw the position beyond the hard limit and set 0 V",

@@ -8,7 +8,7 @@ import click
 
 from rig.cli.driving import checked_bench
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
-from rig.cli.options import CONFIG, JSON
+from rig.cli.options import CONFIG, JSON, PACE
 from rig.recording.folder import json_text
 
 
@@ -16,14 +16,15 @@ from rig.recording.folder import json_text
 @CONFIG
 @click.option("--at-rad", type=float, default=0.0, show_default=True, help="By hand: where the shaft stands, rad.")
 @click.option("--here", is_flag=True, help="By hand: the shaft stands there already; do not ask.")
+@PACE
 @JSON
-def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
+def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_json: bool) -> None:
     """Set the zero of an encoder, which counts from wherever it was switched on.
 
     By hand: turn the shaft to its zero, and press Enter. With an end switch (sensor.encoder.home): rig drives the shaft
     to the switch, and back inside. The device keeps the zero until its next reset.
     """
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     from rig.experiment import zero
 
     encoder = experiment.sensor.encoder

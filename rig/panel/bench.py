@@ -32,6 +32,7 @@ from rig.plain_file import read_plain
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
 CALIBRATION: Final = Path("the calibration")  # stands for one that drives without a run folder
 _CONFIRMED_FOR_S: Final = 600.0
+_AS_WATCHED: Final = ("--pace", "1")  # of a device in virtual time; the time of any other has that pace
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ class Bench:
             raise RefusedError(409, "this start was not confirmed, or too long ago", "check the config again")
         if _digest(config) != given.digest:
             raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
-        return self._start("run", str(config))
+        return self._start("run", str(config), *_AS_WATCHED)
 
     # ------------------------------------------------------------------ calibrate
 
@@ -270,7 +271,7 @@ class Bench:
         if not found.get("may_run"):
             raise RefusedError(409, "rig refuses this config", "press Check and start…: the check says why")
         self._jog_V = float(found["plan"]["jog_V"])
-        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased")
+        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased", *_AS_WATCHED)
         return {**started, "jog_V": self._jog_V}
 
     def end_jog(self) -> None:

@@ -107,7 +107,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
     for stage in _stages(e):
         yield from stage.lines
     unknown = "" if _relay_tests_are_bounded(e) else ", and the relay tests"
-    clock = backend_of(e).seconds_words(e)
+    clock = " of virtual time" if backend_of(e).in_virtual_time(e) else ""
     total_s = sum(stage.longest_s for stage in _stages(e))
     yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"
 

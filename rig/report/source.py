@@ -122,7 +122,9 @@ class ReportedRun:
     @property
     def in_virtual_time(self) -> bool:
         """Whether the loop ran on a simulated clock: then its timing means nothing."""
-        return self.backend.startswith("simulated")
+        if self.meta.time is not None:
+            return self.meta.time.kind == "virtual"
+        return self.backend.startswith("simulated")  # before there was `time`
 
     @property
     def estimates(self) -> dict[str, EstimateResult]:
