@@ -21,7 +21,8 @@ def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
     """Set the zero of an encoder, which counts from wherever it was switched on.
 
     By hand: turn the shaft to its zero, and press Enter. With an end switch (sensor.encoder.home): rig drives the shaft
-    to the switch, and back inside. The device keeps the zero until its next reset.
+    to the switch, and back inside. The device keeps the zero until its next reset, a fault of the encoder, or the next
+    homing: that forgets it first, so that one that fails leaves none.
     """
     experiment = checked_bench(config_path)
     from rig.experiment import zero
@@ -50,6 +51,8 @@ def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
             f"turn the shaft to a position within {soft_low:g} to {soft_high:g} rad",
         )
     if not by_switch and not here:
+        with faults():
+            zero.forget(experiment)
         click.prompt(
             f"the motor's supply is off, and the shaft stands at {at_rad:g} rad: press Enter",
             default="",
