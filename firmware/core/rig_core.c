@@ -759,8 +759,8 @@ static void on_zero(rig_core *core, uint16_t seq, int32_t counts, packet *out)
         return;
     }
     core->board->set_position(core->board->context, counts);
+    core->counts = counts;
     core->has_zero = true;
-    sense(core);
     head(out, RIG_ZERO | RIG_REPLY, seq);
     put_state(out, core);
 }
