@@ -70,4 +70,4 @@ def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
     click.echo(
         f"zero is set: the shaft stands at {found.y_rad:+.4f} rad, {found.y_counts} counts ({found.from_counts} before)"
     )
-    click.echo("the device keeps it until its next reset; `rig run` can start")
+    click.echo("the device keeps it until its next reset, or a fault of the encoder; `rig run` can start")

@@ -262,6 +262,7 @@ def test_a_homing_that_ends_before_it_arms_leaves_no_zero(tmp_path: Path) -> Non
         assert failed.value.code == "DEVICE_ESTOP"
         chip.contact("e_stop", is_open=False)
         with standing(chip), connect(experiment) as again, pytest.raises(Fault) as refused:
+            assert any("rig home" in remark for remark in again.info.remarks)
             again.driver.arm(experiment.device_limits)
     assert refused.value.code == "DEVICE_NO_ZERO"
 
@@ -279,6 +280,7 @@ def test_by_hand_the_zero_is_forgotten_before_the_hand_turns_the_shaft(tmp_path:
             assert json.loads(outcome.stdout)["faults"][0]["code"] == "DEVICE_NO_ZERO"
             assert CliRunner().invoke(main, ["home", str(CONFIG), "--at-rad", "0.2"], input="\n").exit_code == 0
             with connect(experiment) as again:
+                assert not again.info.remarks
                 again.driver.arm(experiment.device_limits)
                 assert again.driver.read().y_rad == pytest.approx(0.2, abs=math.tau / 3200)
 

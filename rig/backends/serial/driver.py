@@ -221,6 +221,13 @@ class SerialDriver:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
         supply_V, supply_at_least = self._measured_supply_V(hello)
         version = other_version(hello, self._expected.board)
+        remarks = [] if version is None else [version]
+        if (
+            self._by_hand is None
+            and self._expected.scaling.is_encoder
+            and not self._state().status & frames.STATUS_ZERO
+        ):
+            remarks.append("the device does not know where its encoder stands: it arms after `rig home CONFIG`")
         told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
         self.backend = f"{self._name} ({'emulated ' if emulated else ''}{told_board} board, build {hello.build_text})"
@@ -235,7 +242,7 @@ class SerialDriver:
             supply_at_least=supply_at_least,
             drive_units=hello.drive_full,
             acknowledged=acknowledged,
-            remarks=() if version is None else (version,),
+            remarks=tuple(remarks),
         )
 
     def forget_zero(self) -> None:
