@@ -308,6 +308,12 @@ def test_a_zero_that_the_encoder_loses_at_once_is_none(tmp_path: Path) -> None:
         assert "trembled on an edge" in result.stdout + result.stderr
 
 
+@pytest.mark.parametrize(("gear", "unseen"), [(50, "0.13 rad"), (20, "0.32 rad")])
+def test_rig_check_says_how_far_a_loose_channel_goes_unseen(tmp_path: Path, gear: int, unseen: str) -> None:
+    path = changed(tmp_path, sensor={"encoder": {"counts_per_turn": 64, "gear": gear}})
+    assert f"one loose channel is seen after {unseen}" in CliRunner().invoke(main, ["check", str(path)]).output
+
+
 def test_by_hand_the_shaft_stands_where_the_hand_says() -> None:
     found = zero.by_hand(load(CONFIG), 0.25)
     assert found.y_rad == pytest.approx(0.25, abs=math.tau / 3200)
