@@ -168,6 +168,7 @@ def test_edges_within_a_tick_are_seen_too() -> None:
         host.board.place(0.0, 1.0)
         host.wait(150.0 / rate)
         host.board.place(host.board.truth().y_rad, 0.0)
+        host.wait(1e-5)  # both channels at once would be another fault
         host.board.rewire()
         host.wait(0.003)
         assert host.state().fault == Code.ENCODER_STILL
