@@ -22,7 +22,8 @@ def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_js
     """Set the zero of an encoder, which counts from wherever it was switched on.
 
     By hand: turn the shaft to its zero, and press Enter. With an end switch (sensor.encoder.home): rig drives the shaft
-    to the switch, and back inside. The device keeps the zero until its next reset.
+    to the switch, and back inside. The device keeps the zero until its next reset, a fault of the encoder, or the next
+    homing: that forgets it first, so that one that fails leaves none.
     """
     experiment = checked_bench(config_path, pace)
     from rig.experiment import zero
@@ -51,6 +52,8 @@ def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_js
             f"turn the shaft to a position within {soft_low:g} to {soft_high:g} rad",
         )
     if not by_switch and not here:
+        with faults():
+            zero.forget(experiment)
         click.prompt(
             f"the motor's supply is off, and the shaft stands at {at_rad:g} rad: press Enter",
             default="",
@@ -68,4 +71,4 @@ def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_js
     click.echo(
         f"zero is set: the shaft stands at {found.y_rad:+.4f} rad, {found.y_counts} counts ({found.from_counts} before)"
     )
-    click.echo("the device keeps it until its next reset; `rig run` can start")
+    click.echo("the device keeps it until its next reset, or a fault of the encoder; `rig run` can start")

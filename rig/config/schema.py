@@ -678,8 +678,11 @@ class EmulatedWiring(_Section):
     """Faults that the emulated bench is built with."""
 
     drive: Literal["ok", "reversed", "dead", "stuck_on"] = Field("ok", description="fault of the drive")
-    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still"] = Field(
-        "ok", description="fault of the position sensor; `still`: one channel of an encoder stands still"
+    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", "still_a"] = (
+        Field(
+            "ok",
+            description="fault of the position sensor; `still`, `still_a`: channel B, or A, of an encoder stands still",
+        )
     )
     fault_after_s: NonNegative = Field(0.0, description="device time from arming until drive and sensor faults begin")
 

@@ -25,6 +25,8 @@ from rig.preflight.room_to_stop import (
 )
 from rig.preflight.survey_room import expected_sweeps
 
+_UNSEEN_COUNTS = 66  # of travel, until a board has seen that one channel of an encoder is loose: docs/encoder.md
+
 
 def plan(e: Experiment) -> Iterator[str]:
     """The lines, for an experiment whose keys are in range."""
@@ -36,6 +38,8 @@ def plan(e: Experiment) -> Iterator[str]:
         f"limits: {_travel_words(e)}; "
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
+    if e.sensor.encoder is not None:
+        yield f"encoder: one loose channel is seen after {_UNSEEN_COUNTS * abs(e.sensor.curve.lsb_rad):.2f} rad"
     if e.limits.is_endless:
         yield f"stopping {stopping_sum(e)}, wherever that is; a person must be able to reach the e-stop"
     else:
