@@ -132,6 +132,8 @@ def show_run(outcome: Outcome) -> None:
         _show_loop(result.loop)
     for note in result.config_notes:
         click.echo(f"note: {note}")
+    if outcome.paced:
+        click.echo(f"time: {outcome.paced}")
     if result.answer is not None and result.models_from is None:
         click.echo(f"more:   rig identify {quote(str(outcome.folder))} --verbose")
     click.echo(f"run:    {outcome.folder}")

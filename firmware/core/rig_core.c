@@ -312,6 +312,17 @@ static void latch_encoder(rig_core *core, enum rig_code code)
     latch(core, code);
 }
 
+/* One of its faults that is latched, or RIG_OK. */
+static enum rig_code encoder_fault(const rig_core *core)
+{
+    for (uint8_t code = (uint8_t)RIG_E_ENCODER_LOST; code <= (uint8_t)RIG_E_ENCODER_STILL; code++) {
+        if ((core->latched & bit_of((enum rig_code)code)) != 0u) {
+            return (enum rig_code)code;
+        }
+    }
+    return RIG_OK;
+}
+
 static void sense_encoder(rig_core *core)
 {
     const unsigned troubles = core->board->encoder_troubles(core->board->context);
@@ -321,8 +332,8 @@ static void sense_encoder(rig_core *core)
     if ((troubles & (unsigned)RIG_ENCODER_LOST) != 0u) {
         latch_encoder(core, RIG_E_ENCODER_LOST);
     }
-    if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u && core->armed) {
-        latch_encoder(core, RIG_E_ENCODER_STILL); /* at rest a shaft may tremble on an edge of one channel */
+    if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u) {
+        latch_encoder(core, RIG_E_ENCODER_STILL); /* or a shaft at rest trembles on an edge: it looks the same */
     }
     if (is_in_the_way(core, RIG_E_ESTOP)) {
         core->estop_tried = true; /* P14 */
@@ -503,6 +514,9 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     }
     core->setup = wanted;
     core->has_setup = true;
+    if (wanted.homing != 0u) {
+        core->has_zero = false; /* P13: whatever becomes of the homing */
+    }
     head(out, RIG_SETUP | RIG_REPLY, seq);
     put_setup(out, &core->setup);
 }
@@ -738,9 +752,15 @@ static void on_zero(rig_core *core, uint16_t seq, int32_t counts, packet *out)
         refuse(out, RIG_ZERO, seq, RIG_E_SETUP); /* positions never change under drive */
         return;
     }
-    core->board->set_position(core->board->context, counts);
-    core->has_zero = true;
     sense(core);
+    const enum rig_code trouble = encoder_fault(core);
+    if (trouble != RIG_OK) {
+        refuse(out, RIG_ZERO, seq, trouble); /* the host may have worked it out from counts that are wrong */
+        return;
+    }
+    core->board->set_position(core->board->context, counts);
+    core->counts = counts;
+    core->has_zero = true;
     head(out, RIG_ZERO | RIG_REPLY, seq);
     put_state(out, core);
 }

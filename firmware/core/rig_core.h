@@ -28,8 +28,8 @@
  *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
  *    P11 ARM names the session that SETUP has begun; a reset ends it
  *    P12 a stroke drives no longer than its time; after two in a row that failed nothing drives
- *    P13 an encoder counts from anywhere: nothing but a homing arms before ZERO has said where it stands; a reset ends
- *        that, and so does a fault of the encoder, which latches whether armed or not (a still channel only while armed)
+ *    P13 an encoder counts from anywhere: nothing but a homing arms before ZERO has said where it stands. A reset ends
+ *        that, a homing as it begins, and a fault of the encoder, which latches whether armed or not: no ZERO until ACK
  *    P14 without travel limits nothing arms until the e-stop has been open since the reset
  *    P15 loop-back begins only disarmed, and only where the e-stop's input follows a pin of the board's own: no bench is
  *        wired so. In it at most half of full duty reaches the pin, and no law runs. HELLO ends it, and so does a reset
@@ -115,7 +115,7 @@ enum rig_code {
     RIG_E_SESSION = 15,
     RIG_E_ENCODER_LOST = 16,  /* both channels changed at once: counts are lost */
     RIG_E_ENCODER_RATE = 17,  /* edges come faster than they can be counted */
-    RIG_E_ENCODER_STILL = 18, /* one channel changes, the other does not */
+    RIG_E_ENCODER_STILL = 18, /* one channel changes, the other does not: a loose wire, or a shaft that trembles */
     RIG_E_ZERO = 19,          /* nobody has said where the encoder stands: does not latch */
     RIG_E_ESTOP_UNTRIED = 20, /* does not latch; a bit of rig_core.latched has room for codes up to 31 */
     RIG_E_LOOPBACK = 21       /* its wires are not there, or it has not begun: does not latch */
@@ -198,7 +198,7 @@ typedef struct {
     uint16_t max_drive;
     uint16_t watchdog_ms;
     int8_t polarity; /* +1: positive drive raises counts */
-    uint8_t homing;  /* 1: the limits count from wherever an encoder was switched on; no relay */
+    uint8_t homing;  /* 1: no zero; the limits count from wherever an encoder was switched on; no relay */
 } rig_setup;
 
 typedef struct {

@@ -21,6 +21,7 @@ enum step {
 #define RECOVERED_COUNTS 3
 #define LAG_US 500u
 #define REACH 0x100000 /* counts from the centre, without limits */
+#define ENCODER_FAULTS (1u << RIG_E_ENCODER_LOST | 1u << RIG_E_ENCODER_RATE | 1u << RIG_E_ENCODER_STILL)
 #define OUTWARD_DIVISOR 32 /* of the hard range: so far out is a wrong polarity */
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -134,24 +135,16 @@ static void take_position(void *context, int32_t counts)
     witness.has_zero = true;
 }
 
-/* P13: what is found ends the zero and latches; a still channel only while armed. */
+/* P13: what is found ends the zero and latches. */
 static uint8_t give_troubles(void *context)
 {
     const unsigned found = board.troubles;
     (void)context;
     board.troubles = 0;
-    if ((found & RIG_ENCODER_LOST) != 0u) {
-        witness.latched |= 1u << RIG_E_ENCODER_LOST;
-    }
-    if ((found & RIG_ENCODER_RATE) != 0u) {
-        witness.latched |= 1u << RIG_E_ENCODER_RATE;
-    }
-    if (found == RIG_ENCODER_STILL && core.armed) {
-        witness.latched |= 1u << RIG_E_ENCODER_STILL;
-    }
-    if ((found & (RIG_ENCODER_LOST | RIG_ENCODER_RATE)) != 0u || (found != 0u && core.armed)) {
-        witness.has_zero = false;
-    }
+    witness.latched |= (found & RIG_ENCODER_LOST) != 0u ? 1u << RIG_E_ENCODER_LOST : 0u;
+    witness.latched |= (found & RIG_ENCODER_RATE) != 0u ? 1u << RIG_E_ENCODER_RATE : 0u;
+    witness.latched |= (found & RIG_ENCODER_STILL) != 0u ? 1u << RIG_E_ENCODER_STILL : 0u;
+    witness.has_zero = witness.has_zero && found == 0u;
     return (uint8_t)found;
 }
 
@@ -402,6 +395,7 @@ static void note_setup(const uint8_t *body)
     witness.watchdog_ms = u16(body + 26);
     witness.positive_raises = body[28] == 1u;
     witness.homing = body[29] == 1u;
+    witness.has_zero = witness.has_zero && !witness.homing; /* P13 */
     REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 30) == 0); /* what is stored is what was sent */
     REQUIRE(witness.hard_lo < witness.hard_hi && witness.rail_lo >= 0 && witness.rail_hi <= hardware.counts_max);
     REQUIRE(body[29] <= (counts_an_encoder() ? 1u : 0u) && !(witness.homing && is_endless()));
@@ -496,6 +490,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         break;
     case RIG_ZERO | RIG_REPLY:
         REQUIRE(counts_an_encoder() && !was_armed && board.counts == (int32_t)u32(content + FRAME_HEADER));
+        REQUIRE((witness.latched & ENCODER_FAULTS) == 0u); /* P13 */
         note_state();
         break;
     case RIG_STOP | RIG_REPLY:

@@ -294,8 +294,15 @@ class EncoderDriver(Driver, Protocol):
     homing: bool
     stopped: Stopped | None
 
+    def forget_zero(self) -> None:
+        """Forget the zero of a disarmed device: only a homing arms it until ``set_zero``. Raises Fault LINK_*."""
+        ...
+
     def set_zero(self, here_rad: float) -> None:
-        """Tell a disarmed device that its shaft stands at ``here_rad``, until its next reset. Raises Fault LINK_*."""
+        """Tell a disarmed device that its shaft stands at ``here_rad``, until its next reset.
+
+        Raises Fault LINK_*, and the fault of the encoder that the device has latched: it takes no zero then.
+        """
         ...
 
     def leave_switch(self) -> None:

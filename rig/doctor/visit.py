@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.backends.clock import MonotonicClock
+from rig.backends.emulated.words import in_real_time, in_virtual_time
 from rig.backends.registry import backend_of, connect
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
@@ -51,7 +52,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only
                 yield machine.usb_adapter(port_name, adapter)
             if not isinstance(bench.clock, MonotonicClock):
-                yield Finding("period", "note", "this bench runs in virtual time: it holds every period")
+                real = "" if not in_virtual_time(port_name) else f"daq.port: {in_real_time(port_name)} has one to time"
+                yield Finding("period", "note", "this bench runs in virtual time: it holds every period", real)
                 return
             with real_time(real_time_of(experiment)):
                 number = _number(seconds, experiment.period_s)

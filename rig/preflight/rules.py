@@ -495,7 +495,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 
 _NO_ENCODER_HAS = ("broken_low", "broken_high", "noisy")
-_ENCODERS_ALONE = ("still",)
+_ENCODERS_ALONE = ("still", "still_a")
 
 _RULES: tuple[Rule, ...] = (
     device_rules,

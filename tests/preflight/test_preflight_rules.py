@@ -572,8 +572,10 @@ def test_the_bridge_is_for_real_serial_ports_alone() -> None:
     (problem,) = preflight(experiment(daq__port="/dev/ttyACM0", daq__adapter="none")).problems
     for words in ("pwm-dir", "in1-in2", "label", "rig doctor"):
         assert words in problem.hint
-    for port in ("emulated", "emulated-chip", "emulated-chip-realtime"):
+    for port in ("emulated", "emulated-realtime", "emulated-chip", "emulated-chip-realtime"):
         assert preflight(experiment(daq__port=port)).problems == ()
+    (problem,) = preflight(experiment(daq__port="emulated-real-time")).problems
+    assert problem.key == "daq.port" and "emulated-realtime" in problem.hint
     assert [p.key for p in preflight(experiment(daq__port="tcp://10.0.0.1")).problems if "bridge" in p.key] == []
 
 

@@ -221,6 +221,13 @@ class SerialDriver:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
         supply_V, supply_at_least = self._measured_supply_V(hello)
         version = other_version(hello, self._expected.board)
+        remarks = [] if version is None else [version]
+        if (
+            self._by_hand is None
+            and self._expected.scaling.is_encoder
+            and not self._state().status & frames.STATUS_ZERO
+        ):
+            remarks.append("the device does not know where its encoder stands: it arms after `rig home CONFIG`")
         told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
         self.backend = f"{self._name} ({'emulated ' if emulated else ''}{told_board} board, build {hello.build_text})"
@@ -235,24 +242,42 @@ class SerialDriver:
             supply_at_least=supply_at_least,
             drive_units=hello.drive_full,
             acknowledged=acknowledged,
-            remarks=() if version is None else (version,),
+            remarks=tuple(remarks),
         )
+
+    def forget_zero(self) -> None:
+        """Forget the zero of a disarmed device with an encoder: nothing but a homing arms it until ``set_zero``.
+
+        The set-up of a homing does that. This one nobody arms with. Raises Fault LINK_TIMEOUT, or the
+        refusal of the device; LINK_VERSION where its firmware keeps the zero.
+        """
+        self._setup = None
+        self._store(Setup(self._session, -1, 1, 0, 0, 0, max_drive=1, watchdog_ms=1, polarity=1, homing=1))
+        if self._state().status & frames.STATUS_ZERO:
+            flashing = self._expected.board.flashing
+            raise Fault("LINK_VERSION", f"this firmware keeps an old zero where a homing fails; {flashing}")
 
     def set_zero(self, here_rad: float) -> None:
         """Tell a disarmed device with an encoder that its shaft stands at ``here_rad``, until its next reset.
 
-        Raises Fault LINK_TIMEOUT, or the refusal of the device.
+        Raises Fault LINK_TIMEOUT, the refusal of the device, or the fault of the encoder that it has latched.
         """
         counts = round(self.calibration.to_counts(here_rad))
-        self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
+        try:
+            packet = self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
+        except Fault as fault:
+            if fault.code == "LINK_REJECTED":
+                self._check_latched()
+            raise
+        state = DeviceState.unpack(packet.body)
+        if not state.status & frames.STATUS_ZERO:
+            raise self._device_fault(state)
 
     def leave_switch(self) -> None:
         """Acknowledge the end switch that a homing has reached. Raises the fault that is latched besides."""
         if not self._is_cleared(Code.END_SWITCH):
             raise Fault("DEVICE_END_SWITCH", "both end switches are open")
-        state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
-        if state.status & frames.STATUS_FAULT:
-            raise self._device_fault(state)
+        self._check_latched()
 
     def arm(self, limits: Limits) -> None:
         """Stop, send the limits if the device does not have them yet, read them back, arm.
@@ -266,9 +291,7 @@ class SerialDriver:
         state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
         if setup != self._setup:
-            stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
-            if stored != setup:
-                raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
+            self._store(setup)
             self._setup = setup
         code = self._exchange.request(Kind.ARM, frames.pack_arm(self._session), Kind.ARM_REPLY).body[0]
         if code != Code.NONE:
@@ -281,6 +304,11 @@ class SerialDriver:
         self._law = None
         self._exchange.blocks()  # of an earlier run
         self._armed = True
+
+    def _store(self, setup: Setup) -> None:
+        stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
+        if stored != setup:
+            raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
 
     def read(self) -> Sample:
         """Ask for the state and wait for it; ask again if a reply is damaged or missing, within one time-out.
@@ -515,7 +543,7 @@ class SerialDriver:
         was_reset_now = 1e-6 * hello.now_us < known_s
         cleared: list[int] = []
         for _ in range(_MOST_LATCHED):
-            state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+            state = self._state()
             code = state.fault
             if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
@@ -570,6 +598,14 @@ class SerialDriver:
 
     def _where(self, state: DeviceState) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
+
+    def _state(self) -> DeviceState:
+        return DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+
+    def _check_latched(self) -> None:
+        state = self._state()
+        if state.status & frames.STATUS_FAULT:
+            raise self._device_fault(state)
 
     def _check_pause(self, state: DeviceState) -> None:
         """Raise the fault that a disarmed device has latched since it was opened."""

@@ -34,7 +34,7 @@ STYLES = ["read-write", "separate"]
 def experiment_with(requests: str = "read-write", registers: dict[str, Any] | None = None, **modbus: Any) -> Experiment:
     """The RTU example in virtual time; ``registers`` with None are left out. Separate requests take 20 ms a tick."""
     data = load(CONFIG).model_dump(mode="json", exclude_none=True)
-    data["daq"] |= {"port": "emulated-virtual"}
+    data["daq"] |= {"port": "emulated"}
     if requests == "separate":
         data["period_s"] = 0.02
         data["daq"]["watchdog_s"] = 0.2

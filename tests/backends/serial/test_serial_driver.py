@@ -179,6 +179,38 @@ def armed() -> tuple[ScriptedPort, SerialDriver]:
     return port, driver
 
 
+def test_a_zero_is_forgotten_by_a_setup_that_is_not_armed_with() -> None:
+    port, driver = armed()
+    forgets = Setup(SESSION, -1, 1, 0, 0, 0, 1, 1, 1, 1)
+    port.expect_answer(Kind.SETUP, forgets.pack(), Kind.SETUP_REPLY, forgets.pack())
+    port.expect_read(status=0)
+    driver.forget_zero()
+    expect_arming(port)  # the same limits as before
+    driver.arm(LIMITS)
+    assert not port.script
+
+
+def test_firmware_that_keeps_its_zero_is_not_homed() -> None:
+    """A homing that failed would leave it."""
+    port, driver = opened()
+    forgets = Setup(SESSION, -1, 1, 0, 0, 0, 1, 1, 1, 1)
+    port.expect_answer(Kind.SETUP, forgets.pack(), Kind.SETUP_REPLY, forgets.pack())
+    port.expect_read(status=frames.STATUS_ZERO)
+    fault = fault_of(driver.forget_zero)
+    assert fault.code == "LINK_VERSION" and "flash it" in fault.detail
+
+
+def test_a_zero_that_the_device_does_not_confirm_is_not_set() -> None:
+    port, driver = opened()
+    state = port.state(status=frames.STATUS_FAULT, fault=Code.ENCODER_STILL)
+    port.expect_answer(Kind.ZERO, frames.pack_zero(512), Kind.ZERO_REPLY, state)
+    assert fault_of(lambda: driver.set_zero(0.0)).code == "DEVICE_ENCODER_STILL"
+    refusal = Nack(Code.ENCODER_STILL, Kind.ZERO).pack()
+    port.expect_answer(Kind.ZERO, frames.pack_zero(512), Kind.NACK, refusal)
+    port.expect_read(status=frames.STATUS_FAULT, fault=Code.ENCODER_STILL)
+    assert fault_of(lambda: driver.set_zero(0.0)).code == "DEVICE_ENCODER_STILL"
+
+
 # ---------------------------------------------------------------------- opening
 
 
