@@ -47,7 +47,8 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
     """Gains h1, h2 from the levels of u = -h1 sgn(y) - h2 sgn(z).
 
     Levels are clusters, so they need not be exact, and a quantised or saturated drive is accepted. (A saturated drive
-    gives the levels that the motor has got.) Raises NoRelayError if the drive does not come from a dual-channel relay.
+    gives the levels that the motor has got.) Raises NoRelayError if the drive does not come from a dual-channel relay,
+    and IdentifyError if it never takes one of the levels.
     """
     u = series.u_V
     largest = float(np.abs(u).max())

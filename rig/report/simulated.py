@@ -24,8 +24,8 @@ from rig.report.style import (
     colour,
     laid_out,
     new_figure,
+    plain,
     render,
-    stage_label,
     style,
 )
 
@@ -88,7 +88,7 @@ def figure_of(found: Identification, tests: Sequence[Simulated]) -> Figure:
         dense = one.t_s.size > RASTER_FROM
         top.plot(one.t_s, one.measured_rad, color=MEASURED, lw=2.4, alpha=0.45, label="measured", rasterized=dense)
         top.plot(one.t_s, one.y_rad, color=colour(method), lw=0.9, label="simulated", rasterized=dense)
-        top.set_title(f"{stage_label(one.name)}: fit {one.fit_percent:.1f} %")
+        top.set_title(f"{plain(one.name)}: fit {one.fit_percent:.1f} %")
         bottom.plot(one.t_s, 1e3 * one.residual_rad, color=colour(method), lw=0.6, rasterized=dense)
         bottom.axhline(0.0, color=INK if dense else MUTED, lw=0.7)
         bottom.set_xlabel("time since the start of the test, s")

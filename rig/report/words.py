@@ -80,7 +80,7 @@ class Headline:
 
 
 def rounded(value: float, half_width: float = math.nan) -> str:
-    """As ``answer_words.rounded``, with the minus sign of print."""
+    """``value`` rounded to its ``half_width``, both in one unit, as ``answer_words`` does; with the minus of print."""
     return as_digits(value, half_width).replace("-", "−")
 
 

@@ -30,7 +30,7 @@ def rounded(value: float, half_width: float = math.nan) -> str:
 
 
 def share(value: float, half_width: float) -> str:
-    """Half an interval relative to its value, as ``± 0.5 %``; ``unknown`` where it is wider than the value itself."""
+    """``half_width`` over ``value``, both in one unit, as ``± 0.5 %``; ``unknown`` where it is more than that."""
     if not half_width <= abs(value):
         return "unknown"
     return f"± {100.0 * half_width / abs(value):.2g} %" if value else ""
