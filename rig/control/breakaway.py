@@ -151,10 +151,10 @@ class BreakawayCheck(RestingCheck):
     between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
     sensor fails. ``rig.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
 
-    A late tick makes its stroke longer, unless the device ends it by itself (``pulse_s``). The stroke back lasts as long
-    as that stroke really acted. If the stroke back
-    is itself too long, one more stroke in each direction makes them equal again. All strokes together may be longer
-    than planned by ``plan.late_s``.
+    A late tick makes its stroke longer, by a period at most where the device ends it itself (``pulse_s``). The stroke
+    back lasts as long as that stroke really acted. If the stroke back is itself too long, one more stroke in each
+    direction makes them equal again. All strokes together may be longer than planned by ``plan.late_s``; one that came
+    short is driven again, and what it was driven in vain counts. A gap of the readings makes a pause longer.
 
     The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
     sensor shows its motion. After the planned pairs the check then goes on at ``max_V``: by no more than
@@ -387,8 +387,8 @@ class BreakawayCheck(RestingCheck):
                 raise Fault(
                     "LATE",
                     f"a stroke of {way * self._level_V:+.2f} V lasted {1e3 * acted_s:.0f} ms instead of "
-                    f"{1e3 * self._meant_s:.0f} ms; in all the check has driven {1e3 * self._longer_s:.0f} ms beyond its "
-                    f"plan, and may by {1e3 * self._late_s:.0f} ms",
+                    f"{1e3 * self._meant_s:.0f} ms; in all the check has driven {1e3 * self._longer_s:.0f} ms beyond "
+                    f"its plan, and may by {1e3 * self._late_s:.0f} ms",
                 )
         if acted_s < 0.5 * self._period_s:
             self._needed.insert(0, stroke)  # it hardly reached the motor

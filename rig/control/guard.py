@@ -203,8 +203,7 @@ class Guard:
             if step > allowed:
                 raise Fault(
                     "SENSOR_JUMP",
-                    f"{step:.3f} rad in {since_s * 1e3:.1f} ms; at most {allowed:.3f} rad is "
-                    "possible",
+                    f"{step:.3f} rad in {since_s * 1e3:.1f} ms; at most {allowed:.3f} rad is possible",
                 )
         self.velocity_rad_s = self._velocity.step(sample.t_s, sample.y_rad)
         if self._stays_too_fast(sample.t_s):

@@ -14,7 +14,6 @@ from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.signals import Sample
 
-
 _GAP_PERIODS = 2.5  # a longer time between two samples is a gap
 
 

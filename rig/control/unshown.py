@@ -108,7 +108,6 @@ class UnshownMotion:
             f"{self.moves_V:.2f} V; {self.standstill.words()}"
         )
 
-
     def _take(self, u_V: float, time_s: float) -> None:
         """A drive has acted for a time while the reading stood still."""
         share = min(abs(u_V) / self.moves_V, STRONGEST) - FRICTION

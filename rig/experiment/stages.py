@@ -162,9 +162,9 @@ def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
 
 
 def armed_check(session: Session, check: BreakawayLaw | None) -> None:
-    """The breakaway check. The device ends its strokes by itself: that bounds unseen travel even if the host dies in one.
+    """The breakaway check. Its device ends each stroke itself, which bounds unseen travel even if the host dies in one.
 
-    A device that cannot is armed with a short watchdog, which ends them, and the run.
+    A device that cannot is armed with a short watchdog, which ends the stroke and the run.
     """
     e = session.experiment
     limits = e.device_limits

@@ -63,7 +63,7 @@ class Loop:
         self.last_y_rad = math.nan  # position at the last tick, of the loop or of a relay in the device
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
-        self._write = driver.write
+        self._write: Callable[[float], None] = driver.write
         self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
         self._rows = 0  # of the loop itself
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive

@@ -32,7 +32,7 @@ from rig.identify.measurements import measurements
 from rig.identify.output_error import refit
 from rig.model.bench import BenchParameters
 from rig.model.sensitivity import Theta, position_and_jacobian
-from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
+from rig.preflight.breakaway_strokes import breakaway_strokes
 from rig.preflight.room_to_stop import room_rad, stopping_terms
 from rig.recording.recording import Recording
 from rig.session import Session
@@ -56,19 +56,22 @@ class Row:
     """What came of one motor.
 
     board             behind which it was
+    a_minute          stalls a minute that were asked for
     fault             that ended the run, in words; "" where it ended whole
-    stalls, stalls_s  number of the host's stalls, and the longest, s
+    stalls, longest_stall_s  number of the host's stalls, and the longest, s
     skipped           ticks of the loop
     run_s             length of the run, s
     verdict           of the leading estimate; "": none
     error, bound      of it: estimate less truth, and the Cramer-Rao bound of the recorded rows, by ``OF``
     inside            whether its 95 % intervals hold the truth, by ``OF``
-    beyond_rad        how far the shaft went beyond the hard limits, rad; 0.0: not
-    check_rad         how far the shaft went from its start in the breakaway check, rad
+    beyond_rad        how far the reading went beyond the hard limits, rad; 0.0: not
+    check_rad         how far it went from its start in the breakaway check, rad
+    seconds           of computing
     """
 
     number: int
     board: str
+    a_minute: float
     fault: str
     stalls: int
     longest_stall_s: float
@@ -157,14 +160,13 @@ def row(campaign: Campaign, number: int, stalls: Stalls, watchdog_s: float, boar
         error = tuple(float(getattr(estimate, name) - getattr(true, name)) for name in OF)
         bound = _bound(recording, true, math.hypot(sensor.noise_rad, sensor.lsb_rad / math.sqrt(12.0)))
         intervals = [estimate.ci95.get(name, (math.nan, math.nan)) for name in OF]
-        inside = tuple(
-            low <= getattr(true, name) <= high for name, (low, high) in zip(OF, intervals, strict=True)
-        )
+        inside = tuple(low <= getattr(true, name) <= high for name, (low, high) in zip(OF, intervals, strict=True))
     check = np.array([str(stage) == "breakaway" for stage in recording.stage]) if recording.stage is not None else []
     went = recording.y_rad[check] if np.any(check) else np.zeros(1)
     return Row(
         number,
         board,
+        stalls.a_minute,
         "" if fault is None else str(fault),
         len(host.lengths_s),
         max(host.lengths_s, default=0.0),

@@ -399,9 +399,7 @@ class SerialDriver:
             seqs.append(self._exchange.send(Kind.READ))
             until_s = max(sent_s, now_s) + self._timeout_s
         self._exchange.timeouts += 1
-        raise self._exchange.silence(
-            Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms"
-        )
+        raise self._exchange.silence(Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms")
 
     def _ends_s(self, sent_s: float) -> float:
         """Until when a tick waits for the answer to what it sent then, s: the watchdog bounds the drive meanwhile."""
