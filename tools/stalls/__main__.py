@@ -91,9 +91,9 @@ def page(rows: dict[tuple[str, int, bool], Row], counts: dict[Board, int], made:
         f"already decided. Device, motor and sensor go on. Watchdog {WATCHDOG_S:g} s. Random motors from rest with",
         "`relay.until` (1 %), in virtual time; the speed limit of each is what the room to stop bears.",
         "",
-        "*ended by a stall*: ended by a fault, but whole when it was run again without stalls. *error*: of the estimate,",
-        "over the Cramér-Rao bound of the rows that were recorded, RMS over the motors. *held*: 95 % intervals that hold",
-        "the truth.",
+        "*ended by a stall*: ended by a fault, but whole when it was run again without stalls. *error*: of the",
+        "estimate, over the Cramér-Rao bound of the rows that were recorded, RMS over the motors. *held*: 95 %",
+        "intervals that hold the truth.",
         "",
     ]
     is_met = True

@@ -35,6 +35,7 @@ class HostileHost:
     def __init__(self, device: VirtualDevice | VirtualPico, stalls: Stalls, seed: int) -> None:
         self.device = device
         self.lengths_s: list[float] = []  # of the stalls so far
+        self.furthest_rad = 0.0  # that the shaft itself has been from zero, at any call
         self._stalls = stalls
         self._random = random.Random(seed)
         self._next_s = self._until_next_s()
@@ -51,6 +52,7 @@ class HostileHost:
         """As the device's; the host may look at it late. Raises Fault LINK_LOST when unplugged."""
         data = self.device.read(timeout_s)
         self._stand_still()
+        self.furthest_rad = max(self.furthest_rad, abs(self.device.truth().y_rad))
         return data
 
     def now_s(self) -> float:

@@ -64,7 +64,7 @@ class Row:
     verdict           of the leading estimate; "": none
     error, bound      of it: estimate less truth, and the Cramer-Rao bound of the recorded rows, by ``OF``
     inside            whether its 95 % intervals hold the truth, by ``OF``
-    beyond_rad        how far the reading went beyond the hard limits, rad; 0.0: not
+    beyond_rad        how far the shaft went beyond the hard limits, rad; 0.0: not
     check_rad         how far it went from its start in the breakaway check, rad
     seconds           of computing
     """
@@ -176,7 +176,7 @@ def row(campaign: Campaign, number: int, stalls: Stalls, watchdog_s: float, boar
         error,
         bound,
         inside,
-        max(float(np.max(np.abs(recording.y_rad))) - HARD_RAD, 0.0),
+        max(host.furthest_rad - HARD_RAD, 0.0),
         float(np.max(np.abs(went - went[0]))),
         time.perf_counter() - began,
     )
