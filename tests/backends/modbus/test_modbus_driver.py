@@ -486,7 +486,7 @@ def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
     }  # fmt: skip
     rig = Rig(experiment_with("separate", registers))
     rig.tick(0.6)
-    # the write of the tick is answered 15 ms late; after that the block hears nothing any more
+    # the write of the tick is answered when its tick has given up; after that the block hears nothing any more
     deaf = False
 
     def late_then_deaf(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
@@ -495,7 +495,7 @@ def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
             return () if deaf else ((0.0, data),)
         if data[1] == 16:
             deaf = True
-            return ((0.015, data),)
+            return ((rig.experiment.daq.watchdog_s, data),)
         return ((0.0, data),)
 
     rig.block.disturb(late_then_deaf)
