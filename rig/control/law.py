@@ -31,14 +31,11 @@ class Law(Protocol):
 
 @runtime_checkable
 class Pulsed(Law, Protocol):
-    """A law whose drives must not outlast a time: a device that can ends them by itself.
-
-    pulse_s  how long after its begin the drive that was just decided must have ended, s, > 0
-    """
+    """A law whose drives must not outlast a time: a device that can ends them by itself."""
 
     @property
     def pulse_s(self) -> float:
-        """See the class."""
+        """How long after its begin the drive that was just decided must have ended, s, > 0."""
         ...
 
 

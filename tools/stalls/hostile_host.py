@@ -6,7 +6,8 @@ import math
 import random
 from dataclasses import dataclass
 
-from rig.backends.serial.emulated.virtual_device import VirtualDevice
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 
 _BEFORE_WRITE = 0.3  # share of the stalls that hold back a drive already decided
@@ -32,7 +33,7 @@ class HostileHost:
 
     absolute = True  # of the clock
 
-    def __init__(self, device: VirtualDevice | VirtualPico, stalls: Stalls, seed: int) -> None:
+    def __init__(self, device: VirtualBoard | VirtualChip | VirtualPico, stalls: Stalls, seed: int) -> None:
         self.device = device
         self.lengths_s: list[float] = []  # of the stalls so far
         self.furthest_rad = 0.0  # that the shaft itself has been from zero, at any call

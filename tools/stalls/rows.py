@@ -18,7 +18,6 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip, variant_of
-from rig.backends.serial.emulated.virtual_device import VirtualDevice
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
@@ -121,7 +120,7 @@ def config_of(one: Draw, campaign: Campaign, watchdog_s: float) -> Experiment:
     return e.model_copy(update={"limits": e.limits.model_copy(update={"max_speed_rad_s": slower})})
 
 
-def device_of(board: Board, truth: BenchParameters, e: Experiment) -> VirtualDevice | VirtualPico:
+def device_of(board: Board, truth: BenchParameters, e: Experiment) -> VirtualBoard | VirtualChip | VirtualPico:
     """The board in virtual time, with the bench behind it."""
     options = variant_of(truth, e.daq.baud, e.drive.bridge)
     if board == "uno":
