@@ -209,8 +209,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DELAY": FaultEntry(
         "the bench acts too late for the room that it has: from a drive to its motion the shaft could travel too far",
-        "widen limits.hard_rad, or lower limits.max_speed_rad_s or relay.target.amplitude_rad; or find what is late "
-        "and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
+        "widen limits.hard_rad, or lower limits.max_speed_rad_s, relay.target.amplitude_rad or daq.watchdog_s; or find "
+        "what is late and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
     ),
     "LATE": FaultEntry(
         "ticks came late, so strokes of the breakaway check lasted too long",

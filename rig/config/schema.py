@@ -71,10 +71,10 @@ class Link(_Section):
 class LinkTimes(_Section):
     """How long host and device wait for each other."""
 
-    timeout_s: Positive = Field(0.03, description="longest wait for one reply")
+    timeout_s: Positive = Field(0.03, description="after it a reply is late: it is asked for again, or waited for")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")
     watchdog_s: Annotated[float, Field(gt=0, le=1.0)] = Field(
-        0.1, description="host silence before the device sets 0 V; 3 to 10 periods"
+        0.1, description="host silence before the device sets 0 V: `rig check` tells the longest that there is room for"
     )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
 

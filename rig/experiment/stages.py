@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock, PacedClock
+from rig.backends.driver import PulseDriver
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
@@ -157,11 +158,15 @@ def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
 
 
 def armed_check(session: Session, check: BreakawayLaw | None) -> None:
-    """The breakaway check, armed with a short watchdog: it bounds unseen travel even if the host dies in a stroke."""
+    """The breakaway check. Its device ends each stroke itself, which bounds unseen travel even if the host dies in one.
+
+    A device that cannot is armed with a short watchdog, which ends the stroke and the run.
+    """
     e = session.experiment
     limits = e.device_limits
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
-    if strokes is not None:
+    driver = session.bench.driver
+    if strokes is not None and not (isinstance(driver, PulseDriver) and driver.pulses):
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
     try:
         with session.loop.armed(limits):
