@@ -45,6 +45,7 @@ class Estimate:
     coloured        coloured noise beside the white noise: its memory, s, and its standard deviation over the white
                     one's; None without it
     cycles          the limit cycles behind the estimate; () for a method that needs none
+    converged       whether its fit came to an end
     """
 
     method: str
@@ -70,6 +71,7 @@ class Estimate:
     coloured: tuple[float, float] | None = None
     cycles: tuple[Cycle, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = ()
+    converged: bool = True
 
     @property
     def correlation(self) -> Array:

@@ -366,8 +366,9 @@ def _doubt(found: Identification, cause: str) -> None:
 
 
 def _tells_no_motor(plain: Estimate, data: Measurements) -> bool:
-    """Whether the tests say too little of any motor: with laws, too, they would."""
-    return plain.verdict == "refused" and not (plain.is_motor and _may_have_laws(plain, data))
+    """Whether the tests say too little of any motor: with laws, too, they would. A fit without an end says nothing."""
+    near = plain.is_motor and plain.converged and _may_have_laws(plain, data)
+    return plain.verdict == "refused" and not near
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:

@@ -250,5 +250,6 @@ def _estimate(
         coloured=None if problem.noise.white else (problem.noise.memory_s, math.sqrt(problem.noise.ratio)),
     )
     if not best.converged:
-        return estimate.judged("refused", "the fit did not converge: record more cycles, or with less noise")
+        lost = replace(estimate, converged=False)
+        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise")
     return estimate

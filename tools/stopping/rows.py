@@ -22,6 +22,7 @@ from rig.config.schema import RelaySection, UntilSection
 from rig.estimators import LEADING
 from rig.experiment.stages import identify_recorded
 from rig.experiment.until import drive_until
+from rig.identify.departures.budget import TYPE_A
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
@@ -37,6 +38,7 @@ OF = ("tau_s", "K_rad_s_V", "fc_V")
 PERCENT_OF = {"tau_s": "tau_percent", "K_rad_s_V": "K_percent", "fc_V": "fc_percent"}
 LONGEST_S = 60.0  # of the tests; friction drifts over it
 FASTEST_MOTORS_V, LEAST_V = 0.5, 0.01  # of breakaway.max_V: from there on down, in these steps
+WIDER = 2.0  # of the live interval: from there on the interval afterwards is worse; it knows of coloured noise, too
 DOUBT = 0.30  # a model that is known beforehand is off by at most that: relay.until.model_doubt_percent
 
 
@@ -48,7 +50,9 @@ class Row:
     why             why they ended, or the fault that ended the run
     tests_s, run_s  how long the tests were, and the run from its start to their end, s
     error, inside   of the live estimate at the stop: relative errors of tau, K and f_c, and what its interval holds
+    live            relative half widths of that estimate's intervals
     verdict         of the identification afterwards; None if it was not asked for
+    scatter         of its budget: relative, what noise alone leaves; None without a budget
     final_error, final_inside, u95   of it: relative errors, whether u95 holds each, relative u95
     found, groups   of it: names of the laws that were found, and names that are not told apart
     gain            in BIC, that is to be expected of the motor's law in this run's tests; None: not asked, or no law
@@ -65,7 +69,9 @@ class Row:
     run_s: float | None
     error: tuple[float, ...] | None
     inside: tuple[bool, ...] | None
+    live: tuple[float, ...] | None
     verdict: str | None
+    scatter: tuple[float, ...] | None
     final_error: tuple[float, ...] | None
     final_inside: tuple[bool, ...] | None
     u95: tuple[float, ...] | None
@@ -76,6 +82,18 @@ class Row:
     braked: int
     fault: str | None
     seconds: float
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the answer that ended the tests was refused afterwards, or is known clearly worse by its scatter.
+
+        What noise does not make is not compared: laws that the tests do not exclude, sag, supply, calibration.
+        """
+        if not self.known or self.verdict is None:
+            return False
+        if self.verdict == "refused" or self.scatter is None or self.live is None:
+            return True
+        return any(after > WIDER * live for after, live in zip(self.scatter, self.live, strict=True))
 
     def as_json(self) -> dict[str, object]:
         """As a line of rows.jsonl."""
@@ -118,12 +136,13 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
     stopped, found = session.found.stopped, session.found.identification
     truth = _truth(one, departures, recording)
     live = stopped.live[-1] if stopped is not None and stopped.live else None
-    error = inside = final_error = final_inside = u95 = verdict = None
+    error = inside = percents = final_error = final_inside = u95 = scatter = verdict = None
     names: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
     if live is not None:
         values = np.array([getattr(live, name) for name in OF])
-        half = 0.01 * values * np.array([getattr(live, PERCENT_OF[name]) for name in OF])
+        percents = np.array([getattr(live, PERCENT_OF[name]) for name in OF])
+        half = 0.01 * values * percents
         error = tuple((values / truth - 1.0).tolist())
         inside = tuple((np.abs(values - truth) <= half).tolist())
     if found is not None and LEADING in found.estimates:
@@ -136,6 +155,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         final_inside = tuple((np.abs(values - truth) <= wide).tolist())
         u95 = tuple((wide / values).tolist())
         if law is not None:
+            of_noise = next(entry for entry in law.budget.entries if entry.source == TYPE_A)
+            scatter = tuple((np.array([getattr(of_noise, name) for name in OF]) / values).tolist())
             names, groups = tuple(part.law.name for part in law.found), law.not_told_apart
     return Row(
         number,
@@ -146,7 +167,9 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         None if stopped is None else stopped.t_s,
         error,
         inside,
+        None if percents is None else tuple((0.01 * percents).tolist()),
         verdict,
+        scatter,
         final_error,
         final_inside,
         u95,
