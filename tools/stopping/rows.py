@@ -38,7 +38,7 @@ OF = ("tau_s", "K_rad_s_V", "fc_V")
 PERCENT_OF = {"tau_s": "tau_percent", "K_rad_s_V": "K_percent", "fc_V": "fc_percent"}
 LONGEST_S = 60.0  # of the tests; friction drifts over it
 FASTEST_MOTORS_V, LEAST_V = 0.5, 0.01  # of breakaway.max_V: from there on down, in these steps
-WIDER = 2.0  # of the live interval: from there on the interval afterwards is worse; it knows of coloured noise, too
+WIDER = 2.0  # times the live interval: the one afterwards knows of coloured noise, too
 DOUBT = 0.30  # a model that is known beforehand is off by at most that: relay.until.model_doubt_percent
 
 
@@ -50,15 +50,15 @@ class Row:
     why             why they ended, or the fault that ended the run
     tests_s, run_s  how long the tests were, and the run from its start to their end, s
     error, inside   of the live estimate at the stop: relative errors of tau, K and f_c, and what its interval holds
-    live            relative half widths of that estimate's intervals
     verdict         of the identification afterwards; None if it was not asked for
-    scatter         of its budget: relative, what noise alone leaves; None without a budget
     final_error, final_inside, u95   of it: relative errors, whether u95 holds each, relative u95
     found, groups   of it: names of the laws that were found, and names that are not told apart
     gain            in BIC, that is to be expected of the motor's law in this run's tests; None: not asked, or no law
     beyond_rad      how far the shaft went beyond the soft limits, rad
     braked          ticks in which the guard braked
     seconds         of computing, s
+    live            relative half widths of the live estimate's intervals at the stop
+    scatter         relative half widths afterwards, what noise alone leaves of u95; None without a budget
     """
 
     number: int
@@ -69,9 +69,7 @@ class Row:
     run_s: float | None
     error: tuple[float, ...] | None
     inside: tuple[bool, ...] | None
-    live: tuple[float, ...] | None
     verdict: str | None
-    scatter: tuple[float, ...] | None
     final_error: tuple[float, ...] | None
     final_inside: tuple[bool, ...] | None
     u95: tuple[float, ...] | None
@@ -82,18 +80,21 @@ class Row:
     braked: int
     fault: str | None
     seconds: float
+    live: tuple[float, ...] | None = None
+    scatter: tuple[float, ...] | None = None
 
-    @property
-    def is_worse(self) -> bool:
-        """Whether the answer that ended the tests was refused afterwards, or is known clearly worse by its scatter.
+    def is_worse(self, percent: float) -> bool:
+        """Whether the answer that ended the tests was refused afterwards, or is known worse by its noise than promised.
 
+        percent  that was asked for
         What noise does not make is not compared: laws that the tests do not exclude, sag, supply, calibration.
         """
         if not self.known or self.verdict is None:
             return False
         if self.verdict == "refused" or self.scatter is None or self.live is None:
             return True
-        return any(after > WIDER * live for after, live in zip(self.scatter, self.live, strict=True))
+        promised = (max(WIDER * live, 0.01 * percent) for live in self.live)
+        return any(after > most for after, most in zip(self.scatter, promised, strict=True))
 
     def as_json(self) -> dict[str, object]:
         """As a line of rows.jsonl."""
@@ -167,9 +168,7 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         None if stopped is None else stopped.t_s,
         error,
         inside,
-        None if percents is None else tuple((0.01 * percents).tolist()),
         verdict,
-        scatter,
         final_error,
         final_inside,
         u95,
@@ -180,6 +179,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         session.loop.guard.braked_ticks,
         None if fault is None else fault.code,
         time.perf_counter() - began,
+        None if percents is None else tuple((0.01 * percents).tolist()),
+        scatter,
     )
 
 
