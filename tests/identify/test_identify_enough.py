@@ -58,10 +58,9 @@ def driven(motor: Motor, seed: int, test_s: float) -> Recording | None:
 def live(recording: Recording) -> LiveEstimate | None:
     settings = LiveSettings(PERIOD_S, DEMO.noise_rad, DEMO.rad_per_count, LIMITS.max_u_V)
     fit, estimate = LiveFit(settings), None
-    rows = np.arange(len(recording))
-    columns = (rows, recording.t_s, recording.y_rad, recording.t_u_s, recording.u_V)
-    for part in np.array_split(rows, 12):
-        fit.take(LiveRows(*(column[part] for column in columns)))
+    rows = np.arange(len(recording), dtype=np.int64)
+    for k in np.array_split(rows, 12):
+        fit.take(LiveRows(k, recording.t_s[k], recording.y_rad[k], recording.t_u_s[k], recording.u_V[k]))
         estimate = fit.estimate()
     return estimate
 
