@@ -98,7 +98,7 @@ class FaultInjector:
         self._is_disarmed = True
         self._since_s = math.nan  # since then the drive is not the one that the host commanded
         self._is_interrupted = False
-        self._asleep_s = 0.0
+        self._asleep_s = self._asleep_before_s = 0.0
 
     # ------------------------------------------------------------------ faults
 
@@ -110,6 +110,7 @@ class FaultInjector:
         """Forget what was seen so far: a new run begins."""
         self.readings, self.closing, self.closed, self.handing_over, self.read_at = [], set(), set(), set(), []
         self.first_drive_s = math.nan
+        self._asleep_before_s = self._asleep_s
         self._held.clear()
 
     def later(self, in_s: float, act: Callable[[], object]) -> None:
@@ -158,8 +159,8 @@ class FaultInjector:
         self._asleep_s += for_s
 
     def asleep_s(self) -> float:
-        """For how long the host's machine has slept, s."""
-        return self._asleep_s
+        """For how long the host's machine has slept in this run, s: a run makes a clock of its own."""
+        return self._asleep_s - self._asleep_before_s
 
     def kill_host(self) -> None:
         """SIGKILL to this process; the device lives on in a copy of it."""
