@@ -88,31 +88,33 @@ def test_a_suspend_in_a_pause_ends_the_run_before_anything_drives(for_s: float, 
 
 
 @pytest.mark.parametrize("for_s", [0.05, 5.0, 37.0 * MINUTES])
-@pytest.mark.parametrize("at", ["after the write", "after the sleep"])
+@pytest.mark.parametrize("at", ["after the write", "after the sleep", "in the reading"])
 def test_a_suspend_while_armed_is_named_and_the_watchdog_has_stopped_the_drive(for_s: float, at: str) -> None:
     """Whatever the device then says: it was disarmed by its watchdog, or its time seems to go back."""
     host, loop, _ = bench()
     suspended: list[float] = []
-    sleep_until = host.sleep_until
+    sleep_until, read = host.sleep_until, host.read
+
+    def may_sleep(here: str) -> None:
+        if at == here and host.now_s() > begun_s + 0.1 and not suspended:
+            host.suspend(for_s)
+            suspended.append(host.board.truth().pin_V)
 
     def sleepy(t_s: float) -> float:
         woke_s = sleep_until(t_s)
-        if at == "after the sleep" and host.now_s() > begun_s + 0.1 and not suspended:
-            host.suspend(for_s)
-            suspended.append(host.board.truth().pin_V)
+        may_sleep("after the sleep")
         return woke_s
 
-    def sleeps_after_the_write(_: float) -> None:
-        if at == "after the write" and host.now_s() > begun_s + 0.1 and not suspended:
-            host.suspend(for_s)
-            suspended.append(host.board.truth().pin_V)
+    def sleepy_read(timeout_s: float) -> bytes:
+        may_sleep("in the reading")
+        return read(timeout_s)
 
-    host.sleep_until = sleepy  # type: ignore[method-assign]  # for this test
+    host.sleep_until, host.read = sleepy, sleepy_read  # type: ignore[method-assign]  # for this test
     begun_s = host.now_s()
 
     def drive() -> None:
         with loop.armed(LIMITS):
-            loop.run(Constant(0.3, 1.0), "jog", sleeps_after_the_write)
+            loop.run(Constant(0.3, 1.0), "jog", lambda _: may_sleep("after the write"))
 
     fault = fault_of(drive)
     assert fault.code == "SUSPENDED" and f"for {for_s:.1f} s" in fault.detail
@@ -155,8 +157,11 @@ def test_the_machines_clock_tells_a_suspend_by_the_clock_that_goes_on(monkeypatc
     monkeypatch.setattr(time, "monotonic", monotonic)
     monkeypatch.setattr(time, "clock_gettime", boot)
     for preempted_s[0] in (0.0, 0.6):
+        before_s = preempted_s[0]
         clock = MonotonicClock()
+        preempted_s[0] = 0.0  # only as the clock was made
         assert clock.asleep_s() == 0.0
+        preempted_s[0] = before_s
         asleep_s[0] += 12.0
         assert 12.0 - 2.0 * preempted_s[0] <= clock.asleep_s() <= 12.0
     monkeypatch.setattr(clocks, "_BOOTTIME", None)
