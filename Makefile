@@ -67,7 +67,7 @@ campaign-real: .venv/.ready  ## thousands of motors that are not what the plain 
 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
-	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(AFTERWARDS),--afterwards $(AFTERWARDS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
 	    $(if $(PERCENT),--percent $(PERCENT)) $(if $(PAGE),--page $(PAGE))
 
 free-running: .venv/.ready  ## how often the breakaway check names a bridge that runs free, and falsely one that brakes

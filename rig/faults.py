@@ -241,6 +241,11 @@ FAULTS: dict[str, FaultEntry] = {
         "the run was interrupted",
         "start it again. If a relay test had its cycles, `rig identify RUN` can still identify it",
     ),
+    "SUSPENDED": FaultEntry(
+        "the machine was suspended during the run; its clock stood still, the device's did not",
+        "keep it awake and start the run again: `systemd-inhibit --what=sleep:idle rig run CONFIG`, or switch suspend "
+        "off; a device with a watchdog was at 0 V meanwhile, one without may have held its last drive",
+    ),
     "LAW_FAILED": FaultEntry(
         "the law failed, or asked for a drive that is no number",
         "if the law is your own, mend the line that is named here, or in the traceback in events.jsonl. If it is "

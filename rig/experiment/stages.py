@@ -297,9 +297,12 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta)
 
 
-def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True) -> BreakawayCheck:
+def breakaway_check(
+    e: Experiment, drive_units: int | None = None, *, further: bool = True, repeats: bool = True
+) -> BreakawayCheck:
     """The breakaway check of a config; ``further`` and ``repeats`` as ``breakaway_strokes`` takes them.
 
+    drive_units  steps of the device's drive at full duty; None: it has no steps
     Raises Fault CONFIG_MISMATCH if its unseen travel has no bound.
     """
     strokes = None if e.motor is None else breakaway_strokes(e, further=further, repeats=repeats)
@@ -324,6 +327,7 @@ def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True
             strokes.top_pause_s,
         ),
         e.period_s,
+        float if drive_units is None else replace(e.drive.map, full_units=drive_units).quantised,
     )
 
 
@@ -339,7 +343,7 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     low, high = e.limits.soft_rad
     if not low <= y_rad <= high:
         raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
-    check = breakaway_check(e) if check is None else check
+    check = breakaway_check(e, session.bench.info.drive_units) if check is None else check
     session.loop.run(check, "breakaway")
     session.found.breakaway = check
     guard = session.loop.guard

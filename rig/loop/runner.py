@@ -19,6 +19,7 @@ from rig.loop.link_watch import LinkWatch
 from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
+from rig.loop.suspend import SuspendWatch
 from rig.recording.sink import RowSink
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
@@ -55,6 +56,7 @@ class Loop:
         self._stop = stop
         self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
         self._link_watch = LinkWatch(driver, record)
+        self._suspend_watch = SuspendWatch(clock)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False
@@ -102,10 +104,15 @@ class Loop:
 
         Between two blocks the device is in a pause. A fault in the pause is raised here, by ``check_stop``, or by the
         driver when it arms. After the last block ``close`` ends the pause.
-        Raises Fault STOP_UNCONFIRMED, and what the driver and ``check_stop`` raise.
+        Raises Fault STOP_UNCONFIRMED, SUSPENDED, and what the driver and ``check_stop`` raise.
         """
+        with self._suspend_watch.told():
+            yield from self._armed(limits)
+
+    def _armed(self, limits: Limits) -> Iterator[None]:
         self.pause_watch.end()
         self.check_stop()
+        self._suspend_watch.check()
         if isinstance(self._clock, MonotonicClock):  # in the middle of a tick it would delay the drive
             gc.collect()
         gc.disable()
@@ -149,7 +156,7 @@ class Loop:
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
         """Run ``law`` to its end inside ``armed``; ``watch`` is called after each tick with its time, s.
 
-        Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, RECORDER_DEAD.
+        Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, SUSPENDED, RECORDER_DEAD.
         """
         self._record.event(self.now_s, "stage", name=stage)
         self._write = self._writer(law)
@@ -265,6 +272,7 @@ class Loop:
         while woke_s < due_s and self._stop.reason is None:
             woke_s = self._clock.sleep_until(due_s)  # a signal ended the sleep, but not one that stops the run
         self.check_stop()
+        self._suspend_watch.check()
         return due_s, woke_s
 
     def _end_tick(self, due_s: float) -> None:
