@@ -40,9 +40,9 @@ def modbus_line(e: Experiment) -> Iterator[Line]:
 
 
 def _transport(e: Experiment, port: str) -> Transport:
-    if is_tcp(port):
-        return TcpTransport(*tcp_address(port), e.daq.open_timeout_s)
     modbus = _modbus_of(e)
+    if is_tcp(port):
+        return TcpTransport(*tcp_address(port), e.daq.open_timeout_s, modbus.unit)
     return SerialPort(port, e.daq.baud, modbus.parity[0].upper(), modbus.stop_bits)
 
 
