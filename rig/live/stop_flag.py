@@ -67,6 +67,13 @@ class StopFlag:
         self._own: Path | None = None  # the hidden folder
         self.is_tried = False
 
+    @classmethod
+    def unseen(cls) -> StopFlag:
+        """One without a page, for measurements on benches where nothing moves: no Stop knows of them."""
+        flag = cls()
+        flag.is_tried = True
+        return flag
+
     def __enter__(self) -> StopFlag:
         return self
 
