@@ -29,6 +29,11 @@ FAULTS: dict[str, FaultEntry] = {
         "end the other run, or stop it in its panel; on a Modbus device look for another machine or PLC that writes to "
         "it, then start again",
     ),
+    "OTHER_BOARD": FaultEntry(
+        "another board is at this port than the one that the config is for",
+        "do what is said here, or plug the boards in as they were. The limits and the calibration of one bench are "
+        "wrong for another: take no number over for a bench that has not been calibrated",
+    ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",
         "check the cable and the device's supply; try the link with `rig doctor CONFIG`, which drives nothing; then "

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from rig.backends.links.device_file import require_device_file
+from rig.backends.links.usb_port import usb_port
+from rig.backends.registry import backend_of
 from rig.calibrate.dialogue import Ask, Hold, Motion, Say, Skipped, Strokes
 from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
@@ -86,7 +88,18 @@ def open_config(file: Path) -> Opened:
         raise ConfigError(map(document.located, problems))
     text = read_text(file)
     require_device_file(experiment.daq.port)
-    return Opened(file, text, Draft(experiment, document.data))
+    return Opened(file, text, _with_its_board(Draft(experiment, document.data)))
+
+
+def _with_its_board(draft: Draft) -> Draft:
+    """With the USB serial number of the board that is there, where the config has none and the board has one."""
+    daq = draft.original.daq
+    if daq.usb_serial is not None or daq.port is None or not daq.port.startswith("/"):
+        return draft
+    if "usb_serial" not in backend_of(draft.original).shared_keys:
+        return draft
+    number = usb_port(daq.port).serial_number
+    return draft if number is None else draft.with_changes({("daq", "usb_serial"): number})
 
 
 def calibrate(
