@@ -25,9 +25,9 @@ from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
-from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder

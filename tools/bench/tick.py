@@ -32,9 +32,9 @@ from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
-from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 from rig.preflight.loop_settings import guard_settings_of, real_time_of

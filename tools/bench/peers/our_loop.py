@@ -16,9 +16,9 @@ import time
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import DeviceInfo, DeviceWatchdog
 from rig.control.guard import Guard, GuardSettings
+from rig.live.stop_flag import StopFlag
 from rig.loop.real_time import RealTimeSettings, real_time
 from rig.loop.runner import Loop
-from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import StopRequest
 from rig.recording.sink import NullSink
 from rig.signals import Limits, Order, Sample
