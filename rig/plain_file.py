@@ -16,27 +16,39 @@ _NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 _ALWAYS: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
 
-class NotPlainError(OSError):
-    """Something else stands in the place of a plain file. ``strerror`` says what, and what to do."""
+class UnfitError(OSError):
+    """What stands under a name is no file that rig reads.
 
-    def __init__(self, path: str | PathLike[str], words: str) -> None:
-        super().__init__(errno.EINVAL, words, os.fspath(path))
+    cause, cure  what it is, and what to do; ``strerror`` has both
+    """
+
+    def __init__(self, path: str | PathLike[str], cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(errno.EINVAL, f"{cause}: {cure}", os.fspath(path))
 
 
-class TooLargeError(OSError):
-    """A file has more bytes than rig reads of its kind. ``strerror`` says how many, and what to do."""
+class NotPlainError(UnfitError):
+    """Something else stands in the place of a plain file."""
+
+
+class TooLargeError(UnfitError):
+    """A file has more bytes than rig reads of its kind."""
 
     def __init__(self, path: str | PathLike[str], most_bytes: int) -> None:
-        words = f"is larger than {_size(most_bytes)}, the most that rig reads of such a file: replace or delete it"
-        super().__init__(errno.EFBIG, words, os.fspath(path))
+        super().__init__(path, f"is larger than {_size(most_bytes)}", "give a smaller one, or delete it")
 
 
 def open_plain(
-    path: str | PathLike[str], flags: int = os.O_RDONLY, *, follows_links: bool = False, folder: int | None = None
+    path: str | PathLike[str],
+    flags: int = os.O_RDONLY,
+    mode: int = 0o600,
+    *,
+    follows_links: bool = False,
+    folder: int | None = None,
 ) -> int:
     """A descriptor of a plain file.
 
-    flags          as for ``os.open``; a file that is made gets mode 0600
+    flags, mode    as for ``os.open``
     follows_links  whether the last part of ``path`` may be a link
     folder         descriptor of the folder that ``path`` is in; None: the present one
 
@@ -48,10 +60,10 @@ def open_plain(
         if not flags & os.O_CREAT:
             raise
     try:
-        descriptor = os.open(path, flags | _ALWAYS | (0 if follows_links else _NO_LINK), 0o600, dir_fd=folder)
+        descriptor = os.open(path, flags | _ALWAYS | (0 if follows_links else _NO_LINK), mode, dir_fd=folder)
     except OSError as error:
         if error.errno == errno.ELOOP and not follows_links:
-            raise NotPlainError(path, _IS_A_LINK) from error
+            raise NotPlainError(path, *_LINK) from error
         raise
     try:
         _require_plain(os.fstat(descriptor), path)
@@ -72,14 +84,13 @@ def read_plain(path: str | PathLike[str], most_bytes: int, *, follows_links: boo
 
 def read_open(file: BinaryIO, path: str | PathLike[str], most_bytes: int) -> bytes:
     """The content of an open file of at most ``most_bytes``. Raises TooLargeError; OSError."""
-    if os.fstat(file.fileno()).st_size <= most_bytes:  # before a byte is read: it may be a file full of holes
-        content = file.read(most_bytes + 1)
-        if len(content) <= most_bytes:
-            return content
-    raise TooLargeError(path, most_bytes)
+    content = file.read(most_bytes + 1)  # a look at its size would say nothing of what is appended meanwhile
+    if len(content) > most_bytes:
+        raise TooLargeError(path, most_bytes)
+    return content
 
 
-_IS_A_LINK: Final = "is a link, and rig follows none here: put the file itself in its place, or delete the link"
+_LINK: Final = ("is a link, and rig follows none here", "put the file itself in its place, or delete the link")
 
 
 def _require_plain(status: os.stat_result, path: str | PathLike[str]) -> None:
@@ -87,10 +98,10 @@ def _require_plain(status: os.stat_result, path: str | PathLike[str]) -> None:
     if stat.S_ISREG(mode):
         return
     if stat.S_ISLNK(mode):
-        raise NotPlainError(path, _IS_A_LINK)
+        raise NotPlainError(path, *_LINK)
     kinds = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
     kind = next((name for is_kind, name in kinds if is_kind(mode)), "a device")
-    raise NotPlainError(path, f"is {kind}, not a file: name a file, or put one in its place")
+    raise NotPlainError(path, f"is {kind}, not a file", "name a file, or put one in its place")
 
 
 def _size(count: int) -> str:

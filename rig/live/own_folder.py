@@ -39,18 +39,20 @@ class HeldError(OSError):
 
 
 class OwnFolder:
-    """rig's own folder in ``runs``, open for the block. It is made where it is missing, and its mode becomes 0700.
+    """rig's own folder in ``runs``, open for the block. Its mode becomes 0700.
 
+    makes       whether it is made where it is missing
     descriptor  of the folder, for calls that take one
-    Raises NotOwnError for a link, for what is no folder, and for the folder of another user; OSError where it cannot
-    be made. Not for Windows.
+    Raises NotOwnError for a link, for what is no folder, and for the folder of another user; OSError where it is
+    missing, or cannot be made. Not for Windows.
     """
 
-    def __init__(self, runs: Path) -> None:
+    def __init__(self, runs: Path, *, makes: bool = True) -> None:
         self.path = runs / NAME
-        runs.mkdir(parents=True, exist_ok=True)
-        with contextlib.suppress(FileExistsError):
-            self.path.mkdir(0o700)
+        if makes:
+            runs.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileExistsError):
+                self.path.mkdir(0o700)
         try:
             self.descriptor = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
         except OSError as error:

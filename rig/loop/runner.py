@@ -100,7 +100,8 @@ class Loop:
 
         Between two blocks the device is in a pause. A fault in the pause is raised here, by ``check_stop``, or by the
         driver when it arms. After the last block ``close`` ends the pause.
-        Raises Fault STOP_UNCONFIRMED, and what the driver and ``check_stop`` raise; ValueError in real time without a flag.
+        Raises Fault STOP_UNCONFIRMED, and what the driver and ``check_stop`` raise; ValueError without a stop flag in
+        real time.
         """
         self.pause_watch.end()
         self.check_stop()

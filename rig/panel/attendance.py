@@ -41,7 +41,7 @@ class Attendance:
         """Promise to be there for 150 ms from now; nothing where there is no calibration that looks."""
         with suppress(OSError, ValueError):
             if self._leaser is None:
-                with OwnFolder(self._out) as folder:
+                with OwnFolder(self._out, makes=False) as folder:
                     self._leaser = Leaser(folder, name=self._name)
             self._leaser.stay()
 

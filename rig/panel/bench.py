@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from rig.config.yaml12 import MOST_BYTES
 from rig.live.lease import Leaser
 from rig.live.running import Lookout, Running, Seen, running
 from rig.live.stop_flag import Runner, StopError, command_of, is_recorded, request_stop, runner_of
@@ -26,6 +27,7 @@ from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
 from rig.panel.processes import Ended, StartedProcess
+from rig.plain_file import read_plain
 
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
 CALIBRATION: Final = Path("the calibration")  # stands for one of this panel that has no flag yet
@@ -346,6 +348,6 @@ class Bench:
 
 def _digest(config: Path) -> str:
     try:
-        return hashlib.sha256(config.read_bytes()).hexdigest()
+        return hashlib.sha256(read_plain(config, MOST_BYTES, follows_links=True)).hexdigest()
     except OSError as error:
         raise RefusedError(409, f"{config} cannot be read: {error.strerror}", "check the path") from error

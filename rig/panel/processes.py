@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from rig.live.born import born
-from rig.live.own_folder import NAME, START_LOCK, HeldError, NotOwnError, OwnFolder
+from rig.live.own_folder import START_LOCK, HeldError, NotOwnError, OwnFolder
 from rig.panel.errors import RefusedError
 from rig.signals import plain
 
@@ -88,14 +88,17 @@ class StartedProcess:
         ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped, self.has_folder)
         if not self.is_others:
             for name in (self._note, _words_of(self._note)):
-                with contextlib.suppress(OSError), OwnFolder(self._out) as folder:
+                with contextlib.suppress(OSError), OwnFolder(self._out, makes=False) as folder:
                     folder.delete(name)
         return ended
 
     def last_words(self) -> str:
         """The last lines that it said on standard error, safe to print."""
         try:
-            with OwnFolder(self._out) as folder, os.fdopen(folder.open(_words_of(self._note)), "rb") as file:
+            with (
+                OwnFolder(self._out, makes=False) as folder,
+                os.fdopen(folder.open(_words_of(self._note)), "rb") as file,
+            ):
                 file.seek(max(file.seek(0, os.SEEK_END) - _LAST_WORDS_BYTES, 0))
                 lines = file.read(_LAST_WORDS_BYTES).decode(errors="replace").splitlines()
         except OSError:
@@ -114,7 +117,7 @@ def one_at_a_time(out: Path) -> Iterator[None]:
                 409, "another panel of this folder starts something", "wait for it, or end that panel"
             ) from error
         except OSError as error:
-            raise _cannot_start("nothing can", error) from error
+            raise RefusedError(503, *_cannot_start("nothing can", error)) from error
         yield
 
 
@@ -131,13 +134,14 @@ def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
             began = born(child.pid)
             folder.write(note, json.dumps({"command": command, "pid": child.pid, "born": began}).encode())
     except OSError as error:
-        raise _cannot_start(f"the {command} cannot", error) from error
+        raise RefusedError(503, *_cannot_start(f"the {command} cannot", error)) from error
     return StartedProcess(out, note, command, child.pid, began, child)
 
 
-def _cannot_start(what: str, error: OSError) -> RefusedError:
+def _cannot_start(what: str, error: OSError) -> tuple[str, str]:
+    """What is wrong, and the cure."""
     cure = "" if isinstance(error, NotOwnError) else "check the disk and its permissions"
-    return RefusedError(503, f"{what} be started: {error.strerror}", cure)
+    return f"{what} be started: {error.strerror}", cure
 
 
 def found_again(out: Path) -> list[StartedProcess]:
@@ -164,10 +168,8 @@ def of_others(out: Path, known: Collection[int]) -> list[StartedProcess]:
 
 def _noted(out: Path) -> list[StartedProcess]:
     """What the notes in rig's folder say. What is no note of ``start`` is not rig's to judge."""
-    if not os.path.lexists(out / NAME):
-        return []  # nothing was ever started here: no folder is made for a look
     try:
-        with OwnFolder(out) as folder:
+        with OwnFolder(out, makes=False) as folder:
             return [one for name in folder.names() if (one := _of_note(out, folder, name)) is not None]
     except OSError:
         return []

@@ -189,7 +189,7 @@ def test_what_others_wrote_into_the_folder_of_runs_hides_none_of_the_rest(tmp_pa
     with TestClient(app, base_url="http://127.0.0.1:8470", headers=ORIGIN) as client:
         rows = client.get("/api/runs").json()["runs"]
         assert [row["name"] for row in rows] == odd[::-1]
-        assert "too large" in rows[0]["notes"][0]
+        assert "larger than" in rows[0]["notes"][0]
         for name in (
             *unseen,
             "20260112T000000Z-" + "\u0416" * 180,

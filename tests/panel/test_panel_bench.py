@@ -278,6 +278,40 @@ def test_one_of_two_runs_that_never_confirms_0_V_is_not_outdone_by_the_other(tmp
         assert [at_zero for _, at_zero, _ in bench.look()] == [False]
 
 
+@pytest.mark.parametrize("file", ["samples.csv", "events.jsonl"])
+def test_a_run_that_cannot_be_read_hides_no_other_one_and_its_stop_is_still_watched(tmp_path: Path, file: str) -> None:
+    """Whatever stands in place of its files: the pages hear of it once, and of the Stop of the other one as ever."""
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "a", "b")
+        watch = bench.panel.watch
+        watch.look()
+        assert watch.scene.run is not None and watch.scene.run.endswith("b")
+        broken = tmp_path / watch.scene.run / file
+        broken.unlink(missing_ok=True)
+        os.mkfifo(broken)
+        bench.stop()
+        bench.event("a", kind="stop", confirmed=True)
+        for _ in range(3):
+            watch.look()
+        told = [news["what"] for _, news in watch.scene.news if news["type"] == "trouble"]
+        assert len(told) == 1 and file in told[0] and "is a pipe" in told[0]
+        assert not any("run-a" in str(asked) for asked in watch._asked), "the other one's Stop was watched to its end"
+
+
+def test_a_view_that_fails_says_so_and_ends_no_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A defect of ours in reading one run: the last wall before all pages go blind."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise OverflowError("cannot convert")
+
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "a")
+        monkeypatch.setattr("rig.live.view.LiveView.read", fails)
+        bench.panel.watch.look()
+        [(_, told)] = bench.panel.watch.scene.news
+        assert "cannot be shown (OverflowError: cannot convert)" in told["what"]
+
+
 def test_a_stop_of_a_run_that_is_not_there_says_so(tmp_path: Path) -> None:
     with ExitStack() as stack:
         bench = Stopped(tmp_path, stack, "goes")

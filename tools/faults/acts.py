@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from faults import damage, host
+from faults import damage, host, strangers
 from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
@@ -267,6 +267,7 @@ ACTS: Mapping[str, Act] = {
     "folder unwritable, in the run": _close_folder,
     "recorder killed": host.kill_recorder,
     "config changed in the run": _change_config,
+    **strangers.ACTS,
     "network dead": _network(to_host=math.inf, to_device=math.inf),
 }
 
