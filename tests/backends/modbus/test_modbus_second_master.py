@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +63,8 @@ class OtherMachine:
 
         block._run_to = both  # type: ignore[method-assign]  # of this block alone
 
-    def begin(self) -> None:
-        self._driver.arm(self._e.device_limits)
+    def begin(self, watchdog_s: float = 0.1) -> None:
+        self._driver.arm(replace(self._e.device_limits, watchdog_s=watchdog_s))
         self._drive()
         self._drive()
         self._due_s = self._block.now_s() + PERIOD_S
@@ -140,7 +141,7 @@ def test_a_block_that_tells_nothing_of_a_second_master_is_opened() -> None:
 def test_what_a_killed_master_has_left_armed_is_opened(name: str) -> None:
     """Its watchdog ends it in the silence; nobody is there who could be disturbed."""
     rig = Rig(experiment(**MAPS[name]))
-    rig.other.begin()
+    rig.other.begin(0.9)
     rig.block.sleep_until(rig.block.now_s() + 0.03)
     rig.other.end()
     rig.driver.open()
