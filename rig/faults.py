@@ -24,6 +24,16 @@ FAULTS: dict[str, FaultEntry] = {
         "the port could not be opened",
         "check the cable, the port's name in daq.port (a plug-in's in daq.options), and that no other program holds it",
     ),
+    "SECOND_MASTER": FaultEntry(
+        "somebody else drives this device, too",
+        "end the other run, or stop it in its panel; on a Modbus device look for another machine or PLC that writes to "
+        "it, then start again",
+    ),
+    "OTHER_BOARD": FaultEntry(
+        "another board is at this port than the one that the config is for",
+        "do what is said here, or plug the boards in as they were. The limits and the calibration of one bench are "
+        "wrong for another: take no number over for a bench that has not been calibrated",
+    ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",
         "check the cable and the device's supply; try the link with `rig doctor CONFIG`, which drives nothing; then "

@@ -63,6 +63,11 @@ class Link(_Section):
         "/dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU) or `emulated-tcp`. With `-realtime` behind it, each of "
         "these words is the same device in a process of its own, in real time",
     )
+    usb_serial: Annotated[str, Field(pattern=r"^[!-~]([ -~]*[!-~])?$", max_length=126)] | None = Field(
+        None,
+        description="of a serial port on USB: the serial number of the board, or of its adapter, that this bench has; "
+        "another one is refused. `rig init` and `rig calibrate` put it in. Default: any board at this port is taken",
+    )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
     )

@@ -104,7 +104,8 @@ class Loop:
 
         Between two blocks the device is in a pause. A fault in the pause is raised here, by ``check_stop``, or by the
         driver when it arms. After the last block ``close`` ends the pause.
-        Raises Fault STOP_UNCONFIRMED, SUSPENDED, and what the driver and ``check_stop`` raise.
+        Raises Fault STOP_UNCONFIRMED, SUSPENDED, and what the driver and ``check_stop`` raise; ValueError in real time
+        without a stop flag.
         """
         with self._suspend_watch.told():
             yield from self._armed(limits)
@@ -113,10 +114,14 @@ class Loop:
         self.pause_watch.end()
         self.check_stop()
         self._suspend_watch.check()
-        if isinstance(self._clock, MonotonicClock):  # in the middle of a tick it would delay the drive
-            gc.collect()
+        if isinstance(self._clock, MonotonicClock):
+            if not self._stop.is_for_all:
+                raise ValueError("in real time nothing drives that has no stop flag: StopFlag.open before the device")
+            gc.collect()  # in the middle of a tick it would delay the drive
         gc.disable()
         try:
+            self._stop.tell_drive(is_on=True)
+            self.check_stop()  # who asked before this was told that nothing drives yet
             self.guard.rearm()
             self._driver.arm(limits)
             self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
@@ -151,6 +156,8 @@ class Loop:
             self._record.event(self.now_s, "stop_failed", error=repr(error))
         self._record.event(self.now_s, "stop", confirmed=stopped)
         self.unconfirmed_stops += not stopped
+        if stopped:
+            self._stop.tell_drive(is_on=False)
         return stopped
 
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:

@@ -401,7 +401,7 @@ FORGED: dict[str, tuple[Any, str, str]] = {
     "exception": (lambda d: [(0.0, signed(bytes((d[0], d[1] | 0x80, 2))))], "MODBUS_EXCEPTION",
                   "illegal data address (2) at"),
     "exception of another": (lambda d: [(0.0, signed(bytes((d[0], 0x90, 2))))], "LINK_REPLY", "FC144"),
-    "stale echo": (lambda d: [(0.0, signed(d[:5] + bytes((d[5] ^ 1, d[6])) + d[7:-2]))], "LINK_REPLY",
+    "stale echo": (lambda d: [(0.0, signed(d[:5] + bytes((d[5], d[6] ^ 1)) + d[7:-2]))], "LINK_REPLY",
                    "echo, holding register 17"),
     "twice at once": (lambda d: [(0.0, d + d)], "LINK_REPLY", "two answers to one request"),
     "twice": (lambda d: [(0.0, d), (0.002, d)], "LINK_REPLY", ""),
@@ -524,7 +524,7 @@ def test_the_devices_status_is_a_fault_by_name(style: str, status: int, code: st
     assert rig.driver.safe_stop()
 
 
-@pytest.mark.parametrize(("status", "code"), [(3, "DEVICE_TRAVEL"), (77, "DEVICE_RESET"), (1, "STOP_UNCONFIRMED")])
+@pytest.mark.parametrize(("status", "code"), [(3, "DEVICE_TRAVEL"), (77, "DEVICE_RESET"), (1, "SECOND_MASTER")])
 @pytest.mark.parametrize("seen_by", ["read", "arm"])
 @pytest.mark.parametrize("style", STYLES)
 def test_whatever_a_device_says_in_a_pause_but_off_is_told(style: str, seen_by: str, status: int, code: str) -> None:
@@ -569,7 +569,7 @@ def test_a_device_that_takes_its_time_to_stop_is_waited_for(status: int) -> None
     assert rig.block.now_s() >= off_s
     rig.driver.read()
     off_s = math.inf
-    with pytest.raises(Fault, match=r"STOP_UNCONFIRMED|DEVICE_RESET"):
+    with pytest.raises(Fault, match=r"SECOND_MASTER|DEVICE_RESET"):
         rig.driver.read()
     assert rig.driver.safe_stop() == (status != 1)
 
