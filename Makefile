@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: whole free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: whole stalls free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -67,7 +67,7 @@ campaign-real: .venv/.ready  ## thousands of motors that are not what the plain 
 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
-	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(AFTERWARDS),--afterwards $(AFTERWARDS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
 	    $(if $(PERCENT),--percent $(PERCENT)) $(if $(PAGE),--page $(PAGE))
 
 free-running: .venv/.ready  ## how often the breakaway check names a bridge that runs free, and falsely one that brakes
@@ -89,6 +89,11 @@ tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs
 
 design: .venv/.ready  ## how soon designed tests tell enough, beside a free optimum: docs/design-table.md
 	PYTHONPATH=tools .venv/bin/python tools/design_table.py
+
+stalls: .venv/.ready firmware  ## random motors, driven by a host that stands still at random: docs/stalls-table.md; it resumes
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stalls \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(CHIPS),--chips $(CHIPS)) $(if $(SEED),--seed $(SEED)) $(if $(JOBS),--jobs $(JOBS)) \
+	    $(if $(PAGE),--page $(PAGE))
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper

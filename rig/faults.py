@@ -24,6 +24,16 @@ FAULTS: dict[str, FaultEntry] = {
         "the port could not be opened",
         "check the cable, the port's name in daq.port (a plug-in's in daq.options), and that no other program holds it",
     ),
+    "SECOND_MASTER": FaultEntry(
+        "somebody else drives this device, too",
+        "end the other run, or stop it in its panel; on a Modbus device look for another machine or PLC that writes to "
+        "it, then start again",
+    ),
+    "OTHER_BOARD": FaultEntry(
+        "another board is at this port than the one that the config is for",
+        "do what is said here, or plug the boards in as they were. The limits and the calibration of one bench are "
+        "wrong for another: take no number over for a bench that has not been calibrated",
+    ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",
         "check the cable and the device's supply; try the link with `rig doctor CONFIG`, which drives nothing; then "
@@ -209,8 +219,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DELAY": FaultEntry(
         "the bench acts too late for the room that it has: from a drive to its motion the shaft could travel too far",
-        "widen limits.hard_rad, or lower limits.max_speed_rad_s or relay.target.amplitude_rad; or find what is late "
-        "and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
+        "widen limits.hard_rad, or lower limits.max_speed_rad_s, relay.target.amplitude_rad or daq.watchdog_s; or find "
+        "what is late and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
     ),
     "LATE": FaultEntry(
         "ticks came late, so strokes of the breakaway check lasted too long",
@@ -240,6 +250,11 @@ FAULTS: dict[str, FaultEntry] = {
     "INTERRUPTED": FaultEntry(
         "the run was interrupted",
         "start it again. If a relay test had its cycles, `rig identify RUN` can still identify it",
+    ),
+    "SUSPENDED": FaultEntry(
+        "the machine was suspended during the run; its clock stood still, the device's did not",
+        "keep it awake and start the run again: `systemd-inhibit --what=sleep:idle rig run CONFIG`, or switch suspend "
+        "off; a device with a watchdog was at 0 V meanwhile, one without may have held its last drive",
     ),
     "LAW_FAILED": FaultEntry(
         "the law failed, or asked for a drive that is no number",

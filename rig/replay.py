@@ -73,6 +73,7 @@ _P = TypeVar("_P", bound=Part)
 
 _WITHOUT_FURTHER_PAIRS = "balanced pairs"  # a breakaway law
 _WITHOUT_REPEATS = "balanced pairs, further ones"  # an older breakaway law
+_WITHOUT_STEPS = "balanced pairs, repeated at the top"  # an older one, which did not know the device's steps
 _RECORD_AGAIN = "record the run again with this version"
 
 
@@ -161,7 +162,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     session = Session(
         e,
         folder,
-        Bench(driver, clock, DeviceInfo("", "record", "", emulated=True), None),
+        Bench(driver, clock, DeviceInfo("", "record", "", emulated=True, drive_units=units), None),
         comparison,
         loop,
         recording.meta,
@@ -398,6 +399,8 @@ def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> Bre
         return stages.breakaway_check(e, further=False)
     if what.breakaway == _WITHOUT_REPEATS:
         return stages.breakaway_check(e, repeats=False)
+    if what.breakaway == _WITHOUT_STEPS:
+        return stages.breakaway_check(e)
     if what.breakaway is None:
         b = e.breakaway
         return OneWayCheck(b.ramp_V_s, b.max_V, b.motion_rad, b.rest_s)

@@ -141,6 +141,8 @@ def record(
     failures: list[str] = []
     with StopFlag() as flag:  # until the report is there
         with stop_on_signals(flag, gone) as stop:
+            with suppress(OSError):  # then there is no room for a run folder either, which is said
+                flag.open(parent, what.name)
             try:
                 with connect(experiment) if again is None else nullcontext(again) as bench:
                     session, recorder = _begin(experiment, parent, what, bench, stop, started)

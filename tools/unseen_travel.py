@@ -15,7 +15,7 @@ import math
 import random
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -111,16 +111,18 @@ def check(
     late: Mapping[int, float] | None = None,
     watchdog_s: float = math.inf,
     freezes_s: float = math.inf,
+    lost: Callable[[int, int], bool] = lambda stroke, tick: False,
 ) -> Seen:
     """Run a breakaway law on a motor in virtual time, its potentiometer sound or ``stuck``.
 
     late        tick, and by how much it comes late, s; the ticks after it come when they are due
     watchdog_s  silence of the host after which the device sets 0 V, latched: the check ends with DEVICE_WATCHDOG
     freezes_s   time from which on a sound sensor shows the same reading; travel then counts from there
+    lost        whether the device never takes the drive of a stroke's tick, by numbers from 0; it holds the last one
     """
     noise, late = random.Random(seed), late or {}
     state, u_V, t_u_s, tick, low, high, end = State(), 0.0, math.nan, 0, 0.0, 0.0, "moves"
-    frozen_rad, from_rad = None, 0.0
+    frozen_rad, from_rad, was_V, begun = None, 0.0, 0.0, 0
     strokes: list[Stroke] = []
 
     def advance(drive_V: float, time_s: float) -> None:
@@ -138,16 +140,20 @@ def check(
                 low = high = state.y
             y_rad = y_rad if frozen_rad is None else frozen_rad
             asked_V = law.step(Sample(t_s, y_rad, 512, math.nan, t_u_s, u_V, tick))
-            if asked_V != 0.0 and u_V == 0.0:
+            if asked_V != 0.0 and was_V == 0.0:
+                begun = tick
                 strokes.append(Stroke(tick, state.y, 1 if asked_V > 0.0 else -1, 0.0))
             if asked_V != 0.0:
                 strokes[-1] = strokes[-1]._replace(last_tick=tick, level_V=abs(asked_V))
+            loses = asked_V != 0.0 and lost(len(strokes) - 1, tick - begun)
             tick += 1
             while tick * period_s <= t_s:  # skipped, as the loop does
                 tick += 1
             until_s = tick * period_s + late.get(tick, 0.0)
             advance(u_V, LATENCY_S)
-            u_V, t_u_s = asked_V, t_s + LATENCY_S
+            was_V = asked_V
+            if not loses:
+                u_V, t_u_s = asked_V, t_s + LATENCY_S
             silent = u_V != 0.0 and until_s - t_s >= watchdog_s
             advance(u_V, min(until_s - t_s, watchdog_s if silent else math.inf) - (0.0 if silent else LATENCY_S))
             if silent:

@@ -55,6 +55,9 @@ static struct {
     unsigned latched; /* bits of what must not be forgotten until it is acknowledged */
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
+    bool pulsing; /* P16 */
+    uint32_t t_pulse_us;
+    uint32_t pulse_us;
     struct {
         bool run; /* else the relay, about `relay_centre` */
         uint8_t body[56];        /* as they were confirmed */
@@ -316,6 +319,7 @@ static void hold_after_tick(void)
         return;
     }
     REQUIRE(board.now_us - witness.t_voice_us < witness.watchdog_ms * 1000u);                  /* P3 */
+    REQUIRE(!witness.pulsing || board.now_us - witness.t_pulse_us < witness.pulse_us);         /* P16 */
     REQUIRE(!is_in_the_way(RIG_E_SENSOR));                                                     /* P5 */
     REQUIRE((board.inputs & RIG_INPUT_ESTOP) == 0u);                                           /* P9 */
     REQUIRE(end() == witness.recovering || end() == 0);                                        /* P4, P9 */
@@ -439,16 +443,31 @@ static uint32_t arrival(void)
     return hardware.arrived_us != NULL ? board.now_us - LAG_US : board.now_us;
 }
 
+/* The time of a pulse counts from the first PULSE after a DRIVE: P16. */
+static void note_pulse(bool pulse, const uint8_t *body)
+{
+    const bool begins = pulse && !witness.pulsing && core.armed;
+    witness.pulsing = pulse && (witness.pulsing || begins);
+    if (begins) {
+        witness.t_pulse_us = board.now_us;
+        witness.pulse_us = u16(body + 2) * 1000u;
+    }
+}
+
 /* A valid frame went in: what it was, what came back, and what that permits. */
 static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_running)
 {
     const uint8_t type = content[1];
     const bool whole = content[0] == RIG_PROTOCOL;
-    const bool is_silent = whole && ((type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_KEEP && n == FRAME_HEADER));
+    const bool drives = (type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_PULSE && n == FRAME_HEADER + 4u);
+    const bool is_silent = whole && (drives || (type == RIG_KEEP && n == FRAME_HEADER));
     REQUIRE(board.replies == (is_silent ? 0u : 1u));
     if (is_silent) {
-        if (type == RIG_DRIVE || was_running) {
+        if (drives || was_running) {
             witness.t_voice_us = arrival();
+        }
+        if (drives) {
+            note_pulse(type == RIG_PULSE, content + FRAME_HEADER);
         }
         return;
     }
@@ -471,6 +490,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         witness.recovering = end();
         witness.outmost = board.counts;
         witness.t_voice_us = arrival();
+        witness.pulsing = false;
         REQUIRE(board.pin == 0);
         break;
     case RIG_RELAY | RIG_REPLY:
@@ -479,6 +499,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         witness.relay_centre = (int32_t)u32(content + FRAME_HEADER + 8u) / 16;
         witness.t_voice_us = arrival();
         witness.strokes.run = false;
+        witness.pulsing = false;
         if (type == RIG_STROKES) {
             note_strokes(content + FRAME_HEADER);
         }
@@ -495,6 +516,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         break;
     case RIG_STOP | RIG_REPLY:
         witness.permitted = false;
+        witness.pulsing = false;
         REQUIRE(board.pin == 0);
         note_state();
         break;

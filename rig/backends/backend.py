@@ -81,7 +81,7 @@ class Backend(ABC):
     name           value of ``daq.driver``
     section        schema of ``daq.options``; None: there are no options, or the driver checks them
     own_keys       the keys of ``daq`` that only this device has; for devices of rig itself
-    shared_keys    which of the keys ``port`` and ``options`` of ``daq`` it has
+    shared_keys    which of the keys ``port``, ``usb_serial`` and ``options`` of ``daq`` it has
     has_chip       whether `rig emulate --chip` works with it
 
     The defaults fit a device of which nothing more is known.
@@ -105,9 +105,11 @@ class Backend(ABC):
     def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
         """The problem of a key of ``daq`` that is given, and that this device does not have.
 
-        owner  the driver whose key it is; "" for ``port`` and ``options``
+        owner  the driver whose key it is; "" for ``port``, ``usb_serial`` and ``options``
         """
         driver = f"`driver: {e.daq.driver}`"
+        if key == "usb_serial":
+            return wrong("daq.usb_serial", f"{driver} has no port on USB", "remove it")
         if key == "port":
             return wrong("daq.port", f"{driver} has no port", "remove it, or set daq.driver to serial")
         whose = f"`driver: {owner}`" if owner else "plug-in drivers"
@@ -253,6 +255,33 @@ class _OwnLine:
 
 
 own_line = _OwnLine()
+
+
+def usb_rules(e: Experiment) -> Iterator[Problem]:
+    """The rule of ``daq.usb_serial``: the port is a device file."""
+    port = e.daq.port
+    if e.daq.usb_serial is not None and port is not None and not port.startswith("/"):
+        yield wrong("daq.usb_serial", f"{port} is no port on USB", "remove it")
+
+
+def usb_notes(e: Experiment) -> Iterator[str]:
+    """That rig cannot tell the board of this bench from another one, where the port is on USB. Opens nothing."""
+    port = e.daq.port
+    if port is None or not port.startswith("/") or e.daq.usb_serial is not None:
+        return
+    from rig.backends.links.usb_port import is_usb_name, usb_port
+
+    found = usb_port(port)
+    if found.vid_is_known and found.serial_number is None:
+        yield (
+            f"the USB adapter at {port} has no serial number of its own: rig takes whatever board is plugged in there "
+            "for this bench's; with two such boards, name the USB socket: a link of /dev/serial/by-path as daq.port"
+        )
+    elif found.serial_number is not None or is_usb_name(port):
+        yield (
+            f"daq.usb_serial is not given: rig takes whatever board is at {port} for this bench's; `rig calibrate` "
+            "puts the number in"
+        )
 
 
 def host_clock(e: Experiment) -> MonotonicClock:

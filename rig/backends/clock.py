@@ -13,6 +13,8 @@ _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
 _EINTR = 4
 STALL_S = 0.02  # by which a paced time may be late before it stands
+_BOOTTIME: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # on Linux: it goes on while the machine is suspended
+_TRIES = 3  # at a first comparison of both clocks: something else may run between the two readings
 
 
 class _Timespec(ctypes.Structure):
@@ -34,6 +36,17 @@ class MonotonicClock:
         self.spin_s = spin_s
         self._libc = ctypes.CDLL(None, use_errno=True) if self.absolute else None
         self._timespec = _Timespec()
+        self._ahead_s = 0.0 if _BOOTTIME is None else min(_boot_after_monotonic_s(_BOOTTIME) for _ in range(_TRIES))
+
+    def asleep_s(self) -> float:
+        """For how long the machine has been suspended since this clock was made, s: this clock stood still meanwhile.
+
+        Never too much: what runs between two readings only makes it less. 0.0 where the system does not tell.
+        """
+        if _BOOTTIME is None:
+            return 0.0
+        boot_s = time.clock_gettime(_BOOTTIME)
+        return max(boot_s - time.monotonic() - self._ahead_s, 0.0)
 
     def now_s(self) -> float:
         """Monotonic time, s."""
@@ -66,6 +79,12 @@ class MonotonicClock:
         if error not in (0, _EINTR):
             raise OSError(error, f"clock_nanosleep: {os.strerror(error)}")
         return error == _EINTR
+
+
+def _boot_after_monotonic_s(boottime: int) -> float:
+    """How far the clock that never stands still is ahead, s: at most."""
+    monotonic_s = time.monotonic()
+    return time.clock_gettime(boottime) - monotonic_s
 
 
 class VirtualClock:

@@ -284,6 +284,23 @@ class RelayRules(Protocol):
 
 
 @runtime_checkable
+class PulseDriver(Driver, Protocol):
+    """A driver whose device may end a drive by itself, after a time and without a fault, whatever the host does.
+
+    pulses  whether this device does; known once it is open
+    """
+
+    pulses: bool
+
+    def write_pulse(self, u_V: float, longest_s: float) -> None:
+        """As ``write``, but the drive ends ``longest_s`` after the first ``write_pulse`` since the last ``write``.
+
+        After that no further one drives, until a ``write`` has come. Raises ValueError where the device has no pulses.
+        """
+        ...
+
+
+@runtime_checkable
 class EncoderDriver(Driver, Protocol):
     """A driver whose device counts an encoder, from wherever it was switched on.
 

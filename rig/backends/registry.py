@@ -106,7 +106,9 @@ def rules(e: Experiment) -> Iterator[Problem]:
     """The problems that keep the experiment from running on its device: keys of other devices, then its own rules."""
     own = backend_of(e)
     given = {key: value for key, value in e.daq if value is not None}
-    yield from (own.foreign_key(e, key) for key in ("port", "options") if key in given.keys() - own.shared_keys)
+    yield from (
+        own.foreign_key(e, key) for key in ("port", "usb_serial", "options") if key in given.keys() - own.shared_keys
+    )
     others = [other for other in map(backend_named, BUILT_IN) if other.own_keys is not own.own_keys]
     for other in others:
         keys = other.own_keys.model_fields if other.own_keys is not None else ()

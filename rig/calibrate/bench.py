@@ -18,6 +18,7 @@ from rig.control.guard import Guard
 from rig.control.law import Rest
 from rig.experiment import run_breakaway, zero
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.loop.runner import Loop
 from rig.loop.stop_request import Gone, stop_on_signals
 from rig.preflight.loop_settings import guard_settings_of
@@ -33,6 +34,7 @@ class HandBench:
 
     experiment  the config as it was read: it says which bench
     runs        folder in which the strokes' run folders are made
+    flag        of the calibration; a Stop that comes while nothing drives refuses the next drive
     gone        who has to be there while it drives, and is not: as of ``StopRequest``
 
     On an emulated bench nobody can turn the shaft. So for each reading the emulated device starts anew with its shaft
@@ -40,8 +42,9 @@ class HandBench:
     same bench in simulation is read (``daq.driver: simulated``).
     """
 
-    def __init__(self, experiment: Experiment, runs: Path, gone: Gone | None = None) -> None:
+    def __init__(self, experiment: Experiment, runs: Path, flag: StopFlag, gone: Gone | None = None) -> None:
         self._runs = runs
+        self._flag = flag
         self._gone = gone
         self._is_emulated = backend_of(experiment).is_emulated(experiment)
         self._readings = 0
@@ -67,6 +70,7 @@ class HandBench:
         except Fault as fault:
             self._close()
             if fault.code == "INTERRUPTED":
+                self._flag.forget()
                 raise Refusal(stopped(fault), "measure again, or leave this step out") from fault
             raise Refusal(str(fault), fault.cure) from fault
 
@@ -81,11 +85,25 @@ class HandBench:
                 return None
             case Strokes():
                 self._close()
-                return _strokes(request.experiment, self._runs, self._gone)
+                self._require_no_stop()
+                seen = _strokes(request.experiment, self._runs, self._stop_or_gone)
+                if seen.fault is not None and seen.fault.code == "INTERRUPTED":
+                    self._flag.forget()
+                return seen
             case Hold():
                 self._close()
                 e = _motor_off(request.experiment) if self._is_emulated else request.experiment
-                return _hold(e, request, self._gone)
+                return _hold(e, request, self._flag, self._gone)
+
+    def _require_no_stop(self) -> None:
+        """Raise Fault INTERRUPTED if a Stop has come since the last drive: who asked was told that nothing drives."""
+        if by := self._flag.asked_by():
+            raise Fault("INTERRUPTED", f"Stop by {by}")
+
+    def _stop_or_gone(self) -> str:
+        """For a run of its own, with a flag of its own: why it has to end; empty: it need not."""
+        by = self._flag.asked_by()
+        return f"Stop by {by}" if by else "" if self._gone is None else self._gone()
 
     def _close(self) -> None:
         self._bench = None
@@ -125,7 +143,7 @@ def _reading(bench: Bench, period_s: float) -> Reading:
     return Reading(median(counts), stdev(counts), fmean(counts[half:]) - fmean(counts[:half]), bench.info.board)
 
 
-def _strokes(e: Experiment, runs: Path, gone: Gone | None = None) -> StrokesSeen:
+def _strokes(e: Experiment, runs: Path, gone: Gone) -> StrokesSeen:
     try:
         outcome = run_breakaway(e, runs, gone=gone)
     except Fault as fault:  # the bench could not be opened
@@ -145,10 +163,10 @@ def _motor_off(e: Experiment) -> Experiment:
     return e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wiring})})
 
 
-def _hold(e: Experiment, request: Hold, gone: Gone | None = None) -> float:
+def _hold(e: Experiment, request: Hold, flag: StopFlag, gone: Gone | None = None) -> float:
     """How far the shaft turned, rad. Nothing is recorded."""
     law = _Held(request.u_V, request.seconds, e.breakaway.motion_rad)
-    with stop_on_signals(gone=gone) as stop, connect(e) as bench:
+    with stop_on_signals(flag, gone) as stop, connect(e) as bench:
         guard = Guard(replace(guard_settings_of(e), limits=e.device_limits))
         loop = Loop(bench.driver, bench.clock, guard, NullSink(), e.period_s, stop)
         try:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from rig.backends.links.device_file import require_device_file
+from rig.backends.links.usb_port import usb_port
+from rig.backends.registry import backend_of
 from rig.calibrate.dialogue import Ask, Hold, Motion, Say, Skipped, Strokes
 from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
@@ -17,8 +20,12 @@ from rig.config.edit import EditError
 from rig.config.load import load_with_places
 from rig.config.problems import ConfigError
 from rig.errors import RigError
+from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import Gone
 from rig.preflight import preflight
+
+if TYPE_CHECKING:
+    from rig.calibrate.bench import HandBench
 
 _NEEDED_BEFORE = ("daq", "drive.bridge", "emulated", "loop.pace")  # keys without which no device can be opened
 
@@ -83,17 +90,33 @@ def open_config(file: Path, pace: float | None = None) -> Opened:
         raise ConfigError(map(document.located, problems))
     text = read_text(file)
     require_device_file(experiment.daq.port)
-    return Opened(file, text, Draft(experiment, document.data))
+    return Opened(file, text, _with_its_board(Draft(experiment, document.data)))
 
 
-def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front, gone: Gone | None = None) -> Finished:
+def _with_its_board(draft: Draft) -> Draft:
+    """With the USB serial number of the board that is there, where the config has none and the board has one."""
+    daq = draft.original.daq
+    if daq.usb_serial is not None or daq.port is None or not daq.port.startswith("/"):
+        return draft
+    if "usb_serial" not in backend_of(draft.original).shared_keys:
+        return draft
+    number = usb_port(daq.port).serial_number
+    return draft if number is None else draft.with_changes({("daq", "usb_serial"): number})
+
+
+def calibrate(
+    opened: Opened, steps: Sequence[str], runs: Path, front: Front, flag: StopFlag, gone: Gone | None = None
+) -> Finished:
     """Go through the steps, show what would change, ask, write.
 
     steps  names among ``steps_for`` the config
     runs   folder in which the strokes' run folders are made
+    flag   of the calibration, open: every Stop knows it
     gone   who has to be there while it drives, and is not: as of ``StopRequest``
     Raises NotWrittenError, Fault, ConfigError; RecordingError for a full disk.
     """
+    from rig.calibrate.bench import HandBench  # scipy comes with it: a config that is refused need not wait for it
+
     file = opened.file
     try:
         require_writable(file)  # before anybody turns a shaft
@@ -101,7 +124,7 @@ def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front, go
         raise NotWrittenError(error.cause, error.cure) from error
     except OSError as error:
         raise NotWrittenError(f"{file}: {error.strerror}", "check the path") from error
-    found = _measured(opened.draft, steps, runs, front, gone)
+    found = _measured(opened.draft, steps, front, partial(HandBench, opened.draft.original, runs, flag, gone))
     problems = tuple(map(str, preflight(found.experiment).problems))
     if not found.changes:
         front.say(Say(f"{file}: nothing to change"))
@@ -121,13 +144,12 @@ def calibrate(opened: Opened, steps: Sequence[str], runs: Path, front: Front, go
     return Finished(found, backup, problems)
 
 
-def _measured(draft: Draft, steps: Sequence[str], runs: Path, front: Front, gone: Gone | None) -> Draft:
+def _measured(draft: Draft, steps: Sequence[str], front: Front, bench_of: Callable[[], HandBench]) -> Draft:
     """The draft after the steps."""
-    from rig.calibrate.bench import HandBench  # scipy comes with them: a config that is refused need not wait for it
     from rig.identify.ready import make_ready
 
     dialogue = calibration(draft, steps)
-    with HandBench(draft.original, runs, gone) as bench:
+    with bench_of() as bench:
         try:
             request = next(dialogue)
             while True:

@@ -14,6 +14,7 @@ from rig.calibrate.wiring import text as drawn
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.config.problems import ConfigError, key_of
+from rig.live.unrecorded import told
 from rig.recording.folder import json_text
 from rig.signals import plain
 
@@ -54,9 +55,9 @@ def calibrate(
         terminal = _Terminal(
             config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=as_json
         )
-        terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
-        with faults():
-            done = go_through(opened, steps or tuple(known), out, terminal)
+        with faults(), told(out, "calibrate") as flag:
+            terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
+            done = go_through(opened, steps or tuple(known), out, terminal, flag)
     except ConfigError as error:
         fail_config(error)
     except NotWrittenError as error:

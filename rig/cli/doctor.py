@@ -71,12 +71,13 @@ def _loop_back(port: str, baud: int, out: Path, *, as_json: bool) -> None:
     from datetime import datetime
 
     from rig.doctor import loopback
+    from rig.live.unrecorded import told
 
     if not as_json:
         click.echo(loopback.DRAWING + "\n")
     with faults():
-        with loopback.bare_board(port, baud) as board:
-            visit = loopback.visit_board(board)
+        with told(out, "doctor") as flag, loopback.bare_board(port, baud) as board:
+            visit = loopback.visit_board(board, flag=flag)
         now = datetime.now()
         report = loopback.write_report(visit, port, out, now)
     if as_json:

@@ -13,6 +13,7 @@ import click
 from rig.backends.emulated.errors import EmulationError
 from rig.config import ConfigError
 from rig.faults import Fault
+from rig.live.unrecorded import BusyError
 from rig.recording.errors import CannotWriteError, RecordingError
 
 if TYPE_CHECKING:  # scipy comes with it
@@ -56,12 +57,14 @@ def fail_config(error: ConfigError, verdict: str = "") -> NoReturn:
 
 @contextlib.contextmanager
 def faults() -> Iterator[None]:
-    """Exit for a fault, a bad recording or a broken emulated device that the block raises."""
+    """Exit for a fault, a bad recording, a broken emulated device, or a busy folder that the block raises."""
     try:
         yield
     except Fault as fault:
         fail(EXIT_FAILED, str(fault), fault.cure)
     except EmulationError as error:
         fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
+    except BusyError as error:
+        fail(EXIT_FAILED, error.cause, error.cure)
     except RecordingError as error:
         fail_input(error)

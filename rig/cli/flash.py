@@ -25,6 +25,11 @@ if TYPE_CHECKING:  # it loads slowly
     help="Serial port. Default: the Uno or clone, if just one is plugged in. A Pico is only asked there who it is.",
 )  # fmt: skip
 @click.option(
+    "--usb-serial", metavar="NUMBER", default=None,
+    help="Refuse another board than the one with this serial number on USB: daq.usb_serial of the config. Without "
+    "--port: find it.",
+)  # fmt: skip
+@click.option(
     "--drive", type=click.Path(path_type=Path), default=None,
     help="Folder where the Pico's drive is mounted. Default: the only one there is.",
 )  # fmt: skip
@@ -53,6 +58,7 @@ if TYPE_CHECKING:  # it loads slowly
 def flash(
     board: str,
     port: str | None,
+    usb_serial: str | None,
     drive: Path | None,
     baud: str,
     bridge: str,
@@ -86,12 +92,26 @@ def flash(
         )
     try:
         with faults():
+            port = _port_of(port, usb_serial)
             if board == "uno":
                 _flash_uno(options, port, given, dry_run=dry_run)
             else:
                 _flash_pico(options, port, given, drive, dry_run=dry_run)
     except FlashError as error:
         fail(error.status, error.cause, error.cure)
+
+
+def _port_of(port: str | None, usb_serial: str | None) -> str | None:
+    """The port that is given, or the one with that number on USB. Raises Fault OTHER_BOARD, LINK_OPEN."""
+    from rig.backends.links.usb_port import check_board, port_of
+    from rig.faults import Fault
+
+    if usb_serial is None:
+        return port
+    if port is None and not (port := port_of(usb_serial)):
+        raise Fault("LINK_OPEN", f"no port of this machine has serial number {usb_serial} on USB")
+    check_board(port, usb_serial, "--usb-serial")
+    return port
 
 
 def _refuse_the_other_boards(board: str, hex_file: Path | None, uf2: Path | None, drive: Path | None) -> None:

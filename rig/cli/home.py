@@ -8,7 +8,7 @@ import click
 
 from rig.cli.driving import checked_bench
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
-from rig.cli.options import CONFIG, JSON, PACE
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.recording.folder import json_text
 
 
@@ -16,14 +16,16 @@ from rig.recording.folder import json_text
 @CONFIG
 @click.option("--at-rad", type=float, default=0.0, show_default=True, help="By hand: where the shaft stands, rad.")
 @click.option("--here", is_flag=True, help="By hand: the shaft stands there already; do not ask.")
+@OUT
 @PACE
 @JSON
-def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_json: bool) -> None:
+def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | None, as_json: bool) -> None:
     """Set the zero of an encoder, which counts from wherever it was switched on.
 
     By hand: turn the shaft to its zero, and press Enter. With an end switch (sensor.encoder.home): rig drives the shaft
     to the switch, and back inside. The device keeps the zero until its next reset, a fault of the encoder, or the next
-    homing: that forgets it first, so that one that fails leaves none.
+    homing: that forgets it first, so that one that fails leaves none. Nothing is recorded: --out is the folder of the
+    panels that can stop it.
     """
     experiment = checked_bench(config_path, pace)
     from rig.experiment import zero
@@ -62,7 +64,7 @@ def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_js
             err=True,
         )
     with faults():
-        found = zero.by_switch(experiment) if by_switch else zero.by_hand(experiment, at_rad)
+        found = zero.by_switch(experiment, out) if by_switch else zero.by_hand(experiment, at_rad)
     if as_json:
         click.echo(
             json_text({"y_rad": found.y_rad, "y_counts": found.y_counts, "from_counts": found.from_counts}), nl=False

@@ -64,7 +64,9 @@ def init(
     comments say how to measure each. It never replaces a file.
     """
     from rig import preflight
+    from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import flash_line
+    from rig.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
     if yes:
@@ -127,7 +129,8 @@ def init(
                 "no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, asks
             ),
         }
-        answers = new_bench.Answers(**told)
+        number_on_usb = usb_port(port).serial_number
+        answers = new_bench.Answers(**told, usb_serial=number_on_usb or "")
         text = new_bench.text(answers, str(file))
     except new_bench.AnswerError as error:
         again = (
@@ -140,11 +143,19 @@ def init(
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
         experiment, _ = preflight.check(file)
+        longest_s = longest_watchdog_s(experiment)
+        if longest_s is not None and longest_s > experiment.daq.watchdog_s:
+            file.write_text(new_bench.with_watchdog(text, longest_s), encoding="utf-8")
+            experiment, _ = preflight.check(file)
     except OSError as error:
         fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
     except ConfigError as error:
         fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
+    if number_on_usb is None:
+        click.echo(f"no board with a USB serial number is at {port}: rig cannot tell another one there from this one")
+    else:
+        click.echo(f"this config is for the board with USB serial number {number_on_usb}, and for no other")
     click.echo(flash_line(experiment, board))
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")

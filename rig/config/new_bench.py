@@ -5,6 +5,7 @@ What can be answered stands in tables: a board, a sensor or a bridge more is one
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import dataclass
@@ -108,6 +109,7 @@ class Answers:
     no_load_rpm            speed of the measured shaft without load at that supply, revolutions a minute
     counts_per_turn, gear  of an encoder: counts for a turn of its shaft, and its turns for one of the measured shaft
     turns                  either way, for limits "turns"
+    usb_serial             of the board that is plugged in at the port; "": none is, or it has no such number
     Raises AnswerError.
     """
 
@@ -122,6 +124,7 @@ class Answers:
     counts_per_turn: int = 64
     gear: float = 1.0
     turns: float = 10.0
+    usb_serial: str = ""
 
     def __post_init__(self) -> None:
         for answer, table in (
@@ -230,11 +233,18 @@ def text(answers: Answers, file: str) -> str:
         ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
     ):
         new = _with(new, key, value)
+    if answers.usb_serial:
+        new = re.sub(r"(?m)^(\s*)(port:.*\n)", lambda found: found[0] + found[1] + _usb_line(answers), new, count=1)
     if answers.sensor == "encoder":
         new = _with_encoder(new, answers)
     if not has_stops:
         new = _without_stops(new, answers)
     return _with_introduction(new, answers, module).replace(f"config/{board.example}.yaml", file)
+
+
+def with_watchdog(config: str, watchdog_s: float) -> str:
+    """The config with this watchdog time, s: the longest that the room to stop bears needs the config to be read."""
+    return _with(config, "watchdog_s", f"{watchdog_s:g}")
 
 
 def _with_encoder(config: str, answers: Answers) -> str:
@@ -270,6 +280,12 @@ def _without_stops(config: str, answers: Answers) -> str:
     else:
         lines[0] += "; the firmware arms once the e-stop was pressed and released"
     return config[:start] + "\n".join(lines) + "\n" + config[end:]
+
+
+def _usb_line(answers: Answers) -> str:
+    return (
+        f"usb_serial: {json.dumps(answers.usb_serial)}    # of this bench's board: another one at the port is refused\n"
+    )
 
 
 def _rows(*points: tuple[int, float]) -> str:

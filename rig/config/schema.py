@@ -63,6 +63,11 @@ class Link(_Section):
         "/dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU) or `emulated-tcp`. With `-realtime` behind it, each of "
         "these words is the same device in a process of its own, in real time",
     )
+    usb_serial: Annotated[str, Field(pattern=r"^[!-~]([ -~]*[!-~])?$", max_length=126)] | None = Field(
+        None,
+        description="of a serial port on USB: the serial number of the board, or of its adapter, that this bench has; "
+        "another one is refused. `rig init` and `rig calibrate` put it in. Default: any board at this port is taken",
+    )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
     )
@@ -71,10 +76,10 @@ class Link(_Section):
 class LinkTimes(_Section):
     """How long host and device wait for each other."""
 
-    timeout_s: Positive = Field(0.03, description="longest wait for one reply")
+    timeout_s: Positive = Field(0.03, description="after it a reply is late: it is asked for again, or waited for")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")
     watchdog_s: Annotated[float, Field(gt=0, le=1.0)] = Field(
-        0.1, description="host silence before the device sets 0 V; 3 to 10 periods"
+        0.1, description="host silence before the device sets 0 V: `rig check` tells the longest that there is room for"
     )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Literal, NamedTuple, Protocol
@@ -14,9 +14,13 @@ from rig.signals import Sample
 _QUEUED = 1.5  # periods; a device that acts later keeps drives waiting, and its reports may leave one out
 _SEEN_PERIODS = 4  # that a stroke and the report of its end have, at least, before the next one
 _LONGEST_WAIT_S = 0.3  # for the report of the first stroke, before it counts as lost
+_LEAST_SPARE_S = 0.002  # by which a device's own end of a stroke comes after the check's
+_FEWEST_AT_REST = 8  # readings of a rest, and of a pause after the shaft has stopped: a gap may have taken the others
+_FEWEST_STILL = 3
 _ROUNDING = 1e-9
 SURELY = 0.5  # of motion_rad: displacements to which noise adds up once in e^6 strokes
 _LEFT_OVER = 0.55  # periods; a stroke lasts whole periods, so one that takes back another is off by up to half of one
+_MOST_SHORT = 8  # strokes of one check: more is no single stall, and what repeats them drifts
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class RestingCheck:
         Raises Fault SENSOR_NOISY (in the first rest), DRIVE_STUCK_ON.
         """
         self._rest_y.append(sample.y_rad)
-        if elapsed_s < self.rest_s:
+        if elapsed_s < self.rest_s or len(self._rest_y) < _FEWEST_AT_REST:
             return None
         # the second half: the shaft has coasted to a stop by then
         still = self._rest_y[len(self._rest_y) // 2 :]
@@ -148,9 +152,14 @@ class BreakawayCheck(RestingCheck):
     between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
     sensor fails. ``rig.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
 
-    A late tick makes its stroke longer. The stroke back lasts as long as that stroke really acted. If the stroke back
-    is itself too long, one more stroke in each direction makes them equal again. All strokes together may be longer
-    than planned by ``plan.late_s``.
+    A late tick makes its stroke longer, by a period at most where the device ends it itself (``pulse_s``), or shorter
+    where it begins late. The stroke back lasts as long as that stroke really acted. If the stroke back itself is off,
+    one more stroke in each direction makes them equal again. All strokes together may be longer than planned by
+    ``plan.late_s``. One that came short turns the shaft no farther than planned; more than a few end the check. A gap
+    of the readings makes a pause longer.
+
+    A drive rises within its stroke. Its first ticks may be less than half a step of the device, which then drives 0 V:
+    by the device's reports the stroke begins after them. They belong to it all the same.
 
     The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
     sensor shows its motion. After the planned pairs the check then goes on at ``max_V``: by no more than
@@ -163,6 +172,7 @@ class BreakawayCheck(RestingCheck):
     rest_s      rest before and after; the first rest measures the sensor's noise
     plan        lengths of strokes and pauses
     period_s    period of the loop
+    quantised   what the device drives for a drive, V; float: it has no steps
 
     A device may keep a drive waiting. ``reported_delay_s`` is the time from the sample on which a stroke was decided to
     its begin, by the device's reports; each pause lasts until the device has reported the end of its stroke.
@@ -174,7 +184,7 @@ class BreakawayCheck(RestingCheck):
     so high that noise alone hardly explains the motion below it: what a guard may expect to move the shaft.
 
     Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LOAD_TURNS
-    (moves the same way under strokes to either side), LATE.
+    (moves the same way under strokes to either side), LATE (too long), LINK_TIMEOUT (too many came short).
     """
 
     def __init__(
@@ -185,6 +195,7 @@ class BreakawayCheck(RestingCheck):
         rest_s: float,
         plan: StrokePlan,
         period_s: float,
+        quantised: Callable[[float], float] = float,
     ) -> None:
         super().__init__(motion_rad, rest_s)
         self.max_V = max_V
@@ -194,6 +205,7 @@ class BreakawayCheck(RestingCheck):
         self._top_pause_s = plan.pause_s if plan.top_pause_s is None else plan.top_pause_s
         self._period_s = period_s
         self._late_s = plan.late_s
+        self._quantised = quantised
         self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
         self._since_s = math.nan  # start of the phase
         self._pair = 0
@@ -202,16 +214,19 @@ class BreakawayCheck(RestingCheck):
         self._meant_s = 0.0  # its planned length
         self._begun_s = self._ended_s = math.nan  # when it began and ceased to act, by the samples' times
         self._asked_s = (math.nan, math.nan)  # the same, by the samples at which the check asked for it
-        self._asked: list[tuple[float, float]] = []  # what it asked for in this stroke, and when
+        self._asked: list[
+            tuple[float, float]
+        ] = []  # when it asked for a drive in this stroke, and what the device makes
         self._delays_s: list[float] = []  # of each stroke so far, by the device's reports
         self._has_times = False  # whether samples tell when the drive acts
         self._needed: list[_Stroke] = []  # strokes that the pair still needs, in their order
         self._ahead_s = (
             0.0  # how much longer strokes towards rising positions have acted than those that took them back
         )
-        self._longer_s = 0.0  # how much longer or shorter than planned all strokes were, added up
+        self._longer_s = 0.0  # how much longer than planned those strokes were that were too long, added up
+        self._short = 0  # strokes that came short
         self._before_rad = 0.0  # where it stood before the stroke
-        self._pause_y: list[float] = []
+        self._pause_y: list[tuple[float, float]] = []  # s and rad
         self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
         self._against = {1: 0.0, -1: 0.0}
         self._further, self._in_all = plan.further, plan.in_all
@@ -252,6 +267,11 @@ class BreakawayCheck(RestingCheck):
         self._since_s = sample.t_s
         self._pause_y = []
 
+    @property
+    def pulse_s(self) -> float:
+        """Longest time from the begin of this stroke's drive to its end, s: so a device that can ends it by itself."""
+        return self._meant_s + max(self._period_s, _LEAST_SPARE_S)
+
     def _watch_drive(self, sample: Sample) -> None:
         """Note when the stroke's drive began and ceased to act: a drive may be lost, or written late."""
         if self._phase not in ("stroke", "pause") or math.isnan(sample.t_u_s):
@@ -274,13 +294,18 @@ class BreakawayCheck(RestingCheck):
 
     def _acted_s(self) -> float:
         """How long the stroke acted, s; without times, and where drives wait: how long the check asked for it."""
-        if self.reported_delay_s > _QUEUED * self._period_s:
-            return self._asked_s[1] - self._asked_s[0]
-        if self._has_times and math.isnan(self._begun_s):
+        queued = self.reported_delay_s > _QUEUED * self._period_s
+        if self._is_lost() and not queued:
             return 0.0
-        if math.isnan(self._begun_s) or math.isnan(self._ended_s):
+        if queued or math.isnan(self._begun_s) or math.isnan(self._ended_s):
             return self._asked_s[1] - self._asked_s[0]
-        return self._ended_s - self._begun_s
+        # ticks before the first that the device can drive belong to the stroke
+        driven_s = next(t_s for t_s, u_V in self._asked if u_V != 0.0)
+        return self._ended_s - self._begun_s + driven_s - self._asked_s[0]
+
+    def _is_lost(self) -> bool:
+        """Whether the device reports none of the stroke's drive, although it can drive it."""
+        return self._has_times and math.isnan(self._begun_s) and any(u_V != 0.0 for _, u_V in self._asked)
 
     def _next_stroke(self, sample: Sample, from_rad: float) -> float:
         """Begin the next stroke of the pair, or the first one of a stronger pair; its drive, V."""
@@ -324,7 +349,7 @@ class BreakawayCheck(RestingCheck):
     def _ask(self, sample: Sample, elapsed_s: float) -> float:
         """The stroke's drive at this sample, V; noted."""
         u_V = self._stroke_V(elapsed_s)
-        self._asked.append((sample.t_s, u_V))
+        self._asked.append((sample.t_s, self._quantised(u_V)))
         return u_V
 
     def _stroke_V(self, elapsed_s: float) -> float:
@@ -336,11 +361,14 @@ class BreakawayCheck(RestingCheck):
 
     def _pause(self, sample: Sample, elapsed_s: float) -> float:
         """Wait until the shaft stands, judge the stroke, begin the next one. Returns the drive, V."""
-        self._pause_y.append(sample.y_rad)
+        self._pause_y.append((sample.t_s, sample.y_rad))
         if elapsed_s < self._least_pause_s() - 0.5 * self._period_s:
             return 0.0
-        # the last two thirds: the shaft has mostly coasted to a stop by then
-        still = self._pause_y[len(self._pause_y) // 3 :]
+        # the last two thirds, of the readings and of the time: the shaft has mostly coasted to a stop by then
+        coasted_s = self._since_s + elapsed_s / 3.0 - 0.5 * self._period_s
+        still = [y_rad for t_s, y_rad in self._pause_y[len(self._pause_y) // 3 :] if t_s >= coasted_s]
+        if len(still) < _FEWEST_STILL:
+            return 0.0
         if self._turns(still):
             if elapsed_s > 10.0 * self.rest_s:
                 raise Fault("DRIVE_STUCK_ON", f"the shaft still turns {elapsed_s:.1f} s after the drive was set to 0 V")
@@ -361,23 +389,21 @@ class BreakawayCheck(RestingCheck):
         pause_s = self._top_pause_s if repeats else self._pause_s
         if self._delays_s:
             return max(pause_s, self.reported_delay_s + _SEEN_PERIODS * self._period_s)
-        return max(pause_s, _LONGEST_WAIT_S) if self._has_times and math.isnan(self._begun_s) else pause_s
+        return max(pause_s, _LONGEST_WAIT_S) if self._is_lost() else pause_s
 
     def _balance(self) -> None:
-        """Plan the strokes that the pair still needs, by how long this one really acted. Raises Fault LATE."""
+        """Plan the strokes that the pair still needs, by how long this one really acted.
+
+        Raises Fault LATE, LINK_TIMEOUT.
+        """
         acted_s, stroke = self._acted_s(), self._needed.pop(0)
         way, error_s = stroke.way, acted_s - self._meant_s
         as_meant = abs(error_s) <= 0.5 * self._period_s
         if not as_meant:
-            self._longer_s += abs(error_s)
-            if self._longer_s > self._late_s:
-                raise Fault(
-                    "LATE",
-                    f"a stroke of {way * self._level_V:+.2f} V lasted {1e3 * acted_s:.0f} ms instead of "
-                    f"{1e3 * self._meant_s:.0f} ms; all strokes together may be off by {1e3 * self._late_s:.0f} ms",
-                )
+            self._count_off(way, acted_s, error_s)
         if acted_s < 0.5 * self._period_s:
-            self._needed.insert(0, stroke)  # it never reached the motor
+            self._needed.insert(0, stroke)  # it hardly reached the motor
+            self._ahead_s += way * acted_s
         elif not stroke.takes_back:
             self._needed.append(_Stroke(-way, acted_s, takes_back=True))
         elif as_meant:
@@ -385,6 +411,25 @@ class BreakawayCheck(RestingCheck):
         else:
             # it took back more, or less, than it should: one more stroke in each direction balances both
             self._needed[:0] = [_Stroke(-way, acted_s, takes_back=True), stroke]
+
+    def _count_off(self, way: int, acted_s: float, error_s: float) -> None:
+        """Count a stroke that did not last as long as meant. Raises Fault LATE, LINK_TIMEOUT."""
+        lasted = (
+            f"a stroke of {way * self._level_V:+.2f} V lasted {1e3 * acted_s:.0f} ms instead of "
+            f"{1e3 * self._meant_s:.0f} ms"
+        )
+        if error_s > 0.0:
+            self._longer_s += error_s
+            if self._longer_s > self._late_s:
+                raise Fault("LATE", f"{lasted}; all strokes together may be longer by {1e3 * self._late_s:.0f} ms")
+            return
+        self._short += 1
+        if self._short > _MOST_SHORT:
+            raise Fault(
+                "LINK_TIMEOUT",
+                f"{lasted}, as {_MOST_SHORT} before it: the device takes drives late, not at all, or in coarser "
+                "steps than it says",
+            )
 
     def _judge(self, stood_rad: float, samples: int) -> None:
         """Add the stroke's displacement to that of the earlier strokes in its direction.

@@ -18,6 +18,8 @@ from rig.backends.serial import frames
 from rig.backends.serial.frames import BOARDS, BRIDGES, Code, Hello, code_name
 from rig.backends.serial.loopback import REPEATS, WATCHDOG_MS, Measured, Share, Trip, measure
 from rig.doctor.finding import Finding
+from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.package import VERSION
 
 if TYPE_CHECKING:  # it loads slowly
@@ -330,10 +332,35 @@ class Visit(NamedTuple):
         return all(finding.state != "bad" for finding in self.findings)
 
 
-def visit_board(transport: Transport, repeats: int = REPEATS) -> Visit:
-    """Measure and judge the board behind a transport. ``repeats``, and what it raises, as of ``measure``."""
-    found = measure(transport, repeats)
+def visit_board(transport: Transport, repeats: int = REPEATS, flag: StopFlag | None = None) -> Visit:
+    """Measure and judge the board behind a transport. ``repeats``, and what it raises, as of ``measure``.
+
+    flag  of who drives the board's pins; None: nobody else can stop it
+    Raises Fault INTERRUPTED, too.
+    """
+    if flag is None:
+        found = measure(transport, repeats)
+    else:
+        flag.tell_drive(is_on=True)
+        found = measure(_Stoppable(transport, flag), repeats)
+        flag.tell_drive(is_on=False)
     return Visit(found, tuple(judge(found)))
+
+
+class _Stoppable:
+    """A transport on which a Stop ends what is measured, with the next request; what ends the drive goes through."""
+
+    def __init__(self, transport: Transport, flag: StopFlag) -> None:
+        self._transport, self._flag = transport, flag
+        self._is_told = False
+        self.read, self.now_s, self.close = transport.read, transport.now_s, transport.close
+
+    def write(self, data: bytes) -> None:
+        """Send it. Raises Fault INTERRUPTED once, if a Stop was asked for."""
+        if not self._is_told and (by := self._flag.asked_by()):
+            self._is_told = True
+            raise Fault("INTERRUPTED", f"Stop by {by}")
+        self._transport.write(data)
 
 
 def write_report(visit: Visit, port: str, folder: Path, now: datetime) -> Path:

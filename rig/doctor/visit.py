@@ -14,6 +14,7 @@ from rig.doctor.finding import Finding
 from rig.faults import Fault, since_the_last_run
 from rig.loop.real_time import real_time
 from rig.preflight.loop_settings import real_time_of
+from rig.preflight.room_to_stop import watchdog_words
 
 SECONDS = 3.0  # of ticks
 _PERIOD_S, _SPIN_S = 0.01, 200e-6  # without a config
@@ -42,6 +43,9 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
         yield port
         if port.state == "bad":
             return
+    if words := watchdog_words(experiment):
+        topic, _, told = words.partition(": ")
+        yield Finding(topic, "note", told)
     try:
         with connect(experiment) as bench:
             yield Finding("device", "good", bench.driver.backend)

@@ -33,7 +33,7 @@ from rig.preflight.survey_room import expected_sweeps
 from rig.results import ScriptCall
 from rig.session import OnStart, Outcome, Session, record
 
-BREAKAWAY_LAW = "balanced pairs, repeated at the top"  # in meta.json, so that a replay knows which law ran
+BREAKAWAY_LAW = "balanced pairs, in the device's steps"  # in meta.json, so that a replay knows which law ran
 
 
 def run(

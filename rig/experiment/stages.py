@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock, PacedClock
+from rig.backends.driver import PulseDriver
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
@@ -157,11 +158,15 @@ def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
 
 
 def armed_check(session: Session, check: BreakawayLaw | None) -> None:
-    """The breakaway check, armed with a short watchdog: it bounds unseen travel even if the host dies in a stroke."""
+    """The breakaway check. Its device ends each stroke itself, which bounds unseen travel even if the host dies in one.
+
+    A device that cannot is armed with a short watchdog, which ends the stroke and the run.
+    """
     e = session.experiment
     limits = e.device_limits
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
-    if strokes is not None:
+    driver = session.bench.driver
+    if strokes is not None and not (isinstance(driver, PulseDriver) and driver.pulses):
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
     try:
         with session.loop.armed(limits):
@@ -292,9 +297,12 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta)
 
 
-def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True) -> BreakawayCheck:
+def breakaway_check(
+    e: Experiment, drive_units: int | None = None, *, further: bool = True, repeats: bool = True
+) -> BreakawayCheck:
     """The breakaway check of a config; ``further`` and ``repeats`` as ``breakaway_strokes`` takes them.
 
+    drive_units  steps of the device's drive at full duty; None: it has no steps
     Raises Fault CONFIG_MISMATCH if its unseen travel has no bound.
     """
     strokes = None if e.motor is None else breakaway_strokes(e, further=further, repeats=repeats)
@@ -319,6 +327,7 @@ def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True
             strokes.top_pause_s,
         ),
         e.period_s,
+        float if drive_units is None else replace(e.drive.map, full_units=drive_units).quantised,
     )
 
 
@@ -334,7 +343,7 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     low, high = e.limits.soft_rad
     if not low <= y_rad <= high:
         raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
-    check = breakaway_check(e) if check is None else check
+    check = breakaway_check(e, session.bench.info.drive_units) if check is None else check
     session.loop.run(check, "breakaway")
     session.found.breakaway = check
     guard = session.loop.guard

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 from rig.backends.driver import EncoderDriver
@@ -12,6 +13,8 @@ from rig.config.schema import Experiment, HomeSwitch
 from rig.control.guard import Guard
 from rig.control.law import Rest
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
+from rig.live.unrecorded import told
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.preflight.loop_settings import guard_settings_of
@@ -53,13 +56,16 @@ def by_hand(e: Experiment, at_rad: float) -> Zero:
     return Zero(now.y_rad, now.y_counts, before.y_counts)
 
 
-def by_switch(e: Experiment) -> Zero:
-    """As ``find_by_switch``, on the bench of the config. Raises Fault LINK_*, CONFIG_MISMATCH, too."""
-    with connect(e) as bench:
-        return find_by_switch(e, bench)
+def by_switch(e: Experiment, runs: Path) -> Zero:
+    """As ``find_by_switch``, on the bench of the config. Raises Fault LINK_*, CONFIG_MISMATCH, BusyError, too.
+
+    runs  folder of the run folders, whose panels can stop it
+    """
+    with told(runs, "home") as flag, connect(e) as bench:
+        return find_by_switch(e, bench, flag)
 
 
-def find_by_switch(e: Experiment, bench: Bench) -> Zero:
+def find_by_switch(e: Experiment, bench: Bench, flag: StopFlag) -> Zero:
     """Drive the shaft to the end switch of ``sensor.encoder.home`` twice, then inside, and set the zero last.
 
     The zero of before is forgotten first. So whatever goes wrong, there is none: a switch that opens for a moment, or
@@ -70,7 +76,7 @@ def find_by_switch(e: Experiment, bench: Bench) -> Zero:
     switch = None if e.sensor.encoder is None else e.sensor.encoder.home
     if switch is None:
         raise ValueError("no end switch is given")
-    with stop_on_signals() as stop:
+    with stop_on_signals(flag) as stop:
         driver = _encoder_driver(bench)
         driver.forget_zero()
         before = driver.read()

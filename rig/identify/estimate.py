@@ -19,6 +19,7 @@ from rig.results import EstimateResult, ResidualResult
 
 Array = NDArray[np.float64]
 Verdict = Literal["ok", "doubtful", "refused"]
+VERDICTS: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
 DELAY = PARAMETERS.index("delay_s")
@@ -45,6 +46,7 @@ class Estimate:
     coloured        coloured noise beside the white noise: its memory, s, and its standard deviation over the white
                     one's; None without it
     cycles          the limit cycles behind the estimate; () for a method that needs none
+    converged       whether its fit came to an end
     """
 
     method: str
@@ -70,6 +72,7 @@ class Estimate:
     coloured: tuple[float, float] | None = None
     cycles: tuple[Cycle, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = ()
+    converged: bool = True
 
     @property
     def correlation(self) -> Array:
@@ -82,6 +85,16 @@ class Estimate:
     def is_motor(self) -> bool:
         """Whether it has tau and K, not friction alone."""
         return math.isfinite(self.tau_s) and math.isfinite(self.K_rad_s_V)
+
+    @property
+    def widest(self) -> float:
+        """Half width of the widest 95 % interval of tau, K and f_c, as a share of its parameter; inf if unknown."""
+        shares = [
+            (high - low) / 2.0 / max(abs(getattr(self, name)), 1e-12)
+            for name, (low, high) in self.ci95.items()
+            if name in PARAMETERS[:3]
+        ]
+        return max((share if math.isfinite(share) else math.inf for share in shares), default=math.inf)
 
     @property
     def fits_delay(self) -> bool:
@@ -107,8 +120,7 @@ class Estimate:
 
     def judged(self, verdict: Verdict, *reasons: str) -> Self:
         """The estimate with a verdict at least as severe as ``verdict``, and further ``reasons``."""
-        order: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
-        worst = max(self.verdict, verdict, key=order.index)
+        worst = max(self.verdict, verdict, key=VERDICTS.index)
         new = tuple(reason for reason in reasons if reason not in self.reasons)
         return replace(self, verdict=worst, reasons=self.reasons + new)
 

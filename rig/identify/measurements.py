@@ -37,6 +37,7 @@ class Measurements:
                 sound, each with the number of a test of the same run
     stated      for each recording what its bench may be wrong by
     notes       what was left out or corrected, how gains and cycles were found
+    has_searches  whether gain searches count as tests beside others
     """
 
     tests: list[TimeSeries] = field(default_factory=list)
@@ -51,6 +52,7 @@ class Measurements:
     stated: list[StatedErrors] = field(default_factory=list)
     recording_of: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    has_searches: bool = False
 
     @property
     def settled(self) -> list[Cycle]:
@@ -94,7 +96,7 @@ class Measurements:
         searches = [search for search, _ in found]
         kept = [(one, k + len(found)) for one, k in self.further if all(one is not search for search in searches)]
         names = [self.recording_of[number] for _, number in found]
-        self.further = kept
+        self.further, self.has_searches = kept, True
         short = " and ".join(test.name for test in self.tests)
         self.notes.append(f"{short}: too little alone to tell the motor: the gain search is a test, too")
         self.tests = [*searches, *self.tests]

@@ -57,7 +57,10 @@ class SampledData(Estimator):
         of_tests = fit(tests, starts, periods_s=periods_s)
         found = together(of_tests, tests, beside)
         estimate = replace(found.estimate, remarks=found.remarks)
-        return estimate.judged("doubtful", *found.objections) if found.objections else estimate
+        # a search that stands for tests does not speak for those that it contradicts
+        replaced = tuple(f"{test.name}: " for test in data.tests[len(searches) :]) if tests is searches else ()
+        objections = [*found.objections, *(remark for remark in found.remarks if remark.startswith(replaced))]
+        return estimate.judged("doubtful", *objections) if objections else estimate
 
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
         """Judge it by the motion in every sample."""
@@ -250,5 +253,6 @@ def _estimate(
         coloured=None if problem.noise.white else (problem.noise.memory_s, math.sqrt(problem.noise.ratio)),
     )
     if not best.converged:
-        return estimate.judged("refused", "the fit did not converge: record more cycles, or with less noise")
+        lost = replace(estimate, converged=False)
+        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise")
     return estimate

@@ -1,4 +1,4 @@
-"""Which runs go on at the moment."""
+"""What goes on at the moment: runs, and what drives without being recorded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from rig import strict_json
 from rig.live.born import born
-from rig.live.stop_flag import NAME, Runner, runner_of
+from rig.live.stop_flag import NAME, Runner, is_recorded, runner_of
 from rig.plain_file import open_plain
 from rig.recording.writer import EVENTS
 
@@ -20,14 +20,14 @@ _LAST_BYTES: Final = 4096  # of the events, with the end of a run
 
 
 class Running(NamedTuple):
-    """A run that goes on: its folder, and the process that makes it."""
+    """A run that goes on: its folder, and the process that makes it. Or what is not recorded (``is_recorded``)."""
 
     folder: Path
     runner: Runner
 
 
 def running(parent: Path) -> list[Running]:
-    """The runs that go on in the folders of ``parent``, the newest last; none where it cannot be read."""
+    """What goes on in the folders of ``parent``, the newest run last; nothing where it cannot be read."""
     return _of(parent, _folders(parent))
 
 
@@ -44,13 +44,16 @@ class Lookout:
 
     def look(self) -> list[Running]:
         """As ``running``, but a run that begins in an old folder may be seen some looks later."""
-        there = sorted(_folders(self._parent))
+        found = sorted(_folders(self._parent))
+        hidden = {name for name in found if name.startswith(".")}
+        there = [name for name in found if name not in hidden]
         newest, others = there[-_NEWEST:], there[:-_NEWEST]
         first = self._turn if self._turn < len(others) else 0
         self._turn = first + _OTHERS
-        found = _of(self._parent, {*newest, *others[first : self._turn], *self._going.intersection(there)})
-        self._going = {one.folder.name for one in found}
-        return found
+        looked = {*hidden, *newest, *others[first : self._turn], *self._going.intersection(there)}
+        going = _of(self._parent, looked)
+        self._going = {one.folder.name for one in going}
+        return going
 
 
 class Seen:
@@ -68,7 +71,7 @@ class Seen:
 
         found  that have their flag
         """
-        flagged = {one.runner.pid: one for one in found}
+        flagged = {one.runner.pid: one for one in found if is_recorded(one.folder)}
         with self._lock:
             before = dict(self._runs)
         others = [one for pid, (one, _) in before.items() if pid not in flagged and self.goes_on(one)]

@@ -66,6 +66,12 @@ class MappedPage:
         os.lseek(self._descriptor, at, os.SEEK_SET)
         os.write(self._descriptor, data)
 
+    def move(self, path: Path) -> None:
+        """Put the file at another path on the same disk; who has it open sees on. Raises OSError."""
+        os.rename(self._path, path, src_dir_fd=self._folder)
+        self._leave_folder()
+        self._path, self._folder = path, None
+
     def close(self) -> None:
         """Delete the file: nobody owns it any more."""
         status = os.fstat(self._descriptor)
@@ -86,6 +92,7 @@ class MappedPage:
     def _leave_folder(self) -> None:
         if self._folder is not None:
             os.close(self._folder)
+            self._folder = None
 
 
 class OthersPage:

@@ -1,20 +1,26 @@
-"""The stop flag of a run: a page in its folder, which any process of the same user may set, and the loop reads.
+"""The stop flag of what drives: a page that any process of the same user may set, and the loop reads.
 
-The loop reads one byte of mapped memory each tick. The page also says who runs, and since when; it is locked while the
-run lives, and deleted at its end.
+The loop reads one byte of mapped memory each tick. The page also says who drives, since when, and whether a drive may
+be on; it is locked while its process lives, and deleted at the end. It begins before the device is opened, in a hidden
+folder of its own beside the run folders: ``.COMMAND-PID-TOKEN``. A run takes it along into its folder; what is not
+recorded leaves it there.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
+import secrets
 import signal
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from rig.errors import RigError
+from rig.live.born import born
 from rig.live.shared_page import MappedPage, OthersPage
 from rig.signals import plain
 
@@ -25,6 +31,9 @@ _VERSION: Final = 1
 _ASKED_AT: Final = 64
 _BY_AT: Final = 72
 _BY_SIZE: Final = 40
+_DRIVE_AT: Final = 112
+_UNKNOWN, _OFF, _ON = b"\0", b"\1", b"\2"  # of the drive
+_UNRECORDED: Final = re.compile(r"\.([a-z-]+)-([0-9]+)-[0-9a-f]{16}")
 
 
 class StopError(RigError):
@@ -38,18 +47,32 @@ class Runner:
     pid       its number
     zero_s    time of the monotonic clock at the run's time 0, s; nan in virtual time, and before the loop is made
     period_s  of the loop, s; nan before the loop is made
+    drives    whether a drive may be on; False: not yet, or the device has confirmed 0 V; None: it does not say
     """
 
     pid: int
     zero_s: float
     period_s: float
+    drives: bool | None = None
 
 
 class StopFlag:
-    """The flag as the run has it: from ``begin`` to the end of the block there is a page."""
+    """The flag as its process has it: from ``open`` or ``begin`` to the end of the block there is a page.
+
+    is_tried  whether a page was asked for, so that others can stop what drives; it may have failed, which is said
+    """
 
     def __init__(self) -> None:
         self._page: MappedPage | None = None
+        self._own: Path | None = None  # the hidden folder
+        self.is_tried = False
+
+    @classmethod
+    def unseen(cls) -> StopFlag:
+        """One without a page, for measurements on benches where nothing moves: no Stop knows of them."""
+        flag = cls()
+        flag.is_tried = True
+        return flag
 
     def __enter__(self) -> StopFlag:
         return self
@@ -58,15 +81,57 @@ class StopFlag:
         page, self._page = self._page, None
         if page is not None:
             page.close()
+        self._leave_own()
+
+    def open(self, runs: Path, command: str) -> None:
+        """Make the page beside the run folders, before a device is opened. What killed commands have left goes.
+
+        command  who drives: small letters, and ``-``
+        Raises OSError where there is no room for it: then nobody can set it.
+        """
+        self.is_tried = True
+        runs.mkdir(parents=True, exist_ok=True)
+        _clear(runs)
+        own = runs / f".{command}-{os.getpid()}-{secrets.token_hex(8)}"
+        own.mkdir(0o700)
+        self._own = own
+        try:
+            self._page = MappedPage(own / NAME, _head(math.nan, math.nan))
+            self._page.write(_DRIVE_AT, _OFF)
+        except OSError:
+            self._leave_own()
+            raise
 
     def begin(self, folder: Path) -> None:
-        """Make the page in the run folder. Raises OSError where the folder cannot hold it: then nobody can set it."""
-        self._page = MappedPage(folder / NAME, _head(math.nan, math.nan))
+        """Put the page into the run folder. Raises OSError where it cannot hold it: it stays where it is, if it is."""
+        self.is_tried = True
+        if self._page is None:
+            self._page = MappedPage(folder / NAME, _head(math.nan, math.nan))
+            return
+        self._page.move(folder / NAME)
+        self._leave_own()
+
+    def _leave_own(self) -> None:
+        own, self._own = self._own, None
+        if own is not None:
+            with suppress(OSError):  # a read-only disk: it is empty, and that says the same
+                own.rmdir()
 
     def tell(self, zero_s: float, period_s: float) -> None:
         """Tell the run's time 0 and its period, as ``Runner``; before the device is armed. Raises OSError."""
         if self._page is not None:
             self._page.write(0, _head(zero_s, period_s))
+
+    def tell_drive(self, *, is_on: bool) -> None:
+        """Tell whether a drive may be on from now on: before it is armed, and once the device has confirmed 0 V."""
+        with suppress(OSError):  # on a disk that has become read-only nobody learns more than before
+            if self._page is not None:
+                self._page.write(_DRIVE_AT, _ON if is_on else _OFF)
+
+    def forget(self) -> None:
+        """A Stop was obeyed: what comes next may drive again. Raises OSError."""
+        if self._page is not None:
+            self._page.write(_ASKED_AT, b"\0")
 
     def asked_by(self) -> str:
         """Who asked for a stop; empty: nobody did. A read of memory: the loop calls it each tick."""
@@ -106,13 +171,73 @@ def runner_of(folder: Path) -> Runner | None:
     """The process that makes the run in ``folder`` now; None: none does, or nothing can be read there."""
     try:
         with OthersPage(folder / NAME) as page:
-            head = page.read(0, _HEAD.size)
-            if not page.is_owned:
-                return None
+            return _runner(page) if page.is_owned else None
     except (OSError, ValueError):
         return None
-    magic, version, pid, zero_s, period_s = _HEAD.unpack(head)
-    return Runner(pid, zero_s, period_s) if (magic, version) == (_MAGIC, _VERSION) and pid > 1 else None
+
+
+class Unrecorded:
+    """What drives without a run folder, as a Stop follows it: also after its page was deleted, or taken along.
+
+    Raises OSError, ValueError where there is no such page.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._page = OthersPage(folder / NAME)
+        self.pid = int(_named(folder)[2])
+
+    def is_at_zero(self) -> bool | None:
+        """Whether the drive is known to be at 0; False: it ended, and never said so; None: not yet."""
+        is_owned = self._page.is_owned  # first: it says its last before it ends
+        runner = _runner(self._page)
+        if runner is not None and runner.drives is False:
+            return True
+        return None if is_owned else False
+
+    def close(self) -> None:
+        """Look no more."""
+        self._page.close()
+
+
+def is_recorded(folder: Path) -> bool:
+    """Whether a folder with a flag is that of a run, or that of what is not recorded."""
+    return _UNRECORDED.fullmatch(folder.name) is None
+
+
+def command_of(folder: Path) -> str:
+    """The command of what is not recorded, for people."""
+    return f"rig {_named(folder)[1]}"
+
+
+def _named(folder: Path) -> re.Match[str]:
+    found = _UNRECORDED.fullmatch(folder.name)
+    if found is None:
+        raise ValueError(f"{folder} is the folder of a run")
+    return found
+
+
+def _runner(page: OthersPage) -> Runner | None:
+    magic, version, pid, zero_s, period_s = _HEAD.unpack(page.read(0, _HEAD.size))
+    if (magic, version) != (_MAGIC, _VERSION) or pid <= 1:
+        return None
+    return Runner(pid, zero_s, period_s, {_OFF: False, _ON: True}.get(page.read(_DRIVE_AT, 1)))
+
+
+def _clear(runs: Path) -> None:
+    """Delete what commands have left that were killed."""
+    if not born(os.getpid()):
+        return  # a system that does not tell who lives
+    with suppress(OSError), os.scandir(runs) as entries:
+        for entry in entries:
+            found = _UNRECORDED.fullmatch(entry.name)
+            if found is None or not entry.is_dir(follow_symlinks=False) or born(int(found[2])):
+                continue
+            with suppress(OSError):  # of another user
+                folder = Path(entry.path)
+                if runner_of(folder) is not None:  # of a container, whose processes have other numbers
+                    continue
+                (folder / NAME).unlink(missing_ok=True)
+                folder.rmdir()
 
 
 def _head(zero_s: float, period_s: float) -> bytes:

@@ -13,17 +13,53 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple, Self
 
 PROC = Path("/proc")
 NAME = b"kworker/u"  # the workers that are bound to no core
+PF_KTHREAD = 0x00200000  # of the kernel's own threads; a process can take any name, but not this flag
+_FLAGS, _START = 6, 19  # fields of /proc/PID/stat after the name: flags, and clock ticks from boot to its start
 
 
-def workers(proc: Path = PROC) -> Iterator[int]:
-    """Ids of the worker threads that are bound to no core. ``proc``: the folder that stands for /proc."""
-    for comm in proc.glob("[0-9]*/comm"):
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
-            if comm.read_bytes().startswith(NAME):
-                yield int(comm.parent.name)
+class Worker(NamedTuple):
+    """A thread of the kernel. A number is given to another process later, so its start belongs to it."""
+
+    number: int
+    start: int
+
+    @classmethod
+    def of(cls, number: int, proc: Path) -> Self | None:
+        """The worker of that number; None if there is none: it has ended, or it is something else."""
+        try:
+            stat = (proc / str(number) / "stat").read_bytes()
+        except (FileNotFoundError, ProcessLookupError):
+            return None
+        # the name is in brackets, and may hold brackets itself
+        name, _, rest = stat.partition(b"(")[2].rpartition(b")")
+        fields = rest.split()
+        is_worker = name.startswith(NAME) and int(fields[_FLAGS]) & PF_KTHREAD
+        return cls(number, int(fields[_START])) if is_worker else None
+
+    def schedule(self, proc: Path, policy: int, priority: int) -> bool:
+        """Give it that policy and priority if it is still the same. Returns whether it was.
+
+        Raises OSError where the system refuses.
+        """
+        if Worker.of(self.number, proc) != self:
+            return False
+        try:
+            os.sched_setscheduler(self.number, policy, os.sched_param(priority))
+        except ProcessLookupError:
+            return False
+        return True
+
+
+def workers(proc: Path = PROC) -> Iterator[Worker]:
+    """The worker threads that are bound to no core. ``proc``: the folder that stands for /proc."""
+    for stat in proc.glob("[0-9]*/stat"):
+        worker = Worker.of(int(stat.parent.name), proc)
+        if worker is not None:
+            yield worker
 
 
 @contextlib.contextmanager
@@ -48,15 +84,13 @@ def main(arguments: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):  # only the end of its standard input ends it
         signal.signal(number, signal.SIG_IGN)
     priority, proc = int(arguments[0]), Path(arguments[1])
-    raised: list[int] = []
+    raised: list[Worker] = []
     refusal = ""
     try:
         for worker in workers(proc):
             try:
-                os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(priority))
-                raised.append(worker)
-            except ProcessLookupError:
-                continue
+                if worker.schedule(proc, os.SCHED_FIFO, priority):
+                    raised.append(worker)
             except OSError as error:
                 refusal = error.strerror or str(error)
                 break
@@ -64,8 +98,8 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdin.read()
     finally:
         for worker in raised:
-            with contextlib.suppress(OSError):  # it may have ended
-                os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
+            with contextlib.suppress(OSError):  # the others have to be given back, too
+                worker.schedule(proc, os.SCHED_OTHER, 0)
     return 0
 
 

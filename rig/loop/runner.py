@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rig.backends.clock import MonotonicClock
-from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
+from rig.backends.driver import Clock, Driver, PulseDriver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
 from rig.control.guard import WINDOW_S, Guard
-from rig.control.law import Law
+from rig.control.law import Law, Pulsed
 from rig.control.motion import is_obeyed
 from rig.faults import Fault
 from rig.loop.device_relay import DeviceRelay
@@ -19,10 +19,12 @@ from rig.loop.link_watch import LinkWatch
 from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
+from rig.loop.suspend import SuspendWatch
 from rig.recording.sink import RowSink
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
 _CHECK_EVERY_TICKS = 25
+_OLD_PERIODS = 2.0  # age of a reading on which nothing is decided any more
 _KEPT_DRIVES = 512  # asked for last: those that may still wait in a device
 
 
@@ -54,6 +56,7 @@ class Loop:
         self._stop = stop
         self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
         self._link_watch = LinkWatch(driver, record)
+        self._suspend_watch = SuspendWatch(clock)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False
@@ -62,6 +65,7 @@ class Loop:
         self.last_y_rad = math.nan  # position at the last tick, of the loop or of a relay in the device
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
+        self._write: Callable[[float], None] = driver.write
         self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
         self._rows = 0  # of the loop itself
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
@@ -100,14 +104,24 @@ class Loop:
 
         Between two blocks the device is in a pause. A fault in the pause is raised here, by ``check_stop``, or by the
         driver when it arms. After the last block ``close`` ends the pause.
-        Raises Fault STOP_UNCONFIRMED, and what the driver and ``check_stop`` raise.
+        Raises Fault STOP_UNCONFIRMED, SUSPENDED, and what the driver and ``check_stop`` raise; ValueError in real time
+        without a stop flag.
         """
+        with self._suspend_watch.told():
+            yield from self._armed(limits)
+
+    def _armed(self, limits: Limits) -> Iterator[None]:
         self.pause_watch.end()
         self.check_stop()
-        if isinstance(self._clock, MonotonicClock):  # in the middle of a tick it would delay the drive
-            gc.collect()
+        self._suspend_watch.check()
+        if isinstance(self._clock, MonotonicClock):
+            if not self._stop.is_for_all:
+                raise ValueError("in real time nothing drives that has no stop flag: StopFlag.open before the device")
+            gc.collect()  # in the middle of a tick it would delay the drive
         gc.disable()
         try:
+            self._stop.tell_drive(is_on=True)
+            self.check_stop()  # who asked before this was told that nothing drives yet
             self.guard.rearm()
             self._driver.arm(limits)
             self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
@@ -142,18 +156,28 @@ class Loop:
             self._record.event(self.now_s, "stop_failed", error=repr(error))
         self._record.event(self.now_s, "stop", confirmed=stopped)
         self.unconfirmed_stops += not stopped
+        if stopped:
+            self._stop.tell_drive(is_on=False)
         return stopped
 
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
         """Run ``law`` to its end inside ``armed``; ``watch`` is called after each tick with its time, s.
 
-        Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, RECORDER_DEAD.
+        Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, SUSPENDED, RECORDER_DEAD.
         """
         self._record.event(self.now_s, "stage", name=stage)
+        self._write = self._writer(law)
         while not law.finished:
             sample = self._run_tick(law, stage)
             if watch is not None:
                 watch(sample.t_s)
+
+    def _writer(self, law: Law) -> Callable[[float], None]:
+        """What sends the law's drives: as pulses where it wants that, and the device ends them by itself."""
+        driver = self._driver
+        if not (isinstance(law, Pulsed) and isinstance(driver, PulseDriver) and driver.pulses):
+            return driver.write
+        return lambda u_V: driver.write(u_V) if u_V == 0.0 else driver.write_pulse(u_V, law.pulse_s)
 
     def run_in_device(
         self,
@@ -204,7 +228,7 @@ class Loop:
     def _run_tick(self, law: Law, stage: str) -> Sample:
         now_s = self._clock.now_s
         due_s, woke_s = self._await_tick()
-        sample = self._driver.read()
+        sample = self._fresh_reading()
         read_s = now_s()
         sample = sample._replace(t_s=self._since_start_s(sample.t_s), t_u_s=self._since_start_s(sample.t_u_s))
         if sample.t_s < self._newest_t_s:
@@ -216,7 +240,7 @@ class Loop:
         try:
             u_V, flags = self.guard.allow(sample, law.step(sample))
             decided_s = now_s()
-            self._driver.write(u_V)
+            self._write(u_V)
         except BaseException:
             # record the reading that ended the run; the stop that follows drives 0 V
             self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)
@@ -228,6 +252,13 @@ class Loop:
         self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, (now_s() - written_s) * 1e6)
         self._end_tick(due_s)
         return sample
+
+    def _fresh_reading(self) -> Sample:
+        """A reading of this tick; another one where the host stood still after the device had taken the first."""
+        begun_s, old_s = self._clock.now_s(), _OLD_PERIODS * self._period_s
+        sample = self._driver.read()
+        now_s = self._clock.now_s()
+        return self._driver.read() if now_s - begun_s > old_s and now_s - sample.t_s > old_s else sample
 
     def _record_tick(
         self, law: Law, stage: str, sample: Sample, u_V: float, late_us: float, io_us: float, flags: int
@@ -248,6 +279,7 @@ class Loop:
         while woke_s < due_s and self._stop.reason is None:
             woke_s = self._clock.sleep_until(due_s)  # a signal ended the sleep, but not one that stops the run
         self.check_stop()
+        self._suspend_watch.check()
         return due_s, woke_s
 
     def _end_tick(self, due_s: float) -> None:

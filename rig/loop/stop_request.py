@@ -20,7 +20,7 @@ Gone = Callable[[], str]
 class StopRequest:
     """Keeps in ``reason`` what asked for a stop: the name of a signal, or who set the stop flag; None: nothing did.
 
-    flag  of the run; None: only signals count
+    flag  of what drives; None: only signals count, as in a simulation
     gone  says who has to be there while it drives and is not: the reason; empty: all is well
     """
 
@@ -33,6 +33,16 @@ class StopRequest:
         """Take the signal; the first one counts."""
         if self.reason is None:
             self.reason = signal.Signals(number).name
+
+    def tell_drive(self, *, is_on: bool) -> None:
+        """Tell others whether a drive may be on."""
+        if self.flag is not None:
+            self.flag.tell_drive(is_on=is_on)
+
+    @property
+    def is_for_all(self) -> bool:
+        """Whether every Stop was told of what drives."""
+        return self.flag is not None and self.flag.is_tried
 
     def look(self) -> str | None:
         """The reason, after a look at the flag, and at whether those are there who have to be."""

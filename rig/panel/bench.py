@@ -21,7 +21,7 @@ from typing import Any, Final
 from rig.config.yaml12 import MOST_BYTES
 from rig.live.lease import Leaser
 from rig.live.running import Lookout, Running, Seen, running
-from rig.live.stop_flag import Runner, StopError, request_stop, runner_of
+from rig.live.stop_flag import Runner, StopError, command_of, is_recorded, request_stop, runner_of
 from rig.panel import attendance, processes
 from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
@@ -30,7 +30,7 @@ from rig.panel.processes import Ended, StartedProcess
 from rig.plain_file import read_plain
 
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
-CALIBRATION: Final = Path("the calibration")  # stands for one that drives without a run folder
+CALIBRATION: Final = Path("the calibration")  # stands for one of this panel that has no flag yet
 _CONFIRMED_FOR_S: Final = 600.0
 _AS_WATCHED: Final = ("--pace", "1")  # of a device in virtual time; the time of any other has that pace
 
@@ -39,7 +39,7 @@ _AS_WATCHED: Final = ("--pace", "1")  # of a device in virtual time; the time of
 class StopAnswer:
     """What became of a Stop.
 
-    runs   folders of the runs that it reached; ``CALIBRATION`` for a calibration that does not record
+    runs   folders of the runs that it reached, and of what is not recorded; or ``CALIBRATION``
     waits  processes of commands that have no run folder yet and were interrupted
     why    what did not work; empty: all of it did
     """
@@ -82,6 +82,7 @@ class Bench:
         self._hold: _Hold | None = None
         self._interrupted: set[str] = set()  # pages whose hold was interrupted, until they let go
         self._running: list[Running] = []
+        self._unrecorded: list[Running] = []
         self._lookout, self._seen = Lookout(out), Seen()
         self._lost: list[Running] = []
         self.calibration: Calibration | None = None
@@ -95,10 +96,12 @@ class Bench:
 
         at_all  False: a look as one of many; not for two threads
         """
-        found = running(self.out) if at_all else self._lookout.look()
+        going = running(self.out) if at_all else self._lookout.look()
+        found = [one for one in going if is_recorded(one.folder)]
         others = self._seen.others(found)
         self._lost = [one for one in others if runner_of(one.folder) is None]
         self._running = [*others, *found]
+        self._unrecorded = [one for one in going if not is_recorded(one.folder)]
         pids = {one.runner.pid for one in self._running}
         others_started = processes.of_others(self.out, self.pids)  # it reads the disk: not with the lock
         with self._lock:
@@ -111,6 +114,11 @@ class Bench:
     def running(self) -> list[Running]:
         """The runs that went on at the last look, the newest last; whoever started them."""
         return self._running
+
+    @property
+    def unrecorded(self) -> list[Running]:
+        """What drove, or may drive, without a run folder at the last look; a run that opens its device, too."""
+        return self._unrecorded
 
     def lost(self, folder: Path) -> Runner | None:
         """Who makes the run in this folder if its flag is gone, and he goes on all the same."""
@@ -148,10 +156,11 @@ class Bench:
     def _require_rest(self) -> None:
         """Raise RefusedError if anything goes on; the lock is held."""
         opening = [process.command for process in self._started if not process.has_folder and process.lives]
-        if busy := [one.folder.name for one in self._running] + opening:
-            raise RefusedError(409, f"{busy[-1]} goes on already", "wait for its end, or press Stop")
         if self.calibration is not None and self.calibration.goes_on:
             raise RefusedError(409, "a calibration goes on already", "finish it, or end it, on the page Calibrate")
+        unrecorded = [command_of(one.folder) for one in self._unrecorded]
+        if busy := unrecorded + [one.folder.name for one in self._running] + opening:
+            raise RefusedError(409, f"{busy[-1]} goes on already", "wait for its end, or press Stop")
 
     # ------------------------------------------------------------------ start
 
@@ -187,10 +196,11 @@ class Bench:
     def calibrate(self) -> None:
         """Begin a calibration of the config. Raises RefusedError if anything is in the way."""
         config = self._own_config()
-        self.look()
-        with self._lock:
-            self._require_rest()
-            self.calibration = Calibration(config, self.out, self._calibration_changed)
+        with processes.one_at_a_time(self.out):
+            self.look()
+            with self._lock:
+                self._require_rest()
+                self.calibration = Calibration(config, self.out, self._calibration_changed)
         self._calibration_changed()
 
     async def attend(self) -> None:
@@ -218,7 +228,10 @@ class Bench:
             if look is not None:
                 look()
             failed = {}
-            for one in self._running:
+            own = {process.pid for process in self.opening}
+            own |= set() if self.calibration is None else {self.calibration.pid}
+            unrecorded = [one for one in self._unrecorded if one.runner.pid not in own]  # those get a signal
+            for one in [*self._running, *unrecorded]:
                 if one.folder not in reached and name in (None, one.folder.name):
                     try:
                         if self._stop(one, by):
@@ -232,7 +245,9 @@ class Bench:
         if self.calibration is not None and name is None:
             is_run = self.calibration.pid in {one.runner.pid for one in self._running if one.folder in reached}
             if self.calibration.works and not is_run:
-                reached.append(CALIBRATION)
+                pid = self.calibration.pid
+                flagged = (one.folder for one in self._unrecorded if one.runner.pid == pid and runner_of(one.folder))
+                reached.append(next(flagged, CALIBRATION))
             self.calibration.stop(by_flag=is_run)
         if name is not None and not reached and not failed:
             return StopAnswer((), (), f"no run {name!r} goes on here: a stop without a name stops all")

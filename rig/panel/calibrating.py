@@ -25,6 +25,7 @@ from rig.calibrate.steps import steps_for
 from rig.calibrate.wiring import svg
 from rig.config.problems import ConfigError
 from rig.faults import Fault
+from rig.live.unrecorded import BusyError, told
 from rig.loop.stop_request import Gone
 from rig.panel.attendance import watched
 from rig.recording.errors import RecordingError
@@ -109,13 +110,14 @@ def main(config: Path, out: Path) -> None:
     """Go through one calibration."""
     page = _Page(config)
     try:
-        opened = open_config(config, pace=1.0)
-        known = {name: what for name, (what, _) in steps_for(opened.draft.original).items()}
-        with _attended(out) as gone:
-            done = calibrate(opened, page.steps(known), out, page, gone)
+        with told(out, "calibrate") as flag:
+            opened = open_config(config, pace=1.0)
+            known = {name: what for name, (what, _) in steps_for(opened.draft.original).items()}
+            with _attended(out) as gone:
+                done = calibrate(opened, page.steps(known), out, page, flag, gone)
     except ConfigError as error:
         _tell("end", written=False, words="rig cannot calibrate with this config", cure=str(error))
-    except (Fault, Refusal, NotWrittenError, RecordingError) as error:
+    except (BusyError, Fault, Refusal, NotWrittenError, RecordingError) as error:
         _tell("end", written=False, words=getattr(error, "cause", str(error)), cure=error.cure)
     except EmulationError as error:
         words, _, cure = str(error).partition("\n")

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from rig.live.stop_flag import Unrecorded, command_of, is_recorded
 from rig.live.view import KEPT_ROWS, Estimate, LiveRow, LiveView, SeenFault, Snapshot
 from rig.panel.bench import CALIBRATION, Bench, StopAnswer
 from rig.panel.processes import Ended
@@ -56,10 +57,13 @@ class Scene:
 
 @dataclass
 class _Asked:
-    """A Stop on its way: when it came, the run as it is seen, and whether the pages know that 0 V is not confirmed."""
+    """A Stop on its way: when it came, what it is for, and whether the pages know that 0 V is not confirmed.
+
+    view  of a run; None: it is not recorded, or its page was gone by then
+    """
 
     at_s: float
-    view: LiveView
+    view: LiveView | Unrecorded | None
     told: bool = False
 
 
@@ -111,13 +115,14 @@ class Watch:
         if (answer.runs or answer.waits) and not (self._asked or self._starting):
             self._unconfirmed = []
         for folder in answer.runs:
-            self._asked.setdefault(folder, _Asked(at_s, LiveView(folder)))
+            if folder not in self._asked:
+                self._asked[folder] = _Asked(at_s, _seen(folder))
         for pid in answer.waits:
             self._starting.setdefault(pid, at_s)
         if answer.runs or answer.waits:
-            return _stop_message(answer.runs[-1].name if answer.runs else STARTING, None, answer.why, None)
+            return _stop_message(_name(answer.runs[-1]) if answer.runs else STARTING, None, answer.why, None)
         why = answer.why or (f"{_OVER}: {', '.join(self._unconfirmed)}" if self._unconfirmed else "")
-        return _stop_message(None, None if why else True, why, None)
+        return _stop_message(None, None, why, None)  # what nobody told of may drive all the same
 
     # ------------------------------------------------------------------ looking; in a thread of its own
 
@@ -233,10 +238,12 @@ class Watch:
             at_zero = self._at_zero(asked, stop, snapshot if asked == folder else None)
             if at_zero is not None:
                 del self._asked[asked]
-                self._settled(asked.name, stop.at_s, at_zero=at_zero)
+                if isinstance(stop.view, Unrecorded):
+                    stop.view.close()
+                self._settled(_name(asked), stop.at_s, at_zero=at_zero)
             elif now_s - stop.at_s > _ZERO_WITHIN_S and not stop.told:
                 stop.told = True
-                self._tell(_stop_message(asked.name, False, _NOT_CONFIRMED, round(1e3 * (now_s - stop.at_s))))
+                self._tell(_stop_message(_name(asked), False, _NOT_CONFIRMED, round(1e3 * (now_s - stop.at_s))))
 
     def _at_zero(self, asked: Path, stop: _Asked, snapshot: Snapshot | None) -> bool | None:
         """Whether the device of this run has confirmed 0 V; False: the run is over without that; None: not yet.
@@ -246,6 +253,8 @@ class Watch:
         if asked == CALIBRATION:
             calibration = self._bench.calibration
             return None if calibration is not None and calibration.works else True
+        if not isinstance(stop.view, LiveView):
+            return False if stop.view is None else stop.view.is_at_zero()
         if snapshot is None:
             snapshot = self._seen(stop.view)
         if snapshot is None:
@@ -266,6 +275,21 @@ class Watch:
     def _tell(self, message: dict[str, Any]) -> None:
         self._number += 1
         self._news = [*self._news[1 - _MOST_NEWS :], (self._number, message)]
+
+
+def _seen(folder: Path) -> LiveView | Unrecorded | None:
+    """What a Stop was for, as its end is seen."""
+    if is_recorded(folder):
+        return LiveView(folder)
+    try:
+        return Unrecorded(folder)
+    except (OSError, ValueError):
+        return None
+
+
+def _name(folder: Path) -> str:
+    """What a Stop was for, for people."""
+    return folder.name if is_recorded(folder) else command_of(folder)
 
 
 @dataclass(eq=False)

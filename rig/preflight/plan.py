@@ -22,6 +22,7 @@ from rig.preflight.room_to_stop import (
     stopping_sum,
     stopping_terms,
     swing_rad,
+    watchdog_words,
 )
 from rig.preflight.survey_room import expected_sweeps
 
@@ -50,6 +51,8 @@ def plan(e: Experiment) -> Iterator[str]:
             "delay: the breakaway check bounds how late a drive shows in the reading; there is room for "
             f"{1e3 * room_s:.0f} ms beyond a drive's own tick"
         )
+    if words := watchdog_words(e):
+        yield words
     yield from backend.plan(e)
     yield backend.failsafe_words(e)
     for note in notes(e):

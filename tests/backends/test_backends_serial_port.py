@@ -1,6 +1,7 @@
 """The pyserial transport on a pseudo-terminal. No assertion on how long anything takes."""
 
 import contextlib
+import fcntl
 import os
 import pty
 import termios
@@ -13,10 +14,13 @@ import pytest
 from raised import fault_of
 from serial.tools import list_ports
 
+from rig.backends.links import serial_port
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.registry import unopened
 from rig.config import Experiment, load
 from rig.faults import Fault
+
+_TIOCGEXCL = 0x80045440  # of Linux: whether the kernel keeps others out; not in Python's termios
 
 
 @pytest.fixture
@@ -47,15 +51,32 @@ def test_bytes_both_ways(terminal: tuple[dict[str, int], str]) -> None:
     port.close()
 
 
-def test_the_port_is_held_exclusively(terminal: tuple[dict[str, int], str]) -> None:
+def test_the_port_is_held_exclusively_by_each_link_to_it(terminal: tuple[dict[str, int], str], tmp_path: Path) -> None:
     _, name = terminal
-    port = SerialPort(name)
-    with pytest.raises(Fault) as caught:
-        SerialPort(name)
-    assert caught.value.code == "LINK_OPEN"
-    assert caught.value.detail == f"{name}: another program holds it"
+    (link := tmp_path / "usb-Arduino_board-if00").symlink_to(name)
+    port = SerialPort(str(link))
+    for other in (name, str(link)):
+        fault = fault_of(SerialPort, other)
+        assert fault.code == "LINK_OPEN"
+        assert fault.detail.startswith(f"{other}: process {os.getpid()} (") and fault.detail.endswith(" holds it")
     port.close()
     SerialPort(name).close()
+
+
+@pytest.mark.parametrize("is_real", [True, False])
+def test_the_kernel_keeps_other_programs_out_of_a_real_port_while_it_is_open(
+    terminal: tuple[dict[str, int], str], monkeypatch: pytest.MonkeyPatch, is_real: bool
+) -> None:
+    ends, name = terminal
+    monkeypatch.setattr(serial_port, "_is_pseudo_terminal", lambda descriptor: not is_real)
+
+    def is_exclusive() -> bool:
+        return fcntl.ioctl(ends["theirs"], _TIOCGEXCL, bytes(4)) != bytes(4)
+
+    port = SerialPort(name)
+    assert is_exclusive() == is_real
+    port.close()
+    assert not is_exclusive()
 
 
 def test_a_missing_port() -> None:

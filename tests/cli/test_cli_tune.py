@@ -8,37 +8,19 @@ from pathlib import Path
 
 import pytest
 from command_line import rig as command
+from tuned_run import GOLDEN, tuned_run
 
 import rig
 from rig import config
 from rig.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
 
-GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
 CONFIG = rig.ready("simulated")
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run folder of that bench, with the estimate that it gives."""
-    folder = tmp_path_factory.mktemp("tune") / "20260101T000000Z-run-simulated"
-    shutil.copytree(GOLDEN, folder)
-    (folder / "config.yaml").write_text(CONFIG.read_text(encoding="utf-8"), encoding="utf-8")
-    numbers = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "asym_V": -0.01, "delay_s": 0.0012}
-    estimate = numbers | {
-        "ci95": {name: [0.997 * value, 1.003 * value] for name, value in numbers.items() if value > 0.0},
-        "covariance_of": ["tau_s", "K_rad_s_V"],
-        "correlation": [[1.0, 0.5], [0.5, 1.0]],
-        "verdict": "ok",
-    }
-    result = {
-        "schema": 1,
-        "estimates": {"sampled-data": estimate},
-        "law": [],
-        "u95": {"tau_s": 0.002, "K_rad_s_V": 0.08, "fc_V": 0.004},
-        "breakaway": {"noise_rad": 0.0032},
-    }
-    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
-    return folder
+    return tuned_run(tmp_path_factory.mktemp("tune"))
 
 
 def test_a_loop_is_tuned_tried_recorded_and_replayed(run: Path, tmp_path: Path) -> None:

@@ -259,6 +259,32 @@ def test_many_late_ticks_end_the_check_before_they_add_up() -> None:
     assert seen.end == "LATE" and len(seen.strokes) < 12
 
 
+@pytest.mark.parametrize(("ticks", "most"), [(1, 8), (2, 8), (9, 8), (1, 99), (9, 99)])
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_strokes_that_come_short_break_no_promise(ticks: int, most: int, every: int) -> None:
+    """The device takes the first drives of strokes late, or never: the shaft turns no farther. It is never LATE.
+
+    The motors of the bound on unseen travel. Where it goes on for longer than a stall would, the link is at fault.
+    """
+    demo = config.load(ROOT / "config/demo.yaml")
+    strokes = breakaway_strokes(demo)
+    assert strokes is not None and demo.motor is not None
+    for friction_V in (0.1, 0.4, 0.7):
+        plus_V, minus_V = 1.1 * friction_V, 0.9 * friction_V
+        K = demo.motor.no_load_speed_rad_s / (demo.drive.supply_V - friction_V)
+        motor = Motor(0.005, K, Friction(plus_V, minus_V, plus_V, minus_V))
+        short: list[int] = []
+
+        def lost(stroke: int, tick: int, short: list[int] = short) -> bool:
+            if tick == 0 and len(short) < most and stroke >= 20 and stroke % every == every - 1:
+                short.append(stroke)
+            return stroke in short and tick < ticks
+
+        seen = check(motor, breakaway_check(), demo.period_s, 1, stuck=True, lost=lost)
+        assert seen.end == ("NO_MOTION" if len(short) <= 8 else "LINK_TIMEOUT")
+        assert seen.travel_rad < strokes.unseen_rad
+
+
 def test_a_drive_that_is_lost_at_the_end_of_a_stroke_is_taken_back() -> None:
     """The device tells what acts, and since when: by that the stroke lasted longer than it was asked for."""
     law, tick = breakaway_check(), 0

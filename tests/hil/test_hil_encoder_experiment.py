@@ -25,6 +25,7 @@ from rig.cli import main
 from rig.config.load import load
 from rig.experiment import zero
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.signals import Sample
@@ -153,7 +154,7 @@ def test_home_by_an_end_switch_finds_zero_to_a_few_counts(tmp_path: Path) -> Non
     )
     experiment = load(path)
     with connect(experiment) as bench:
-        found = zero.find_by_switch(experiment, bench)
+        found = zero.find_by_switch(experiment, bench, StopFlag())
         chip = bench.clock
         assert isinstance(chip, VirtualChip)
         true_rad = chip.truth().y_rad
@@ -175,10 +176,10 @@ def test_home_says_why_it_gives_up(tmp_path: Path, end_rad: Any, home: dict[str,
     emulated = {"encoder": {"end_rad": end_rad} if end_rad else {}}
     experiment = load(changed(tmp_path, sensor={"encoder": encoder}, emulated=emulated))
     if code is None:
-        assert -1.1 < zero.by_switch(experiment).y_rad < 1.1
+        assert -1.1 < zero.by_switch(experiment, tmp_path).y_rad < 1.1
         return
     with pytest.raises(Fault) as failed:
-        zero.by_switch(experiment)
+        zero.by_switch(experiment, tmp_path)
     assert failed.value.code == code, failed.value
 
 
@@ -236,7 +237,7 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
         monkeypatch.setattr(driver, "read", read_and_act)
         monkeypatch.setattr(driver, "set_zero", zeros.append)
         with pytest.raises(Fault) as failed:
-            zero.find_by_switch(experiment, bench)
+            zero.find_by_switch(experiment, bench, StopFlag())
         chip.sleep_until(chip.now_s() + 0.2)
         assert not acts and not zeros
         assert chip.truth().pin_V == 0.0

@@ -20,6 +20,7 @@ from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING,
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.opening import emulated_chip
 from rig.calibrate.bench import HandBench
 from rig.calibrate.dialogue import Hold, Strokes, StrokesSeen
 from rig.calibrate.refusal import ALONE, Refusal
@@ -34,15 +35,19 @@ from rig.control.relay import DualChannelRelay, RelayOnCounts
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.control.sweep_plan import Room, sweep_plan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
+from rig.experiment import zero
 from rig.faults import Fault
 from rig.live.lease import LONGEST_NS, HeldLease, Leaser
 from rig.live.stop_flag import StopFlag, request_stop
+from rig.live.unrecorded import told
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.panel import bench as panel_bench
 from rig.panel.bench import Bench as PanelBench
+from rig.panel.runs import Runs
+from rig.panel.watch import Watch
 from rig.testing.line import on_device
 
 FRAME_S = 0.0025  # of 14 bytes on the wire with the time until the program has acted on it
@@ -213,6 +218,10 @@ def test_stop_in_the_panel_is_0_V_at_the_pin_while_a_page_holds_the_jog(
     assert 0.0 < truth.pin_changed_s - asked[0] <= 2 * PERIOD_S + FRAME_S
 
 
+def demo() -> Experiment:
+    return load(parse(ready.text("demo"), "config").data)
+
+
 class Pin:
     """When the pin of a device drove, looked at whenever the loop waits; ``do`` is done in the middle of a drive."""
 
@@ -234,27 +243,86 @@ class Pin:
         device.sleep_until = until  # type: ignore[assignment,method-assign]  # of this device alone
 
 
-def demo() -> Experiment:
-    return load(parse(ready.text("demo"), "config").data)
+def kept_plugged(device: Device) -> Device:
+    """The device behind a cable that nobody pulls: it can be opened again."""
+    device.close = lambda: None  # type: ignore[method-assign]  # of this device alone
+    return device
+
+
+class OtherPanel:
+    """A panel that was opened only to stop: what its Stop is answered, and what its pages are told."""
+
+    def __init__(self, runs: Path) -> None:
+        self._bench = PanelBench(None, runs)
+        self._watch = Watch(self._bench, Runs(runs))
+        self.answers: list[bool | None] = []
+
+    def stop(self) -> None:
+        self.answers.append(self._watch.stop_asked(self._bench.stop())["drive_zero"])
+
+    def told(self) -> list[bool | None]:
+        """Of each message about a Stop whether the drive is at 0."""
+        self._watch.look()
+        return [message["drive_zero"] for _, message in self._watch.scene.news if message["type"] == "stop"]
 
 
 @pytest.mark.parametrize("device", [VirtualBoard, VirtualChip])
-def test_stop_in_a_calibrations_hold_is_0_V_at_the_pin(tmp_path: Path, device: type[Device]) -> None:
-    """As the panel stops what has no run folder: by a signal to the calibration's process."""
-    held = device(HELD, 3)
-    pin = Pin(held, lambda: os.kill(os.getpid(), signal.SIGTERM))
-    with on_device(held), HandBench(demo(), tmp_path) as hand:
+@pytest.mark.parametrize("how", ["signal", "other panel"])
+def test_stop_in_a_calibrations_hold_is_0_V_at_the_pin(tmp_path: Path, device: type[Device], how: str) -> None:
+    """By its own panel: a signal; and by another one, which knows it from its flag."""
+    held, panel = kept_plugged(device(HELD, 3)), OtherPanel(tmp_path)
+    pin = Pin(held, panel.stop if how == "other panel" else lambda: os.kill(os.getpid(), signal.SIGTERM))
+    with on_device(held), told(tmp_path, "calibrate") as flag, HandBench(demo(), tmp_path, flag) as hand:
         with pytest.raises(Refusal, match="stopped: the drive is at 0 V"):
             hand.perform(Hold(demo(), 1.2, 5.0))
         assert held.truth().pin_V == 0.0
         assert 0.0 < held.truth().pin_changed_s - pin.done_s <= 2 * PERIOD_S + FRAME_S
+        if how == "other panel":
+            assert panel.answers == [None], "it drove then"
+            assert panel.told() == [True]
+        assert abs(hand.perform(Hold(demo(), 1.2, 0.1))) < 0.01, "who says yes again drives again"
+    assert list(tmp_path.glob(".*-*")) == []
+
+
+@pytest.mark.parametrize("motion", [Hold(demo(), 1.2, 5.0), Strokes(demo())])
+def test_a_stop_while_a_calibration_asks_refuses_the_next_drive_once(tmp_path: Path, motion: Hold | Strokes) -> None:
+    """Whoever stopped was told that the drive is at 0: an answer that is on its way must not change that."""
+    board, panel = kept_plugged(VirtualBoard(HELD, 3)), OtherPanel(tmp_path)
+    pin = Pin(board)
+    with on_device(board), told(tmp_path, "calibrate") as flag, HandBench(demo(), tmp_path, flag) as hand:
+        panel.stop()
+        assert (panel.answers, panel.told()) == ([None], [True])
+        with pytest.raises(Refusal, match="stopped: the drive is at 0 V"):
+            hand.perform(motion)
+        assert pin.driven_s == []
+        hand.perform(Hold(demo(), 1.2, 0.1))
+        assert pin.driven_s != []
+
+
+@pytest.mark.parametrize("phase", [5.4, 100.9, 180.2])
+def test_stop_by_another_panel_while_it_homes_is_0_V_at_the_pin(tmp_path: Path, phase: float) -> None:
+    """On the way to the switch, on the way back, and on the way there again."""
+    encoder = {"counts_per_turn": 64, "gear": 50, "home": {"end": "high", "at_rad": 1.5, "u_V": 0.9}}
+    data = load(parse(ready.text("encoder"), "config").data).model_dump(mode="json", exclude_none=True)
+    data["sensor"]["encoder"] |= encoder
+    data["emulated"]["encoder"] = {"end_rad": [-1.5, 1.5]}
+    e = Experiment.model_validate(data)
+    chip, panel = emulated_chip(e), OtherPanel(tmp_path)
+    pin = Pin(chip, panel.stop, phase)
+    with on_device(chip), pytest.raises(Fault, match="Stop by panel"):
+        zero.by_switch(e, tmp_path)
+    assert 0.0 < chip.truth().pin_changed_s - pin.done_s <= 2 * PERIOD_S + FRAME_S
+    assert chip.truth().pin_V == 0.0
+    assert panel.answers == [None]
+    assert panel.told() == [True]
+    assert list(tmp_path.glob(".*-*")) == []
 
 
 def test_stop_in_a_calibrations_strokes_is_0_V_at_the_pin(tmp_path: Path) -> None:
     """As the panel stops a run: it finds the folder, and sets its flag."""
     board, panel = VirtualBoard(DEMO, 3), PanelBench(None, tmp_path)
     pin = Pin(board, panel.stop)
-    with on_device(board), HandBench(demo(), tmp_path) as hand:
+    with on_device(board), HandBench(demo(), tmp_path, StopFlag()) as hand:
         seen = hand.perform(Strokes(demo()))
     assert isinstance(seen, StrokesSeen) and seen.fault is not None
     assert (seen.fault.code, seen.fault.detail) == ("INTERRUPTED", "Stop by panel")
@@ -284,7 +352,7 @@ def test_what_a_calibration_drives_is_0_V_at_the_pin_within_the_lease_of_a_dead_
                 given_s.append(one.now_s())
             return "" if held.holds() else ALONE
 
-        with HandBench(demo(), tmp_path / "runs", gone) as hand:
+        with HandBench(demo(), tmp_path / "runs", StopFlag(), gone) as hand:
             if what == "hold":
                 with pytest.raises(Refusal, match="the panel fell silent: the drive is at 0 V"):
                     hand.perform(Hold(demo(), 1.2, 5.0))

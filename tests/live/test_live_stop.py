@@ -21,7 +21,7 @@ from rig.experiment import stages
 from rig.identify import Identification, IdentifyError, identify
 from rig.live import shared_page
 from rig.live.running import running
-from rig.live.stop_flag import NAME, StopError, StopFlag, request_stop, runner_of
+from rig.live.stop_flag import NAME, StopError, StopFlag, Unrecorded, request_stop, runner_of
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.recording import Recording
@@ -239,3 +239,21 @@ def test_what_only_looks_like_a_flag_is_no_run_and_takes_no_time(
     assert running(tmp_path) == []
     with pytest.raises(StopError):
         request_stop(folder)
+
+
+def test_what_is_not_recorded_is_at_0_V_only_if_it_said_so(tmp_path: Path) -> None:
+    """Also after its flag was deleted, or taken along by a run."""
+    for is_on, known in ((True, False), (False, True)):
+        with StopFlag() as flag:
+            flag.open(tmp_path, "home")
+            (one,) = running(tmp_path)
+            seen = Unrecorded(one.folder)
+            assert (seen.pid, seen.is_at_zero()) == (os.getpid(), True), "nothing was armed yet"
+            flag.tell_drive(is_on=True)
+            assert seen.is_at_zero() is None
+            if not is_on:
+                flag.begin(tmp_path)
+                flag.tell_drive(is_on=False)
+        assert seen.is_at_zero() is known
+        seen.close()
+    assert list(tmp_path.iterdir()) == []

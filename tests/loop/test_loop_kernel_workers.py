@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from rig.loop import kernel_workers
-from rig.loop.kernel_workers import main, raised_workers, workers
+from rig.loop.kernel_workers import PF_KTHREAD, Worker, main, raised_workers, workers
 
 RUN = """
 import sys, time
@@ -26,9 +26,16 @@ with raised_workers(7, Path(sys.argv[1])) as said:
 """
 
 
-def put(proc: Path, number: int, name: str) -> None:
-    (proc / str(number)).mkdir(parents=True)
-    (proc / str(number) / "comm").write_text(f"{name}\n", encoding="ascii")
+def put(proc: Path, number: int, name: str, flags: int = PF_KTHREAD | 0x40, start: int = 77) -> None:
+    """A folder like /proc with that process: fields of its state as in proc(5), from its number to its start."""
+    (proc / str(number)).mkdir(parents=True, exist_ok=True)
+    fields = [0] * 30
+    fields[6], fields[19] = flags, start
+    (proc / str(number) / "stat").write_text(f"{number} ({name}) {' '.join(map(str, fields))}\n", encoding="ascii")
+
+
+def numbers(proc: Path) -> list[int]:
+    return sorted(worker.number for worker in workers(proc))
 
 
 @pytest.fixture
@@ -54,7 +61,46 @@ def test_only_those_bound_to_no_core_are_meant(tmp_path: Path) -> None:
     for number, name in ((11, "kworker/u8:1-events_unbound"), (12, "kworker/0:1"), (13, "bash"), (14, "kworker/u4:0")):
         put(tmp_path, number, name)
     put(tmp_path / "self", 15, "kworker/u8:2")
-    assert sorted(workers(tmp_path)) == [11, 14]
+    put(tmp_path, 16, "kworker/u8:3) S 2 (", PF_KTHREAD)  # a name may hold brackets
+    put(tmp_path, 17, "kworker/u8:4", 0x400000)  # no thread of the kernel's
+    put(tmp_path, 18, "x) S 1 0 0 0 -1 2097152 (kworker/u8:5", 0x400000)
+    assert numbers(tmp_path) == [11, 14, 16]
+
+
+RENAMED = """
+import ctypes, time
+ctypes.CDLL(None).prctl(15, b"kworker/u8:9-fake", 0, 0, 0)  # PR_SET_NAME
+print("renamed", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_process_that_calls_itself_a_worker_is_not_touched() -> None:
+    """Any process can take that name; the keeper is rig's own, on the machine's own /proc."""
+    with subprocess.Popen([sys.executable, "-c", RENAMED], stdout=subprocess.PIPE, text=True) as fake:
+        assert fake.stdout is not None
+        try:
+            assert fake.stdout.readline() == "renamed\n"
+            named = Path("/proc", str(fake.pid), "comm").read_text(encoding="ascii")
+            assert named.startswith("kworker/u8:9")
+            assert fake.pid not in numbers(Path("/proc"))
+            assert Worker.of(fake.pid, Path("/proc")) is None
+            assert not Worker(fake.pid, 0).schedule(Path("/proc"), os.SCHED_BATCH, 0)  # which anybody may ask for
+            assert os.sched_getscheduler(fake.pid) == os.SCHED_OTHER
+        finally:
+            fake.kill()
+
+
+def test_a_number_that_has_become_another_process_is_left_alone(worker: int, tmp_path: Path) -> None:
+    """Numbers are given out again: neither raised nor given back unless it is what it was."""
+    (was,) = workers(tmp_path)
+    assert was.schedule(tmp_path, os.SCHED_BATCH, 0)
+    assert os.sched_getscheduler(worker) == os.SCHED_BATCH
+    put(tmp_path, worker, "kworker/u8:1", start=78)
+    assert not was.schedule(tmp_path, os.SCHED_OTHER, 0)
+    put(tmp_path, worker, "bash", 0)
+    assert not was.schedule(tmp_path, os.SCHED_OTHER, 0)
+    assert os.sched_getscheduler(worker) == os.SCHED_BATCH
 
 
 @pytest.mark.realtime
@@ -107,15 +153,19 @@ class Scheduler:
 def test_what_was_raised_is_given_back_and_nothing_else(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
     scheduler: Scheduler,
     said: str,
     raised: list[int],
 ) -> None:
-    monkeypatch.setattr(kernel_workers, "workers", lambda proc: iter([21, 22, 23]))
+    for number in (21, 22, 23):
+        put(tmp_path, number, "kworker/u8:1")
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(os, "sched_setscheduler", scheduler.set)
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    assert main(["59", "/proc"]) == 0
+    found = sorted(workers(tmp_path))
+    monkeypatch.setattr(kernel_workers, "workers", lambda proc: iter(found))  # in order
+    assert main(["59", str(tmp_path)]) == 0
     assert capsys.readouterr().out == said
     first = [(worker, os.SCHED_FIFO, 59) for worker in raised]
     assert scheduler.asked == first + [(worker, os.SCHED_OTHER, 0) for worker in raised]

@@ -7,16 +7,23 @@ import os
 import signal
 from array import array
 from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import pytest
-from simulated_bench import LIMITS, PERIOD_S, BenchModel, simulated_bench
+from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, BenchModel, ListSink, simulated_bench
 
 from rig.backends.clock import MonotonicClock, VirtualClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
 from rig.faults import Fault
+from rig.live.running import running
+from rig.live.stop_flag import StopFlag
+from rig.loop.runner import Loop
 from rig.loop.statistics import LoopStatistics, Times, quantiles
-from rig.loop.stop_request import stop_on_signals
+from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Sample
 
 P = ParamSpec("P")
@@ -248,3 +255,29 @@ def test_clocks_never_wake_early_and_never_run_backwards() -> None:
             assert clock.now_s() >= last
             last = clock.now_s()
         clock.sleep_until(last - 1.0)  # the past: returns at once
+
+
+def test_in_real_time_nothing_drives_that_no_stop_knows_of(tmp_path: Path) -> None:
+    for flag, may in ((None, False), (StopFlag(), False), (StopFlag.unseen(), True)):
+        clock = MonotonicClock()
+        driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(0.001, 0.0), 1)
+        driver.open()
+        loop = Loop(driver, clock, Guard(GUARD), ListSink(), PERIOD_S, StopRequest(flag))
+        with nullcontext() if may else pytest.raises(ValueError, match="no stop flag"), loop.armed(LIMITS):
+            pass
+        loop.close()
+
+
+@pytest.mark.parametrize("confirms", [True, False])
+def test_a_stop_that_the_device_does_not_confirm_is_not_told_as_0_V(tmp_path: Path, confirms: bool) -> None:
+    clock = VirtualClock()
+    driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(0.001, 0.0), 1)
+    driver.open()
+    with StopFlag() as flag:
+        flag.open(tmp_path, "home")
+        loop = Loop(driver, clock, Guard(GUARD), ListSink(), PERIOD_S, StopRequest(flag))
+        driver.safe_stop = lambda: confirms  # type: ignore[method-assign]  # of this driver alone
+        with nullcontext() if confirms else pytest.raises(Fault, match="STOP_UNCONFIRMED"), loop.armed(LIMITS):
+            assert [one.runner.drives for one in running(tmp_path)] == [True]
+        assert [one.runner.drives for one in running(tmp_path)] == [not confirms]
+        loop.close()

@@ -25,6 +25,7 @@ from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
@@ -194,7 +195,7 @@ def real_time_bench(recorder: Recorder) -> tuple[SimulatedDriver, Loop, Lateness
     clock = MonotonicClock(200e-6)
     driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(0.001, 0.0), 1)
     record = Lateness(recorder)
-    return driver, Loop(driver, clock, Guard(GUARD), record, PERIOD_S, StopRequest()), record
+    return driver, Loop(driver, clock, Guard(GUARD), record, PERIOD_S, StopRequest(StopFlag.unseen())), record
 
 
 BURN = "while True:\n    [line.split(',') for line in open({path!r})]"

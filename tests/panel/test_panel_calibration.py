@@ -15,7 +15,8 @@ from processes import wait_until
 from rig.calibrate import session
 from rig.calibrate.save import save
 from rig.config import ready
-from rig.panel import calibrating
+from rig.live.stop_flag import command_of
+from rig.panel import calibrating, processes
 from rig.panel.bench import CALIBRATION, Bench
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
@@ -118,3 +119,22 @@ def test_a_stop_after_the_last_yes_says_what_is_written(
     *_, last = map(json.loads, capsys.readouterr().out.splitlines())
     assert (last["type"], last["written"], last["words"]) == ("end", True, "bench.yaml is written")
     assert config.read_text() != before
+
+
+def test_a_calibration_begins_beside_nothing_that_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither while another panel starts something, nor beside the calibration of another panel or of a terminal."""
+    monkeypatch.setattr(processes, "_WAIT_S", 0.05)
+    config = tmp_path / "bench.yaml"
+    config.write_text(ready.text("limit-cycle"))
+    runs = tmp_path / "runs"
+    one, other = Bench(config, runs), Bench(config, runs)
+    with processes.one_at_a_time(runs), pytest.raises(RefusedError, match="another panel of this folder starts"):
+        one.calibrate()
+    calibration = begun(one)
+    question = open_question(calibration)
+    for begins in (other.calibrate, lambda: other._start("jog")):
+        with pytest.raises(RefusedError, match="rig calibrate goes on already"):
+            begins()
+    assert [command_of(folder) for folder in other.stop().runs] == ["rig calibrate"]
+    calibration.answer(question["number"], {"end": True})
+    end(calibration)

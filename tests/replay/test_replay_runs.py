@@ -200,7 +200,7 @@ def test_a_run_of_an_older_version_replays_with_the_breakaway_law_of_then(tmp_pa
 def test_a_run_of_now_says_which_breakaway_law_ran(tmp_path: Path) -> None:
     outcome = experiment.run_breakaway(short(), tmp_path)
     run = RunCopy(outcome.folder, tmp_path / "copy")
-    assert run.meta["script"] == {"name": "breakaway", "breakaway": "balanced pairs, repeated at the top"}
+    assert run.meta["script"] == {"name": "breakaway", "breakaway": "balanced pairs, in the device's steps"}
     assert replay(outcome.folder).is_same
     del run.meta["script"]["breakaway"]
     found = replay(run.write()).difference

@@ -134,7 +134,7 @@ def measure(seconds: float, viewers: int, folder: Path) -> dict[str, Any]:
         guards = [Guard(guard_settings_of(experiment)) for _ in range(2)]
         for guard in guards:
             guard.sign_proven = True
-        stops = (StopRequest(flag), StopRequest())
+        stops = (StopRequest(flag), StopRequest(StopFlag.unseen()))
         loops = [
             Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
             for guard, stop in zip(guards, stops, strict=True)

@@ -33,6 +33,7 @@ from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
+from rig.live.stop_flag import StopFlag
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
@@ -139,7 +140,7 @@ class Turns:
         settings = guard_settings_of(experiment)
         guard = Guard(settings)
         guard.sign_proven = True
-        stop, period_s = StopRequest(), experiment.period_s
+        stop, period_s = StopRequest(StopFlag.unseen()), experiment.period_s
         self.ours = Loop(bench.driver, bench.clock, guard, recorder, period_s, stop)
         self.bare = Loop(bench.driver, bench.clock, NoGuard(settings), NullSink(), period_s, stop)
         self._relay, self._detector = DualChannelRelay(*GAINS_V, 0.7), CycleDetector(0.3, 0.08)

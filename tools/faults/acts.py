@@ -18,6 +18,7 @@ from rig.backends.serial.emulated.virtual_pico import VirtualPico
 Act = Callable[[FaultInjector], None]
 
 FREEZE_S = 1.0
+SUSPEND_S = 5.0
 FOR_TICKS = 50  # that a disturbance lasts which the run survives
 STALL_S = 0.03  # of an overloaded host, at most
 SMALL_DISK = 2 << 20
@@ -285,6 +286,7 @@ ACTS: Mapping[str, Act] = {
     "host SIGTERM": lambda injector: injector.tell_host(signal.SIGTERM),
     "host SIGKILL": lambda injector: injector.kill_host(),
     "host SIGSTOP, 1 s": lambda injector: injector.freeze_host(FREEZE_S),
+    "host suspended, 5 s": lambda injector: injector.suspend_host(SUSPEND_S),
     "host overloaded": _overload,
     "clock stepped": host.step_clock,
     "disk full": _fill_disk,

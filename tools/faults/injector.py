@@ -18,6 +18,7 @@ from rig.faults import Fault
 
 GRAIN_S = 5e-4  # between two looks at the output, from the fault on
 CONTACTS: tuple[Contact, ...] = ("e_stop", "end_low", "end_high")
+_ROUNDING_S = 1e-9
 _CLOSE_V = 0.02  # drives that differ by less are the same, but for rounding
 
 
@@ -98,6 +99,7 @@ class FaultInjector:
         self._is_disarmed = True
         self._since_s = math.nan  # since then the drive is not the one that the host commanded
         self._is_interrupted = False
+        self._asleep_s = self._asleep_before_s = 0.0
 
     # ------------------------------------------------------------------ faults
 
@@ -109,6 +111,7 @@ class FaultInjector:
         """Forget what was seen so far: a new run begins."""
         self.readings, self.closing, self.closed, self.handing_over, self.read_at = [], set(), set(), set(), []
         self.first_drive_s = math.nan
+        self._asleep_before_s = self._asleep_s
         self._held.clear()
 
     def later(self, in_s: float, act: Callable[[], object]) -> None:
@@ -151,6 +154,15 @@ class FaultInjector:
         """Let the host do nothing for a while, as after SIGSTOP."""
         self._pass(self.now_s() + for_s)
 
+    def suspend_host(self, for_s: float) -> None:
+        """The host's machine sleeps: its clock stands still, the device's goes on."""
+        self.device.sleep_until(self.device.now_s() + for_s)
+        self._asleep_s += for_s
+
+    def asleep_s(self) -> float:
+        """For how long the host's machine has slept in this run, s: a run makes a clock of its own."""
+        return self._asleep_s - self._asleep_before_s
+
     def kill_host(self) -> None:
         """SIGKILL to this process; the device lives on in a copy of it."""
         if self.after_death is None:
@@ -163,9 +175,13 @@ class FaultInjector:
     # ------------------------------------------------------------------ clock
 
     def now_s(self) -> float:
-        """Virtual time, s."""
+        """Virtual time of the host, s: the device's, without what the host's machine has slept."""
         now_s: float = self.device.now_s()
-        return now_s
+        return now_s - self._asleep_s
+
+    def _to_device_s(self, t_s: float) -> float:
+        """The device's time at an instant of the host's, s; not before it by rounding."""
+        return t_s + self._asleep_s + _ROUNDING_S if self._asleep_s else t_s
 
     def sleep_until(self, t_s: float) -> float:
         """Let time pass; a signal ends it. Returns when that was."""
@@ -177,7 +193,7 @@ class FaultInjector:
 
     def _pass(self, t_s: float) -> None:
         while (now_s := self.now_s()) < t_s and not self._is_interrupted:
-            self.device.sleep_until(self._step(now_s, t_s))
+            self.device.sleep_until(self._to_device_s(self._step(now_s, t_s)))
             self._look()
 
     def _step(self, now_s: float, until_s: float) -> float:
@@ -273,7 +289,7 @@ class FaultInjector:
                 return self._arrived(now_s)
             next_s = self._step(now_s, min([until_s, *(due_s for due_s, _, _ in self._held)]))
             if (whole_s := now_s + self._language.to_come_s()) > now_s:  # one look for many bytes
-                now_s = self.device.sleep_until(min(next_s, whole_s))
+                now_s = self.device.sleep_until(self._to_device_s(min(next_s, whole_s))) - self._asleep_s
             self._take(self.device.read(next_s - now_s))
             self._look()
 

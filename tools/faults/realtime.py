@@ -33,10 +33,12 @@ from faults.rows import AT_ONCE, SEEN, SILENCE
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 from rig.backends.modbus.emulated.rtu_slave import check_sum
+from rig.backends.registry import connect
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.frames import FrameReader, Kind
 from rig.config.schema import Experiment
+from rig.faults import Fault
 from rig.preflight import check
 from rig.recording.stage import StageKind, kind_of
 
@@ -186,6 +188,25 @@ def _overload(case: Case) -> None:
             burner.wait()
 
 
+def _beside(changes: Mapping[str, str], *codes: str) -> Callable[[Case], None]:
+    """Another process opens the device, with the same config but for these keys of ``daq``: refused with a code."""
+
+    def act(case: Case) -> None:
+        folder = case.link_fault.parent
+        config = yaml.safe_load((folder / "fault.yaml").read_text(encoding="utf-8"))
+        port = config["daq"]["port"].replace("127.0.0.1", "localhost")  # by another name of this machine
+        config["daq"] |= {"port": port, **changes}
+        (folder / "other.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+        try:
+            with connect(check(folder / "other.yaml")[0]):
+                raise RuntimeError("the other process was not refused")
+        except Fault as fault:
+            if fault.code not in codes:
+                raise RuntimeError(f"the other process was refused by {fault}") from fault
+
+    return act
+
+
 def _serial_start(board: Any, experiment: Experiment, folder: Path) -> str:
     assert experiment.emulated is not None
     board.start(experiment.emulated, 1, folder / "device", folder / "trace.csv")
@@ -256,6 +277,25 @@ REAL_ROWS = (
         {"": ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED"), "tcp": ("LINK_LOST",)},
         (1,),
         only=_PROCESSES,
+    ),
+    RealRow(
+        "second master",
+        "another process opens the same device, by another name of this machine: it is refused",
+        _beside({}, "SECOND_MASTER", "LINK_OPEN"),
+        bound("the run goes on", watchdog=1, tick=2),
+        {"": ("",)},
+        (0,),
+        alone=True,
+    ),
+    RealRow(
+        "another board under the same name",
+        "another process opens the port for the USB serial number of another board: it is refused before it does",
+        _beside({"usb_serial": "of-another-board"}, "OTHER_BOARD"),
+        bound("the run goes on", watchdog=1, tick=2),
+        {"": ("",)},
+        (0,),
+        alone=True,
+        only=("board", "chip"),
     ),
     RealRow("host SIGINT", "Ctrl-C", _send(signal.SIGINT), SEEN, {"": ("INTERRUPTED",)}, (1,), only=("board",)),
     RealRow("host SIGTERM", "kill", _send(signal.SIGTERM), SEEN, {"": ("INTERRUPTED",)}, (1,), only=("board",)),

@@ -36,10 +36,11 @@ GAINS_BY = (  # what a law could show needs no run
 )
 WRONG = 0.05  # relative error beyond which a number called ok is wrong
 SEED, PERCENT = 3, 1.0
-PLAIN, KNOWN, DEPARTING = "plain", "known", "departing"
+PLAIN, KNOWN, AFTERWARDS, DEPARTING = "plain", "known", "afterwards", "departing"
 TITLES = {
     PLAIN: "From rest, nothing known",
     KNOWN: "From a model that is known to 30 %",
+    AFTERWARDS: "From rest, nothing known, identified afterwards",
     DEPARTING: "With one departure from the plain model each, identified afterwards",
 }
 TITLE = "# How soon an experiment knows its motor"
@@ -54,10 +55,11 @@ Told = dict[str, dict[int, Row]]
 
 
 def main() -> int:
-    """Run what is missing, and write the page. Exit status 1 if an experiment failed with an exception."""
+    """Run what is missing, and write the page. Exit status 1 if one failed, or if an answer is worse afterwards."""
     parser = argparse.ArgumentParser(prog="make stopping", description=__doc__)
     parser.add_argument("--motors", type=int, default=500, help="plain motors from rest, nothing known")
     parser.add_argument("--known", type=int, default=100, help="plain motors that are known to 30 %%")
+    parser.add_argument("--afterwards", type=int, default=0, help="plain motors that are identified afterwards, too")
     parser.add_argument("--departing", type=int, default=0, help="motors with one departure each")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--percent", type=float, default=PERCENT, help="wanted half width of the 95 %% intervals")
@@ -65,10 +67,12 @@ def main() -> int:
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
     campaign = Campaign(
-        name="stopping", experiments=max(given.motors, given.known, given.departing, 1), seed=given.seed
+        name="stopping",
+        experiments=max(given.motors, given.known, given.afterwards, given.departing, 1),
+        seed=given.seed,
     )
     file = RowsFile(f"stopping-{given.seed}-{given.percent:g}", MADE_BY)
-    told: Told = {PLAIN: {}, KNOWN: {}, DEPARTING: {}}
+    told: Told = {PLAIN: {}, KNOWN: {}, AFTERWARDS: {}, DEPARTING: {}}
     for values in file.read():
         group = values.pop("group")
         told[group][values["number"]] = Row(**values)
@@ -76,6 +80,7 @@ def main() -> int:
     plans = {
         PLAIN: (given.motors, Asked(given.percent)),
         KNOWN: (given.known, Asked(given.percent, known=True)),
+        AFTERWARDS: (given.afterwards, Asked(given.percent, identified=True)),
         DEPARTING: (given.departing, Asked(given.percent, identified=True)),
     }
     wanted = [(group, k) for group, (count, _) in plans.items() for k in range(count) if k not in told[group]]
@@ -89,7 +94,12 @@ def main() -> int:
         file.add({**one.as_json(), "group": group})
     if given.keep:
         file.keep()
-    counts = {"MOTORS": (given.motors, 500), "KNOWN": (given.known, 100), "DEPARTING": (given.departing, 0)}
+    counts = {
+        "MOTORS": (given.motors, 500),
+        "KNOWN": (given.known, 100),
+        "AFTERWARDS": (given.afterwards, 0),
+        "DEPARTING": (given.departing, 0),
+    }
     options = [f" {name}={count}" for name, (count, usual) in counts.items() if count != usual]
     options += [f" SEED={given.seed}"] if given.seed != SEED else []
     options += [f" PERCENT={given.percent:g}"] if given.percent != PERCENT else []
@@ -99,7 +109,7 @@ def main() -> int:
     text = page(told, given.percent, "make stopping" + "".join(options), made, len(jobs), shown)
     given.page.write_text(text, encoding="utf-8")
     print(text)
-    return 0
+    return int(any(one.is_worse(given.percent) for one in told[AFTERWARDS].values()))
 
 
 def page(told: Told, percent: float, command: str, made: str, new: int, shown: Shown | None = None) -> str:
@@ -119,7 +129,7 @@ def page(told: Told, percent: float, command: str, made: str, new: int, shown: S
     for group, rows in told.items():
         if rows:
             some = [rows[k] for k in sorted(rows)]
-            lines += [f"## {TITLES[group]}", "", *_table(some, shown or {}), ""]
+            lines += [f"## {TITLES[group]}", "", *_table(some, percent, shown or {}), ""]
             if group == DEPARTING:
                 lines += [*_kinds(some), ""]
     return "\n".join(lines)
@@ -129,7 +139,7 @@ def _time(time_s: float) -> str:
     return f"{time_s:.1f} s" if np.isfinite(time_s) else "never known"
 
 
-def _table(rows: Sequence[Row], shown: Shown) -> list[str]:
+def _table(rows: Sequence[Row], percent: float, shown: Shown) -> list[str]:
     known = [one for one in rows if one.known]
     ended = [one for one in rows if not one.known]
     lines = ["| | |", "|---|---|", f"| motors | {len(rows)} |", f"| stopped because known | {len(known)} |"]
@@ -157,6 +167,9 @@ def _table(rows: Sequence[Row], shown: Shown) -> list[str]:
         bound = at_most(len(wrong), len(rows))
         lines.append(f"| identified afterwards: called ok | {len(ok)} of {len(judged)} |")
         lines.append(f"| of these more than 5 % off | {len(wrong)}; with 95 % confidence at most {100 * bound:.2f} % |")
+        worse = sum(one.is_worse(percent) for one in judged)
+        told = any(one.scatter is not None for one in judged)  # rows of before do not say
+        lines += [f"| known at the stop, and refused or known worse afterwards | {worse} |"] if told else []
         departing = [one for one in rows if one.kinds not in ((), (PLAIN,))]  # a run that failed was not called ok
         if departing:
             share = sum(one.verdict == "ok" for one in departing) / len(departing)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from rig.loop.stop_request import StopRequest
 from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.recording import Recording, assembled
 from rig.recording.sink import NullSink, Row
-from rig.results import RealTimeReport, RunMeta
+from rig.results import RealTimeReport, RunEvent, RunMeta
 from rig.run_summary import Findings
 from rig.session import Session
 
@@ -32,6 +33,13 @@ class MemoryRecord(NullSink):
     def __init__(self) -> None:
         self._rows: list[tuple[float, float, float, float, float, str]] = []
         self._open: tuple[float, float, float, str] | None = None
+        self._decided: list[RunEvent] = []  # of the events only these tell an estimate something
+
+    @override
+    def event(self, t_s: float, kind: str, **fields: object) -> None:
+        """Keep it if it is a decision."""
+        if kind == "decided":
+            self._decided.append(RunEvent.model_validate({"t_s": t_s, "kind": kind, **fields}))
 
     @override
     def sample(self, *row: *Row) -> None:
@@ -54,7 +62,8 @@ class MemoryRecord(NullSink):
     def recording(self) -> Recording:
         """The finished rows."""
         columns = dict(zip(NAMES, map(np.array, zip(*self._rows, strict=True)), strict=True))
-        return assembled(Path("in-memory"), columns, range(1, len(self._rows) + 1), columns_present=NAMES)
+        of_rows = assembled(Path("in-memory"), columns, range(1, len(self._rows) + 1), columns_present=NAMES)
+        return replace(of_rows, events=tuple(self._decided))
 
 
 class MemorySession(Session):

@@ -22,6 +22,7 @@ from rig.config.schema import RelaySection, UntilSection
 from rig.estimators import LEADING
 from rig.experiment.stages import identify_recorded
 from rig.experiment.until import drive_until
+from rig.identify.departures.budget import TYPE_A
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
@@ -37,6 +38,7 @@ OF = ("tau_s", "K_rad_s_V", "fc_V")
 PERCENT_OF = {"tau_s": "tau_percent", "K_rad_s_V": "K_percent", "fc_V": "fc_percent"}
 LONGEST_S = 60.0  # of the tests; friction drifts over it
 FASTEST_MOTORS_V, LEAST_V = 0.5, 0.01  # of breakaway.max_V: from there on down, in these steps
+WIDER = 2.0  # times the live interval: the one afterwards knows of coloured noise, too
 DOUBT = 0.30  # a model that is known beforehand is off by at most that: relay.until.model_doubt_percent
 
 
@@ -55,6 +57,8 @@ class Row:
     beyond_rad      how far the shaft went beyond the soft limits, rad
     braked          ticks in which the guard braked
     seconds         of computing, s
+    live            relative half widths of the live estimate's intervals at the stop
+    scatter         relative half widths afterwards, what noise alone leaves of u95; None without a budget
     """
 
     number: int
@@ -76,6 +80,21 @@ class Row:
     braked: int
     fault: str | None
     seconds: float
+    live: tuple[float, ...] | None = None
+    scatter: tuple[float, ...] | None = None
+
+    def is_worse(self, percent: float) -> bool:
+        """Whether the answer that ended the tests was refused afterwards, or is known worse by its noise than promised.
+
+        percent  that was asked for
+        What noise does not make is not compared: laws that the tests do not exclude, sag, supply, calibration.
+        """
+        if not self.known or self.verdict is None:
+            return False
+        if self.verdict == "refused" or self.scatter is None or self.live is None:
+            return True
+        promised = (max(WIDER * live, 0.01 * percent) for live in self.live)
+        return any(after > most for after, most in zip(self.scatter, promised, strict=True))
 
     def as_json(self) -> dict[str, object]:
         """As a line of rows.jsonl."""
@@ -118,12 +137,13 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
     stopped, found = session.found.stopped, session.found.identification
     truth = _truth(one, departures, recording)
     live = stopped.live[-1] if stopped is not None and stopped.live else None
-    error = inside = final_error = final_inside = u95 = verdict = None
+    error = inside = percents = final_error = final_inside = u95 = scatter = verdict = None
     names: tuple[str, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
     if live is not None:
         values = np.array([getattr(live, name) for name in OF])
-        half = 0.01 * values * np.array([getattr(live, PERCENT_OF[name]) for name in OF])
+        percents = np.array([getattr(live, PERCENT_OF[name]) for name in OF])
+        half = 0.01 * values * percents
         error = tuple((values / truth - 1.0).tolist())
         inside = tuple((np.abs(values - truth) <= half).tolist())
     if found is not None and LEADING in found.estimates:
@@ -136,6 +156,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         final_inside = tuple((np.abs(values - truth) <= wide).tolist())
         u95 = tuple((wide / values).tolist())
         if law is not None:
+            of_noise = next(entry for entry in law.budget.entries if entry.source == TYPE_A)
+            scatter = tuple((np.array([getattr(of_noise, name) for name in OF]) / values).tolist())
             names, groups = tuple(part.law.name for part in law.found), law.not_told_apart
     return Row(
         number,
@@ -157,6 +179,8 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         session.loop.guard.braked_ticks,
         None if fault is None else fault.code,
         time.perf_counter() - began,
+        None if percents is None else tuple((0.01 * percents).tolist()),
+        scatter,
     )
 
 

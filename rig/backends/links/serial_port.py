@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
 import sys
 import time
 
+from rig.backends.links.holder import holder_of_file
 from rig.faults import Fault
 
 _READ_BYTES = 512
+_PSEUDO_TERMINALS = range(136, 144)  # major numbers on Linux
 
 
 class SerialPort:
     """A serial port of this machine, or a pseudo-terminal; held exclusively.
+
+    No other process of rig opens it meanwhile, by whatever link; of a real port also no other program, unless it is
+    root's.
 
     parity       N, E or O
     low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
@@ -34,9 +40,10 @@ class SerialPort:
         try:
             self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
-            raise Fault("LINK_OPEN", f"{port}: {_why_not_open(error)}") from error
+            raise Fault("LINK_OPEN", f"{port}: {_why_not_open(port, error)}") from error
         self._port = port
         self._fd: int = self._serial.fileno()
+        self._keep_others_out(keeps=True)
         try:
             self._serial.set_low_latency_mode(True)
             self.low_latency = True
@@ -83,13 +90,28 @@ class SerialPort:
 
     def close(self) -> None:
         """Give the port back. May be called twice."""
+        if self._fd >= 0:
+            self._keep_others_out(keeps=False)
         self._fd = -1  # the number may soon be another file's
         self._serial.close()
 
+    def _keep_others_out(self, *, keeps: bool) -> None:
+        """Whether the kernel lets others open a real port. A killed process would leave a pseudo-terminal so."""
+        import fcntl  # not everywhere
+        import termios
 
-def _why_not_open(error: OSError | ValueError) -> str:
+        if not _is_pseudo_terminal(self._fd):
+            with contextlib.suppress(OSError):  # the port is dead
+                fcntl.ioctl(self._fd, termios.TIOCEXCL if keeps else termios.TIOCNXCL)
+
+
+def _is_pseudo_terminal(descriptor: int) -> bool:
+    return os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS
+
+
+def _why_not_open(port: str, error: OSError | ValueError) -> str:
     """In a few words; pyserial's own name port and cause twice."""
     number = error.errno if isinstance(error, OSError) else None
-    if number == errno.EWOULDBLOCK:
-        return "another program holds it"
+    if number in (errno.EWOULDBLOCK, errno.EBUSY):
+        return f"{holder_of_file(port) or 'another program'} holds it"
     return str(error) if number is None else os.strerror(number)

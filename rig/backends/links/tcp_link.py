@@ -6,6 +6,7 @@ import select
 import socket
 import time
 
+from rig.backends.links.held_endpoint import HeldEndpoint
 from rig.faults import Fault
 
 _READ_BYTES = 1024
@@ -15,15 +16,23 @@ class TcpTransport:
     """A connection to host and port number; small frames leave at once (no Nagle delay).
 
     connect_s  longest wait for the connection
-    Raises Fault LINK_OPEN if there is none.
+    unit       unit id behind it, which no other process of this machine has while this one does
+    Raises Fault LINK_OPEN if there is no connection, SECOND_MASTER if another process has the unit.
     """
 
-    def __init__(self, host: str, port: int, connect_s: float = 5.0) -> None:
+    def __init__(self, host: str, port: int, connect_s: float = 5.0, unit: int = 1) -> None:
         self._name = f"{host}:{port}"
+        self._held = HeldEndpoint(host, port, unit)
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_s)
         except OSError as error:
+            self._held.close()
             raise Fault("LINK_OPEN", f"tcp://{self._name}: {error.strerror or error}") from error
+        try:
+            self._held.hold(str(self._socket.getpeername()[0]))  # its name may have got another address since
+        except (OSError, Fault) as error:
+            self.close()
+            raise error if isinstance(error, Fault) else Fault("LINK_OPEN", f"tcp://{self._name}: {error}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
 
@@ -60,3 +69,4 @@ class TcpTransport:
     def close(self) -> None:
         """Close the connection. May be called twice."""
         self._socket.close()
+        self._held.close()

@@ -1,15 +1,21 @@
-"""What sits between USB and the line behind a port of this machine: by its USB ids, and an FTDI's timer."""
+"""What sits between USB and the line behind a port of this machine, and which one it is: by what it says on USB."""
 
 from __future__ import annotations
 
+import json
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_by_id, adapter_delay_s
 from rig.faults import Fault
+from rig.signals import plain
 
 LATENCY_MS = 1  # of an FTDI's timer, at its best
 _ROOT = Path("/")
+_BY_ID = Path("/dev/serial/by-id")
+_USB_NAMES = ("/dev/ttyUSB*", "/dev/ttyACM*", "/dev/serial/by-id/usb-*", "/dev/tty.usb*")
+_NO_NUMBERS = ("", "1")  # 0001: what each CP210x has as it comes
 
 
 class UsbPort(NamedTuple):
@@ -18,6 +24,7 @@ class UsbPort(NamedTuple):
     vendor, product   its USB ids; None where it has none
     adapter           what they tell; None where they tell nothing
     timer_ms          of an FTDI, as the kernel writes it; None where it says nothing
+    serial_number     that tells this one from others; None where it has none, or one that others of its kind have, too
     """
 
     device: str
@@ -25,6 +32,12 @@ class UsbPort(NamedTuple):
     product: int | None = None
     adapter: Adapter | None = None
     timer_ms: str | None = None
+    serial_number: str | None = None
+
+    @property
+    def vid_is_known(self) -> bool:
+        """Whether it is on USB, and plugged in."""
+        return self.vendor is not None
 
     @property
     def words(self) -> str:
@@ -59,7 +72,46 @@ def usb_port(device: str, root: Path = _ROOT) -> UsbPort:
             timer_ms = None
         if timer_ms == str(LATENCY_MS):
             adapter = "ftdi-1ms"
-    return UsbPort(device, port.vid, port.pid, adapter, timer_ms)
+    return UsbPort(device, port.vid, port.pid, adapter, timer_ms, _number_of(port))
+
+
+def is_usb_name(device: str) -> bool:
+    """Whether ports of this name are on USB, as far as a name tells."""
+    return any(fnmatch(device, pattern) for pattern in _USB_NAMES)
+
+
+def check_board(device: str, wanted: str | None, key: str = "daq.usb_serial") -> None:
+    """Compare the USB serial number behind a port with the one of the config, before the port is opened.
+
+    wanted  None: the config is for any
+    Raises Fault OTHER_BOARD, which says where the right one is, and what ``key`` or the port is to be.
+    """
+    if wanted is None:
+        return
+    found = usb_port(device).serial_number
+    if found == wanted:
+        return
+    has = "no serial number" if found is None else f"serial number {plain(found)}"
+    there = f"{device} has {has} on USB, and this config is for {wanted}"
+    if elsewhere := port_of(wanted):
+        raise Fault("OTHER_BOARD", f"{there}, which is at {elsewhere} now: daq.port: {elsewhere}")
+    new = "leave it out" if found is None else f"{key}: {json.dumps(found)}"
+    raise Fault("OTHER_BOARD", f"{there}, which is not plugged in. If the bench has a new board: {new}")
+
+
+def port_of(serial_number: str) -> str:
+    """The port of this machine with this USB serial number, by its lasting name if it has one; "" for none."""
+    from serial.tools import list_ports
+
+    device = next((str(port.device) for port in list_ports.comports() if _number_of(port) == serial_number), "")
+    lasting = (str(link) for link in sorted(_BY_ID.glob("*")) if link.resolve() == Path(device))
+    return next(lasting, device) if device else ""
+
+
+def _number_of(port: Any) -> str | None:
+    """The serial number of one of pyserial's ports, if it is one."""
+    number = str(getattr(port, "serial_number", None) or "").strip()
+    return number if number.lstrip("0") not in _NO_NUMBERS else None
 
 
 def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter", root: Path = _ROOT) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog
+from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
 from rig.backends.driver import Driver
 from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
@@ -31,11 +31,12 @@ class ModbusBackend(LineBackend):
 
     name = "modbus"
     own_keys = ModbusKeys
-    shared_keys = frozenset({"port"})
+    shared_keys = frozenset({"port", "usb_serial"})
     has_chip = False
 
     @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
+        yield from usb_rules(e)
         yield from modbus_rules(e)
 
     @override
@@ -119,6 +120,7 @@ class ModbusBackend(LineBackend):
 
     @override
     def notes(self, e: Experiment) -> Iterator[str]:
+        yield from usb_notes(e)
         yield from modbus_notes(e)
 
     @override

@@ -137,10 +137,14 @@ class ModbusClient:
         """Send a request and throw away all that comes within ``wait_s``. After it nothing is suspect."""
         self._drain()
         self._send(request)
+        self.wait(wait_s)
+        self.is_suspect = False
+
+    def wait(self, wait_s: float) -> None:
+        """Ask nothing for so long, and throw away what comes."""
         until_s = self._transport.now_s() + wait_s
         while (left_s := until_s - self._transport.now_s()) > 0.0:
             self._throw_away(self._transport.read(left_s))
-        self.is_suspect = False
 
     # ------------------------------------------------------------------ bytes
 

@@ -9,7 +9,7 @@ With FC23 a tick is one exchange: the drive of the previous tick goes out, and t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
@@ -33,6 +33,8 @@ _STOPPING_S = 0.02  # longest wait for a stop: three of them are shorter than mo
 _INTRODUCTIONS = 20  # reads that measure the round trip
 _LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
 _LONGEST_WATCHDOG_S = 1.0  # that the config allows
+_SILENCE_MARGIN_S = 0.1  # beyond a watchdog's time: a device has its own clock, and its own cycle
+_OWN_ECHOES = 2  # what echoes of a late reply, or of a write that was not executed, differ by at most
 _EMULATED = ("rig", "emulated I/O block")  # vendor and product of the emulated block
 
 
@@ -85,9 +87,11 @@ class ModbusDriver:
         self._max_units = 0
         self._seq = 0
         self._sequence = 0  # as last written with a drive; its echo must be this
+        self._echo: float | None = None  # as last read since it was armed, or since the stop after that
         self._units = 0  # drive as last commanded
         self._fresh = False  # it has not gone out yet
         self._t_u_s = math.nan
+        self._driven_s = -math.inf  # when the device last executed a drive
 
     @property
     def order(self) -> Order:
@@ -105,7 +109,7 @@ class ModbusDriver:
         """Read the device's registers until it answers, ask who it is, and measure the round trip.
 
         Raises Fault LINK_TIMEOUT, LINK_UNIT, LINK_REPLY, MODBUS_EXCEPTION or LINK_LOST; CONFIG_MISMATCH for a position
-        that no sensor of the config gives.
+        that no sensor of the config gives; SECOND_MASTER where its registers show that somebody else drives it.
         """
         self._until_answered()
         self._met = True
@@ -115,7 +119,13 @@ class ModbusDriver:
         replies = [self._client.patiently(reading(self._read_span), self._unhurried_s) for _ in range(_INTRODUCTIONS)]
         fastest = min(replies, key=lambda reply: reply.round_trip_s)
         self._client.set_pace(fastest)
-        self._check_range(self._values(self._read_span, replies[-1])["position"])
+        seen = [self._values(self._read_span, reply) for reply in replies]
+        self._check_range(seen[-1]["position"])
+        try:
+            self._check_alone(seen)
+        except Fault as fault:
+            self._met = fault.code != "SECOND_MASTER"  # what somebody else drives is not ours to stop
+            raise
         emulated = self._emulated or (vendor, product) == _EMULATED
         board = " ".join(part for part in (vendor, product) if part) or "Modbus device"
         self.backend = f"{self._name} (unit {self._line.unit}, {board}{revision and f', {revision}'})"
@@ -142,6 +152,7 @@ class ModbusDriver:
         if self._is_off:  # read first: another stop would clear what the device may have latched
             self.read()
         self._is_off = False
+        self._echo = None
         self._write_stop(self._client.patiently, self._unhurried_s)
         self._check_settings()
         if settings != self._written:
@@ -152,7 +163,7 @@ class ModbusDriver:
         if self._map.watchdog is not None:
             self.failsafe = DeviceWatchdog(limits.watchdog_s)
         self._units, self._fresh, self._t_u_s = 0, False, math.nan
-        self._client.patiently(self._writing_drive(0), self._unhurried_s)
+        self._driven_s = self._client.patiently(self._writing_drive(0), self._unhurried_s).executed_s
         if self._map.control is not None:
             self._client.patiently(_setting(self._map.control, self._map.arm), self._unhurried_s)
         self._await_armed()
@@ -169,6 +180,7 @@ class ModbusDriver:
             reply = self._exchange(
                 reading_and_writing(self._read_span, self._written_span, self._drive_words(self._units))
             )
+            self._driven_s = reply.executed_s
             if self._fresh:
                 self._t_u_s, self._fresh = reply.executed_s, False
         else:
@@ -208,7 +220,7 @@ class ModbusDriver:
         if self._line.requests == "read-write":
             self._fresh = True
         else:
-            self._t_u_s = self._exchange(self._writing_drive(units)).executed_s
+            self._t_u_s = self._driven_s = self._exchange(self._writing_drive(units)).executed_s
 
     def safe_stop(self) -> bool:
         """Drive 0, control to stop, up to three times. True once replies and registers confirm it.
@@ -219,8 +231,9 @@ class ModbusDriver:
         """
         self._armed = False
         self._fresh = False
+        self._echo = None
         if not self._met:
-            return False  # never write to a device that has not answered yet
+            return False  # never write to a device that has not answered yet, or that somebody else drives
         begin_s = self._transport.now_s()
         for attempt in range(1, ATTEMPTS + 1):
             try:
@@ -393,6 +406,31 @@ class ModbusDriver:
                 "check its type, scale and offset_counts, daq.modbus.word_order, and the sensor's wire",
             )
 
+    def _check_alone(self, seen: Sequence[Mapping[str, float]]) -> None:
+        """Raise Fault SECOND_MASTER where the device is driven while rig has only read it.
+
+        What a killed master has left armed, the watchdog ends in a silence; who drives now, feeds it, and counts on.
+        """
+        echo = self._map.echo
+        if echo is not None and len(echoes := {values["echo"] for values in seen}) > 1:
+            words = f"{echo} went from {min(echoes):g} to {max(echoes):g} while rig only read"
+            raise Fault("SECOND_MASTER", words)
+        if self.failsafe is None or not self._is_driven(seen[-1]):
+            return
+        silent_s = self.failsafe.time_s + _SILENCE_MARGIN_S
+        self._client.wait(silent_s)
+        values = self._values(self._read_span, self._unhurried_reading())
+        if self._is_driven(values):
+            what = self._map.status if self._map.applied is None or not values["applied"] else self._map.applied
+            raise Fault(
+                "SECOND_MASTER",
+                f"{what} says that it is driven, though rig was silent for {silent_s:g} s, longer than its watchdog",
+            )
+
+    def _is_driven(self, values: Mapping[str, float]) -> bool:
+        """Whether a device that rig has not armed is armed, or drives."""
+        return values.get("applied", 0.0) != 0.0 or self._is_armed_by(values.get("status", OFF))
+
     def _check_status(self, values: Mapping[str, float]) -> None:
         status = self._map.status
         if status is None or values["status"] == ARMED:
@@ -413,22 +451,43 @@ class ModbusDriver:
         return f"{self._map.scale * values['position'] + self._map.offset_counts:g} counts"
 
     def _check_pause(self, values: Mapping[str, float]) -> None:
-        """Raise the fault in the status of a stopped device, unless the status is off."""
-        status = self._map.status
+        """Raise the fault in the status of a stopped device, unless the status is off; or that somebody wrote to it."""
+        status, echo = self._map.status, self._map.echo
+        if echo is not None:
+            before, self._echo = self._echo, values["echo"]
+            if before is not None and self._echo not in (before, self._sequence, 0.0):  # 0: it was reset
+                words = f"{echo} went from {before:g} to {self._echo:g} while rig only read; at {self._counts(values)}"
+                raise Fault("SECOND_MASTER", words)
         if status is None or values["status"] == OFF:
             return
         if self._is_armed_by(values["status"]):
             words = f"{status} reads {ARMED}: armed, although rig stopped it; at {self._counts(values)}"
-            raise Fault("STOP_UNCONFIRMED", words)
+            raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
         self._check_status(values)
 
     def _check_echo(self, values: Mapping[str, float]) -> None:
         echo = self._map.echo
-        if echo is not None and values["echo"] != self._sequence:
+        if echo is None:
+            return
+        before, self._echo = self._echo, values["echo"]
+        if self._echo != self._sequence:
+            if before is not None and self._echo != 0.0 and self._is_foreign(self._echo):
+                words = f"{echo} reads {self._echo:g}, but rig counts its drives and is at {self._sequence}"
+                raise Fault("SECOND_MASTER", words)
             raise self._client.misfit(
                 f"{echo} reads {values['echo']:g}, but drive {self._sequence} went out: a late reply, or "
                 "the drive was not executed"
             )
+
+    def _is_foreign(self, echo: float) -> bool:
+        """Whether an echo can be none of the last drives that rig has written; they are counted from 1 to 65535.
+
+        With FC23 the echo that comes back is that of the drive in the same request, whoever wrote before.
+        """
+        if self._line.requests == "read-write":
+            return False
+        apart = abs(echo - self._sequence)
+        return min(apart, 0xFFFF - apart) > _OWN_ECHOES
 
     def _checked(self, register: Register, convert: Callable[[float], int], value: float) -> int:
         try:
@@ -447,8 +506,15 @@ class ModbusDriver:
         return self._client.patiently(reading(self._read_span), self._unhurried_s)
 
     def _exchange(self, request: Request) -> Reply:
-        """The exchange of a tick."""
-        return self._client.in_tick(request, self._timeout_s, after_silence=self._armed)
+        """The exchange of a tick. While armed it waits for as long as the device's watchdog lets the last drive act.
+
+        One request is under way at a time, so what comes late can only be its reply.
+        """
+        wait_s = self._timeout_s
+        if self._armed and self.failsafe is not None:
+            held_s = self._transport.now_s() - self._driven_s
+            wait_s = max(wait_s, min(self.failsafe.time_s, _LONGEST_WATCHDOG_S) - held_s)
+        return self._client.in_tick(request, wait_s, after_silence=self._armed)
 
     def _writing_drive(self, units: int) -> Request:
         return writing(self._written_span, self._drive_words(units))

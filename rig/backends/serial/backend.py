@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog
+from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
 from rig.backends.driver import Driver, RelayRules
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
@@ -32,10 +32,11 @@ class SerialBackend(LineBackend):
 
     name = "serial"
     own_keys = SerialKeys
-    shared_keys = frozenset({"port"})
+    shared_keys = frozenset({"port", "usb_serial"})
 
     @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
+        yield from usb_rules(e)
         yield from serial_rules(e)
 
     @override
@@ -104,7 +105,8 @@ class SerialBackend(LineBackend):
 
     @override
     def notes(self, e: Experiment) -> Iterator[str]:
-        """Which USB adapter rig assumes, where it is not certain."""
+        """Which USB adapter rig assumes, where it is not certain; and whether it can tell the board from another."""
+        yield from usb_notes(e)
         adapter = adapter_of(e)
         chip = CHIPS.get(adapter)
         if chip is not None and e.daq.adapter is None:

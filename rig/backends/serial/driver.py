@@ -11,6 +11,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import NamedTuple
 
 from rig.backends.driver import (
     DeviceInfo,
@@ -53,8 +54,10 @@ _STEADY_S = 0.0005  # from the fastest exchange to the median; USB frames make i
 _SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
 _LONGEST_PAUSE_S = 0.020  # meets every phase of an FTDI's 16 ms timer
 _GOLDEN = 0.618034  # its multiples, modulo 1, spread evenly over 0 to 1
-_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: end of the wait for each of a tick's requests for the state
+_ASK_AGAIN = 2 / 3  # of the time-out, after which a tick asks for the state again; from then on once in a time-out
+_READS_AT_ONCE = 3  # a damaged frame lets a tick ask again at once, at most so often
 _READ_AGAIN = 3  # repeated readings in a row: the link is not fit for the period
+_LONGEST_PULSE_MS = 0xFFFF
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -114,6 +117,15 @@ def setup_for(
     )
 
 
+class _Pulse(NamedTuple):
+    """A drive that the device ends by itself: when it was sent, s, and how long after the first one, s."""
+
+    u_V: float
+    sent_s: float
+    longest_s: float
+    is_first: bool
+
+
 @dataclass(frozen=True)
 class ByHand:
     """What a hand has done to the shaft of an encoder before the device is opened.
@@ -168,15 +180,19 @@ class SerialDriver:
         self._name = name
         self._by_hand = by_hand
         self.homing = False
+        self.pulses = False
         self.stopped: Stopped | None = None
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
+        self._heard_s = -math.inf  # when the device was last told a drive, at the earliest
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
         self._t_u_s = math.nan
+        self._pulse: _Pulse | None = None  # sent last, if no other drive was
+        self._pulse_ended_s = math.nan  # by the device itself, not reported yet
         self._asked_again = 0
         self._again_in_a_row = 0
         self._drives_lost = 0
@@ -210,6 +226,7 @@ class SerialDriver:
         """
         hello = self._meet()
         check_fit(hello, self._expected)
+        self.pulses = bool(hello.features & frames.FEATURE_PULSE)
         acknowledged = self._acknowledge(hello)
         if self._by_hand is not None and self._expected.scaling.is_encoder:
             self.set_zero(self._by_hand.here_rad)
@@ -293,11 +310,13 @@ class SerialDriver:
         if setup != self._setup:
             self._store(setup)
             self._setup = setup
+        self._heard_s = self._exchange.now_s()
         code = self._exchange.request(Kind.ARM, frames.pack_arm(self._session), Kind.ARM_REPLY).body[0]
         if code != Code.NONE:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
+        self._pulse, self._pulse_ended_s = None, math.nan
         self._lost_in_a_row = 0
         self._again_in_a_row = 0
         self._driven = False
@@ -347,9 +366,12 @@ class SerialDriver:
                     )
             self._unconfirmed = None
         now_s = self._exchange.now_s()
+        u_V = self.drive_map.to_volts(state.drive)
         if self._driven and state.t_drive_us != self._t_drive_us:
             self._t_drive_us = state.t_drive_us
-            self._t_u_s = self._clock.to_host_s(state.t_drive_us, now_s)
+            u_V = self._drive_since(self._clock.to_host_s(state.t_drive_us, now_s), u_V)
+        elif self._pulse is None and not math.isnan(self._pulse_ended_s):
+            self._t_u_s, self._pulse_ended_s = self._pulse_ended_s, math.nan
         tachometer = self.tachometer
         return Sample(
             self._clock.to_host_s(state.t_sample_us, now_s),
@@ -359,22 +381,37 @@ class SerialDriver:
             if tachometer is None or state.tach == frames.NO_TACHOMETER
             else tachometer.to_rad_per_s(state.tach),
             self._t_u_s if self._driven else math.nan,
-            self.drive_map.to_volts(state.drive),
+            u_V,
             packet.seq,
         )
 
-    def _ask_state(self) -> Packet:
-        """READ, up to three times within one time-out: again at once after a damaged frame, or when most time is over.
+    def _drive_since(self, t_u_s: float, u_V: float) -> float:
+        """Take a new time of effect, and the drive since then, V. Returns the drive to report, with ``_t_u_s``.
 
-        A late answer to an earlier READ is good too, since a state carries the time of its sample. Raises Fault
-        LINK_TIMEOUT without an answer, and when three readings in a row had to be repeated.
+        A pulse that the device has ended is reported as it acted; its end follows with the next drive, which is 0 V.
         """
-        start_s = self._exchange.now_s()
-        seqs: list[int] = []
-        for share in _READ_SHARES:
-            seqs.append(self._exchange.send(Kind.READ))
-            last = len(seqs) == len(_READ_SHARES)
-            packet = self._exchange.wait(seqs, Kind.STATE, start_s + share * self._timeout_s, damage_ends=not last)
+        pulse, self._pulse_ended_s = self._pulse, math.nan
+        if u_V == 0.0 and pulse is not None and pulse.sent_s < t_u_s:
+            self._t_u_s = t_u_s - pulse.longest_s if pulse.is_first else max(pulse.sent_s, self._t_u_s)
+            self._pulse_ended_s = t_u_s
+            return pulse.u_V
+        self._t_u_s = t_u_s
+        return u_V
+
+    def _ask_state(self) -> Packet:
+        """READ, until the device answers: again at once after a damaged frame, or when most of the time-out is over.
+
+        A late answer to an earlier READ is good too, since a state carries the time of its sample. While armed this
+        waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
+        and when three readings in a row had to be repeated.
+        """
+        seqs = [self._exchange.send(Kind.READ)]
+        sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
+        ends_s = self._ends_s(sent_s)
+        until_s = sent_s + _ASK_AGAIN * self._timeout_s
+        while True:
+            damage_ends = len(seqs) < _READS_AT_ONCE and until_s < ends_s
+            packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
                 if self._again_in_a_row < _READ_AGAIN:
@@ -383,18 +420,46 @@ class SerialDriver:
                 raise self._exchange.silence(
                     Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}"
                 )
-            if self._exchange.now_s() - start_s >= self._timeout_s:
+            now_s = self._exchange.now_s()
+            if now_s >= ends_s:
                 break
             self._asked_again += len(seqs) == 1  # however often
+            seqs.append(self._exchange.send(Kind.READ))
+            until_s = max(sent_s, now_s) + self._timeout_s
         self._exchange.timeouts += 1
-        raise self._exchange.silence(Kind.READ)
+        raise self._exchange.silence(Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms")
+
+    def _ends_s(self, sent_s: float) -> float:
+        """Until when a tick waits for the answer to what it sent then, s: the watchdog bounds the drive meanwhile."""
+        if not self._armed or self._setup is None:
+            return sent_s + self._timeout_s
+        return max(sent_s + self._timeout_s, self._heard_s + 1e-3 * self._setup.watchdog_ms)
 
     def write(self, u_V: float) -> None:
         """Send the drive; there is no reply. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
 
         Beyond the drive that it is armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
         """
+        self._pulse = None
+        self._heard_s = self._exchange.now_s()
         self._unconfirmed = self._exchange.send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
+
+    def write_pulse(self, u_V: float, longest_s: float) -> None:
+        """As ``write``; the device ends the drive ``longest_s`` after the first of them, in whole ms, rounded up.
+
+        Raises ValueError where the device has no pulses, and for a time that is not 0 to 65 s.
+        """
+        if not self.pulses:
+            raise ValueError(f"no pulses behind {self.backend}")
+        longest_ms = math.ceil(1e3 * longest_s - 1e-6)
+        if not 0 <= longest_ms <= _LONGEST_PULSE_MS:
+            raise ValueError(f"a pulse lasts 0 to {_LONGEST_PULSE_MS} ms, not {longest_ms}")
+        units = self.drive_map.to_units(u_V)
+        self._heard_s = self._exchange.now_s()
+        self._unconfirmed = self._exchange.send(Kind.PULSE, frames.pack_pulse(units, longest_ms))
+        self._pulse = _Pulse(
+            self.drive_map.to_volts(units), self._exchange.now_s(), 1e-3 * longest_ms, is_first=self._pulse is None
+        )
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.

@@ -27,9 +27,10 @@ def flash_line(e: Experiment, board: str | None = None) -> str:
         board = "pico"
     named = " --board pico" if board == "pico" else ""
     port = shlex.quote(e.daq.port or "PORT")
+    number = "" if e.daq.usb_serial is None else f" --usb-serial {shlex.quote(e.daq.usb_serial)}"
 
     def line(bridge: str) -> str:
-        return f"rig flash{named} --port {port} --bridge {bridge} --baud {baud}{parts}"
+        return f"rig flash{named} --port {port}{number} --bridge {bridge} --baud {baud}{parts}"
 
     if e.drive.bridge is not None:
         words = line(e.drive.bridge)

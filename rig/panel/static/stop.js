@@ -77,12 +77,11 @@ export class Stop extends EventTarget {
     if (!answer?.received) return;
     if (!answer.run && answer.drive_zero === null && !answer.why) {
       if (this.#state === "driving") this.#show("ready"); // another run has begun
+      if (this.#state === "asked" || this.#state === "lost") this.#show("nothing");
       return;
     }
     if (answer.why) {
       this.#show("driving", answer.why);
-    } else if (answer.run === null || answer.run === undefined) {
-      if (this.#state === "asked" || this.#state === "lost") this.#show("nothing");
     } else if (answer.drive_zero === true) {
       this.#show("zero");
     } else if (answer.drive_zero === false) {

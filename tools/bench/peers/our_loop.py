@@ -16,6 +16,7 @@ import time
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import DeviceInfo, DeviceWatchdog
 from rig.control.guard import Guard, GuardSettings
+from rig.live.stop_flag import StopFlag
 from rig.loop.real_time import RealTimeSettings, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
@@ -111,7 +112,7 @@ def main() -> int:
             record, guard, clock = Ticked(evidence), Guard(GUARD), MonotonicClock(1e-6 * spin_us)
             while not 480_000 < time.monotonic_ns() % 1_000_000 < 495_000:  # it takes a few us to t0
                 pass
-            loop = Loop(StillBench(), clock, guard, record, 1e-6 * period_us, StopRequest())
+            loop = Loop(StillBench(), clock, guard, record, 1e-6 * period_us, StopRequest(StopFlag.unseen()))
             t0_ns = time.monotonic_ns() - round(1e9 * loop.now_s)
             with loop.armed(LIMITS):
                 before = evidence.until_now()

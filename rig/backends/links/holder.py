@@ -1,0 +1,41 @@
+"""Who holds a link of this machine, for people: process, command and run folder, as far as this user may know."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Final
+
+from rig.signals import plain
+
+_FLAG: Final = "/stop.flag"  # in the run folder, which a run has open
+_LONGEST_COMMAND: Final = 200
+_PROC: Final = Path("/proc")
+
+
+def process_in_words(pid: int, proc: Path = _PROC) -> str:
+    """A process that holds a link. ``proc`` stands for /proc."""
+    words = f"process {pid}"
+    with contextlib.suppress(OSError):
+        command = plain((proc / f"{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip())
+        words += f" ({command[:_LONGEST_COMMAND]})" if command else ""
+    folders = {target.removesuffix(_FLAG) for target in _open_files(proc / str(pid)) if target.endswith(_FLAG)}
+    return f"{words}, run folder {plain(min(folders))}" if folders else words
+
+
+def holder_of_file(path: str, proc: Path = _PROC) -> str:
+    """The first process that has this device file open, links followed; empty where this user sees none."""
+    there = str(Path(path).resolve())
+    for one in sorted(proc.glob("[0-9]*")):
+        if there in _open_files(one):
+            return process_in_words(int(one.name), proc)
+    return ""
+
+
+def _open_files(process: Path) -> list[str]:
+    found = []
+    with contextlib.suppress(OSError):  # of another user, or it has ended
+        for descriptor in (process / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                found.append(str(descriptor.readlink()))
+    return found

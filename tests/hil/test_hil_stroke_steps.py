@@ -1,0 +1,144 @@
+"""The strokes of the breakaway check on the compiled firmware, in virtual time: all are as planned without a late tick.
+
+A drive rises within its stroke, and what is less than half a step of the device is 0 V at its pin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from simulated_bench import ListSink
+
+from rig import config
+from rig.backends.backend import Line
+from rig.backends.emulated.bench import bench_parameters
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.opening import emulated_chip, emulated_pico, serial_driver
+from rig.config import Experiment
+from rig.control.guard import Guard
+from rig.experiment.stages import breakaway_check
+from rig.faults import Fault
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.preflight.breakaway_strokes import breakaway_strokes
+from rig.preflight.loop_settings import guard_settings_of
+from rig.signals import Limits
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+SENSORS = {"potentiometer": CONFIG / "demo-chip.yaml", "encoder": CONFIG / "encoder.yaml"}
+Sensor = Literal["potentiometer", "encoder"]
+
+
+def bench(
+    speed_rad_s: float,
+    period_s: float = 0.01,
+    sensor: Sensor = "potentiometer",
+    ramp_V_s: float = 0.4,
+    port: str = "emulated-chip",
+    **emulated: Any,
+) -> Experiment:
+    """A bench whose motor is as fast as its config says; a level is so low that a fast one has strokes, too."""
+    e = config.load(SENSORS[sensor])
+    assert e.emulated is not None and e.motor is not None
+    max_V = min(1.2, 0.9 * 120.0 / speed_rad_s * 0.01 / period_s)
+    friction_V = 0.4 * max_V
+    motor = e.emulated.motor.model_copy(
+        update={"K_rad_s_V": speed_rad_s / (e.drive.supply_V - friction_V), "bias_V": 0.0}
+        | dict.fromkeys(("fc_plus_V", "fc_minus_V", "fs_plus_V", "fs_minus_V"), friction_V)
+    )
+    return e.model_copy(
+        update={
+            "period_s": period_s,
+            "motor": e.motor.model_copy(update={"no_load_speed_rad_s": speed_rad_s}),
+            "breakaway": e.breakaway.model_copy(update={"max_V": max_V, "ramp_V_s": ramp_V_s}),
+            "emulated": e.emulated.model_copy(update={"motor": motor} | emulated),
+            "daq": e.daq.model_copy(update={"port": port}),
+        }
+    )
+
+
+def virtual_board(e: Experiment) -> VirtualBoard:
+    assert e.emulated is not None
+    parameters = bench_parameters(e.emulated)
+    return VirtualBoard(parameters, e.seed, clock_error_ppm=e.emulated.clock_error_ppm, baud=e.daq.baud)
+
+
+def driven(e: Experiment, device: Any) -> list[tuple[int, float]]:
+    """Each stroke that the check asked for: its ticks, and its largest drive, V. Raises Fault, but for NO_MOTION."""
+    driver = serial_driver(e, Line(device, device, "virtual", emulated=True))
+    info = driver.open()
+    record = ListSink()
+    loop = Loop(driver, device, Guard(guard_settings_of(e)), record, e.period_s, StopRequest())
+    limits = Limits(e.limits.soft_rad, e.limits.hard_rad, e.drive.max_V, e.daq.watchdog_s)
+    try:
+        with loop.armed(limits):
+            loop.run(breakaway_check(e, info.drive_units), "breakaway")
+    except Fault as fault:
+        if fault.code != "NO_MOTION":
+            raise
+    finally:
+        driver.close()
+    return list(strokes(row["asked_V"] for row in record.rows))
+
+
+def strokes(asked_V: Iterator[float]) -> Iterator[tuple[int, float]]:
+    for way, drives_V in groupby(asked_V, lambda u_V: (u_V > 0.0) - (u_V < 0.0)):
+        if way:
+            of_one = list(drives_V)
+            yield len(of_one), max(map(abs, of_one))
+
+
+def is_as_planned(e: Experiment, done: list[tuple[int, float]]) -> bool:
+    """Whether each pair has two strokes of the planned length and one level."""
+    plan = breakaway_strokes(e)
+    assert plan is not None and len(done) >= 2
+    lengths_s = (*plan.strokes_s, *plan.strokes_s[-1:] * plan.in_all)
+    planned = [round(stroke_s / e.period_s) for stroke_s in lengths_s for _ in range(2)]
+    levels = [level_V for _, level_V in done]
+    return [ticks for ticks, _ in done] == planned[: len(done)] and levels[0:-1:2] == levels[1::2][
+        : len(levels[0:-1:2])
+    ]
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    speed_rad_s=st.floats(5.0, 300.0),
+    period_s=st.sampled_from([0.005, 0.008, 0.01, 0.0125, 0.02]),
+    sensor=st.sampled_from(["potentiometer", "encoder"]),
+    ramp_V_s=st.sampled_from([0.1, 0.4, 1.0]),
+    drive_counts=st.sampled_from([50, 100, 255, 400, 799, 6250]),
+    clock_error_ppm=st.sampled_from([-5000.0, 0.0, 4000.0]),
+)
+@example(21.0, 0.01, "encoder", 0.4, 400, 4000.0)  # which ended in LATE
+@example(5.0, 0.01, "encoder", 0.1, 100, 0.0)  # whole strokes of less than half a step
+def test_every_stroke_is_as_planned_whatever_the_speed_and_the_steps_of_the_drive(
+    speed_rad_s: float,
+    period_s: float,
+    sensor: Sensor,
+    ramp_V_s: float,
+    drive_counts: int,
+    clock_error_ppm: float,
+) -> None:
+    e = bench(speed_rad_s, period_s, sensor, ramp_V_s, drive_counts=drive_counts, clock_error_ppm=clock_error_ppm)
+    if breakaway_strokes(e) is None:
+        return  # refused: no stroke is short enough
+    assert is_as_planned(e, driven(e, virtual_board(e)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("sensor", "speed_rad_s"), [("potentiometer", 5.0), ("encoder", 21.0)])
+def test_every_stroke_is_as_planned_on_the_unos_chip(sensor: Sensor, speed_rad_s: float) -> None:
+    e = bench(speed_rad_s, sensor=sensor)
+    assert is_as_planned(e, driven(e, emulated_chip(e)))
+
+
+@pytest.mark.long
+def test_every_stroke_is_as_planned_on_the_picos_chip() -> None:
+    e = bench(21.0, sensor="encoder", ramp_V_s=0.1, port="emulated-pico")
+    assert is_as_planned(e, driven(e, emulated_pico(e)))

@@ -1,0 +1,94 @@
+"""What the live fit of everything driven calls enough is never refused afterwards, nor known much worse.
+
+A run that ends because its motor is known has short tests: alone they may say too little for a fit to come to an end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, break_away, simulated_bench
+
+from rig.control.law import Rest
+from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
+from rig.estimators import LEADING
+from rig.faults import Fault
+from rig.identify import identify
+from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.recording.recording import Recording
+from rig.results import RunEvent
+from stopping.in_memory import MemoryRecord
+
+ENOUGH_PERCENT = 1.0
+WIDER = 2.0  # of the live interval: the one afterwards knows of coloured noise, too
+
+
+def driven(motor: Motor, seed: int, test_s: float) -> Recording | None:
+    """A breakaway check, some seconds of search and a short test of random strokes; None if it ended in a fault."""
+    rng = np.random.default_rng(seed)
+    bench = simulated_bench(replace(DEMO, motor=motor), seed=seed, guard=replace(GUARD, max_speed_rad_s=20.0))
+    bench.loop._record = record = MemoryRecord()
+
+    def strokes(count: int, speeds_rad_s: tuple[float, float]) -> list[Stroke]:
+        drives_V = motor.friction.plus_V + rng.uniform(*speeds_rad_s, count) / motor.K_rad_s_V
+        return [
+            Stroke(float(sign * min(u_V, 2.9)), float(sign * turn_rad))
+            for sign, u_V, turn_rad in zip(
+                np.resize([1.0, -1.0], count), drives_V, rng.uniform(0.05, 0.5, count), strict=True
+            )
+        ]
+
+    law = partial(StrokeTest, motion_rad=0.02)
+    with contextlib.suppress(Fault), bench.loop.armed(LIMITS):
+        break_away(bench.loop)
+        bench.loop.run(law(strokes(6, (0.8, 2.5)), StrokeTiming(6.0, 2.5)), "search")
+        bench.loop.run(law(strokes(4, (1.5, 4.0)), StrokeTiming(test_s, 2.5)), "strokes-1")
+        bench.loop.run(Rest(0.5), "rest")
+        return record.recording()
+    return None
+
+
+def live(recording: Recording) -> LiveEstimate | None:
+    settings = LiveSettings(PERIOD_S, DEMO.noise_rad, DEMO.rad_per_count, LIMITS.max_u_V)
+    fit, estimate = LiveFit(settings), None
+    rows = np.arange(len(recording), dtype=np.int64)
+    for k in np.array_split(rows, 12):
+        fit.take(LiveRows(k, recording.t_s[k], recording.y_rad[k], recording.t_u_s[k], recording.u_V[k]))
+        estimate = fit.estimate()
+    return estimate
+
+
+def as_known(recording: Recording) -> Recording:
+    """The recording of a run that ended because its live estimate was enough."""
+    stop = RunEvent.model_validate({"t_s": float(recording.t_s[-1]), "kind": "decided", "what": "stop", "by": "advice"})
+    return replace(recording, events=(stop,))
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    tau_s=st.floats(0.03, 0.5),
+    K_rad_s_V=st.floats(2.0, 20.0),
+    fc_V=st.floats(0.1, 0.8),
+    test_s=st.floats(0.2, 1.5),
+    seed=st.integers(0, 10_000),
+)
+def test_what_was_enough_is_not_refused_afterwards_nor_known_much_worse(
+    tau_s: float, K_rad_s_V: float, fc_V: float, test_s: float, seed: int
+) -> None:
+    recording = driven(Motor(tau_s, K_rad_s_V, coulomb(fc_V)), seed, test_s)
+    known = None if recording is None else live(recording)
+    if recording is None or known is None or known.worst_percent > ENOUGH_PERCENT:
+        return
+    found = identify([as_known(recording)], (LEADING,), choose_law=False).estimates[LEADING]
+    assert found.verdict != "refused", found.reasons
+    for name, percent in known.half_percent.items():
+        low, high = found.ci95[name]
+        wide_percent = 100.0 * (high - low) / 2.0 / getattr(found, name)
+        assert wide_percent <= max(WIDER * percent, ENOUGH_PERCENT), name
