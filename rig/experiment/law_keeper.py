@@ -93,6 +93,7 @@ class Charge:
 
     step      its number
     from_s    CPU time of the thread when it began
+    began_s   when it was looked at first
     looked_s  when it was looked at last
     cpu_s     CPU time
     asleep_s  time asleep
@@ -101,6 +102,7 @@ class Charge:
 
     step: int
     from_s: float
+    began_s: float = field(default_factory=time.monotonic)
     looked_s: float = field(default_factory=time.monotonic)
     cpu_s: float = 0.0
     asleep_s: float = 0.0
@@ -110,6 +112,11 @@ class Charge:
     def used_s(self) -> float:
         """At work or asleep, s."""
         return self.cpu_s + self.asleep_s
+
+    @property
+    def late_s(self) -> float:
+        """Time that was nobody's, s: the machine gave law or keeper no processor."""
+        return max(self.looked_s - self.began_s - self.used_s, 0.0)
 
     def look(self, state: str, ran_s: float) -> None:
         """Charge what has passed since the last look. A look that comes late charges no more sleep than two in time."""
@@ -189,16 +196,17 @@ def main(arguments: list[str]) -> int:
     ended = watch.serve()
     if ended == "loop died":
         # nobody holds the lease: what the loop drove last would stay on where the device has no watchdog
-        confirmed = _stop(stopper)
-        _add_events(loop, confirmed, None)
+        _add_events(loop, _stop_event(loop, _stop(stopper), 0.0))
     elif ended == "taken":
         confirmed = _stop(stopper)
         os.kill(loop.pid, signal.SIGKILL)
         if not confirmed:
             _await_death(loop)
             confirmed = _stop(stopper)
-        assert watch.charge is not None
-        _conclude(loop, Fault("LAW_TIME", _words(loop, watch, watch.charge, confirmed)), confirmed)
+        charge = watch.charge
+        assert charge is not None
+        fault = Fault("LAW_TIME", _words(loop, watch, charge, confirmed))
+        _conclude(loop, fault, _stop_event(loop, confirmed, charge.late_s))
     return 0
 
 
@@ -274,7 +282,15 @@ def _left(loop: Loop) -> str:
     return f"the device's watchdog sets 0 V after {1e3 * loop.watchdog_s:g} ms; if the shaft turns, cut its supply"
 
 
-def _conclude(loop: Loop, fault: Fault, confirmed: bool) -> None:
+def _stop_event(loop: Loop, confirmed: bool, late_s: float) -> list[dict[str, Any]]:
+    """What the run's events are told of the stop; nothing in virtual time, where there is none."""
+    if not loop.is_real:
+        return []
+    late_ms = round(1e3 * late_s, 3)
+    return [{"t_s": loop.now_s(), "kind": "stop", "confirmed": confirmed, "by": "keeper", "late_ms": late_ms}]
+
+
+def _conclude(loop: Loop, fault: Fault, stopped: list[dict[str, Any]]) -> None:
     """Say it, and write events and result, so that the folder is read as that of any run."""
     from rig.recording.errors import RecordingError
     from rig.recording.folder import write_result
@@ -282,7 +298,7 @@ def _conclude(loop: Loop, fault: Fault, confirmed: bool) -> None:
 
     sys.stderr.write(f"rig: {fault}\n     {fault.cure}\n     recorded so far: {loop.folder}\n")
     sys.stderr.flush()
-    _add_events(loop, confirmed if loop.is_real else None, fault)
+    _add_events(loop, [*stopped, {"t_s": loop.now_s(), "kind": "fault", **fault.as_dict()}])
     result = RunResult(
         backend=loop.backend,
         faults=(FaultReport(**fault.as_dict()),),
@@ -292,16 +308,11 @@ def _conclude(loop: Loop, fault: Fault, confirmed: bool) -> None:
         write_result(loop.folder, result)
 
 
-def _add_events(loop: Loop, confirmed: bool | None, fault: Fault | None) -> None:
+def _add_events(loop: Loop, events: list[dict[str, Any]]) -> None:
     """Add what happened to the run's events, once the recorder has written its last."""
     from rig.recording.writer import EVENTS
 
-    t_s, path = loop.now_s(), loop.folder / EVENTS
-    events: list[dict[str, Any]] = []
-    if confirmed is not None:
-        events.append({"t_s": t_s, "kind": "stop", "confirmed": confirmed, "by": "keeper"})
-    if fault is not None:
-        events.append({"t_s": t_s, "kind": "fault", **fault.as_dict()})
+    path = loop.folder / EVENTS
     until_s = time.monotonic() + _RECORDED_S
     with contextlib.suppress(OSError):  # what the terminal was told stays
         while b'"loop_died"' not in path.read_bytes() and time.monotonic() < until_s:

@@ -1,6 +1,6 @@
 """A law that drives to and fro, and one day does not return: in each of the ways that a program can.
 
-``make_path`` offers it as a package would, by an entry point.
+``offered`` offers it as a package would, by an entry point.
 """
 
 from __future__ import annotations
@@ -9,8 +9,11 @@ import collections
 import contextlib
 import ctypes
 import itertools
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from rig.signals import Sample
 
@@ -74,10 +77,20 @@ class Hangs:
         return self._u_V if t_s % PERIOD_S < PERIOD_S / 2 else -self._u_V
 
 
-def make_path(folder: Path) -> str:
-    """Offer the law in ``folder``, which is to stand on the path. Returns the folder."""
+def section(way: str, mark: Path) -> dict[str, Any]:
+    """Section law of a config."""
+    return {"name": NAME, "duration_s": 30.0, "options": {"way": way, "mark": str(mark)}}
+
+
+@contextlib.contextmanager
+def offered(folder: Path) -> Iterator[None]:
+    """Offer the law as a package in ``folder``, on the path of this process for the block."""
     package = folder / "hanging_law-1.0.dist-info"
     package.mkdir()
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: hanging-law\nVersion: 1.0\n", encoding="ascii")
     (package / "entry_points.txt").write_text(f"[rig.laws]\n{NAME} = {__name__}:Hangs\n", encoding="ascii")
-    return str(folder)
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
