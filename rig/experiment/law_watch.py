@@ -1,7 +1,7 @@
 """A law of a user's own under watch: how long each step takes, and what happens to one that never returns.
 
 In the loop's process a step's CPU time is compared with its bound when it has returned. While it has not, another
-process watches: the keeper (``rig.experiment.law_keeper``). It asks first: a signal of its own raises out of the law,
+process watches: the keeper (``rig.keeper.process``). It asks first: a signal of its own raises out of the law,
 as Ctrl-C does. If the law heeds no signal, the keeper takes the link, stops the device, and ends this process.
 """
 
@@ -20,37 +20,22 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType
-from typing import Final, NamedTuple
+from typing import Final
 
 from rig.backends.clock import MonotonicClock
 from rig.config import Experiment
 from rig.control.law import Stopped, Timed, is_of_own_law
 from rig.faults import Fault
+from rig.keeper.terms import END, READY, LawTimes, asks, too_long_words
 from rig.live.law_lease import SIZE, LawLease
 from rig.recording.layout import create_file
 from rig.session import Session
 from rig.signals import Sample
 
-END: Final = b"end\n"  # to the keeper: the run needs it no more
-READY: Final = b"ready\n"
-_ASKS: Final = 3  # its signal, counted from the first real-time signal
 _STARTS_S: Final = 30.0
 _CLOSES_S: Final = 5.0
 _LOOK_EVERY_STEPS: Final = 50
 _NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
-
-
-class LawTimes(NamedTuple):
-    """What a step of the law may take, s.
-
-    cpu_s    CPU time; infinite in virtual time, where no shaft waits for it
-    lease_s  time that it is at work or asleep, until the keeper takes the link; in virtual time from a signal on
-    words    what bounds the CPU time, for people
-    """
-
-    cpu_s: float
-    lease_s: float
-    words: str
 
 
 def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
@@ -60,11 +45,6 @@ def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
     bound_s = 0.5 * e.period_s if cpu_s is None else cpu_s
     lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
     return LawTimes(math.inf if virtual else bound_s, 1.0 if virtual else lease_s, words)
-
-
-def asks() -> int:
-    """Number of the signal by which the keeper asks a law to end."""
-    return signal.SIGRTMIN + _ASKS
 
 
 class WatchedLaw(Timed):
@@ -81,14 +61,13 @@ class WatchedLaw(Timed):
         self._times = times
         self._lease = LawLease(-1)
         self._steps = 0
-        self._began_s = 0.0
         self._began_cpu_ns = 0
 
     def step(self, sample: Sample) -> float:
         """As of ``Timed``. Raises Fault LAW_TIME besides."""
         keeper = self.keeper
         lease = self._lease if keeper is None else keeper.lease
-        self._began_s, self._began_cpu_ns = time.monotonic(), time.thread_time_ns()
+        self._began_cpu_ns = time.thread_time_ns()
         lease.begin(self._began_cpu_ns)
         try:
             u_V = super().step(sample)
@@ -112,15 +91,6 @@ class WatchedLaw(Timed):
 
     def _too_long(self, what: str) -> Fault:
         return Fault("LAW_TIME", too_long_words(self.name, what, self._cpu_s(), self._times))
-
-
-def too_long_words(name: str, what: str, cpu_s: float, times: LawTimes) -> str:
-    """The law, its time, the bound and the key, for people."""
-    slept = "" if cpu_s > times.cpu_s else f", and it slept; it must be back within {1e3 * times.lease_s:.4g} ms"
-    return (
-        f"the law {name}: {what} {1e3 * cpu_s:.4g} ms of CPU time, bound {1e3 * times.cpu_s:.4g} ms ({times.words})"
-        f"{slept}"
-    )
 
 
 class Keeper:
@@ -158,7 +128,7 @@ class Keeper:
             descriptors = (memory, heard) if link is None else (memory, heard, link)
             try:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "rig.experiment.law_keeper", str(memory), str(heard)],
+                    [sys.executable, "-P", "-m", "rig.keeper.process", str(memory), str(heard)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     bufsize=0,

@@ -23,10 +23,12 @@ import rig
 from faults import hanging_laws
 from rig.config import load
 from rig.control.law import Timed
-from rig.experiment import law_keeper, law_watch
-from rig.experiment.law_keeper import LOOK_EVERY_S, Charge
-from rig.experiment.law_watch import LawTimes, WatchedLaw, law_times
+from rig.experiment import law_watch
+from rig.experiment.law_watch import WatchedLaw, law_times
 from rig.faults import Fault
+from rig.keeper import process as law_keeper
+from rig.keeper.process import LOOK_EVERY_S, Charge
+from rig.keeper.terms import LawTimes, asks
 from rig.live.law_lease import LawLease
 from rig.signals import Sample
 
@@ -177,6 +179,63 @@ def test_a_keeper_that_was_late_itself_charges_no_more_sleep_than_two_looks(cloc
     assert looked_at(clock, "S", 0.0, 1, apart_s=3.0).used_s == pytest.approx(2 * LOOK_EVERY_S)
 
 
+class Watched:
+    """A keeper's watch over a loop that is not there: what the law has run, and what the keeper did."""
+
+    def __init__(self, clock: list[float], monkeypatch: pytest.MonkeyPatch, bounds: LawTimes, *, is_real: bool) -> None:
+        self.clock, self.asked = clock, list[float]()
+        self.ran_s, self.state = 0.0, "R"
+        self.lease = LawLease(-1)
+        loop: Any = SimpleNamespace(pid=1, is_real=is_real, times=bounds, thread=lambda: (self.state, self.ran_s))
+        self.watch = law_keeper.Watch(loop, self.lease, -1)
+        kill = SimpleNamespace(kill=lambda pid, number: self.asked.append(clock[0]))
+        monkeypatch.setattr(law_keeper, "os", kill)
+
+    def taken_after_s(self, for_s: float, cpu_share: float = 1.0) -> float:
+        """When the keeper took the link, s from the begin of this step; nan if it did not."""
+        self.asked.clear()
+        self.lease.begin(round(1e9 * self.ran_s))
+        began_s = self.clock[0]
+        while self.clock[0] < began_s + for_s:
+            if self.watch._is_over():
+                return self.clock[0] - began_s
+            self.clock[0] += LOOK_EVERY_S
+            self.ran_s += cpu_share * LOOK_EVERY_S
+        self.lease.end()
+        return math.nan
+
+
+@pytest.mark.parametrize(("state", "cpu_share", "asked_after_s"), [("R", 1.0, 0.005), ("S", 0.0, 0.05)])
+def test_the_keeper_asks_first_once_and_takes_the_link_when_the_lease_is_over(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch, state: str, cpu_share: float, asked_after_s: float
+) -> None:
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    one.state = state
+    began_s = clock[0]
+    assert 0.1 <= one.taken_after_s(1.0, cpu_share) <= 0.1 + 2 * LOOK_EVERY_S
+    [asked_s] = one.asked
+    assert asked_after_s < asked_s - began_s <= asked_after_s + 2 * LOOK_EVERY_S
+
+
+def test_the_keeper_leaves_alone_a_law_that_is_back_in_time_or_has_no_processor(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    for _ in range(50):  # a step's charge is its own
+        assert math.isnan(one.taken_after_s(0.095, 0.04)) and one.asked == []
+    assert math.isnan(one.taken_after_s(5.0, 0.0)) and one.asked == []
+
+
+def test_in_virtual_time_the_keeper_waits_for_a_signal(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Watched(clock, monkeypatch, LawTimes(math.inf, 1.0, ""), is_real=False)
+    assert math.isnan(one.taken_after_s(30.0))
+    one.watch._hear(bytes([signal.SIGCHLD]))
+    assert math.isnan(one.taken_after_s(30.0))
+    one.watch._hear(bytes([signal.SIGCHLD, signal.SIGINT]))
+    assert 1.0 <= one.taken_after_s(30.0) <= 1.0 + 3 * LOOK_EVERY_S
+    assert one.asked == [], "the signal itself has asked"
+
+
 # ---------------------------------------------------------------------- the keeper's process
 
 
@@ -202,7 +261,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
 def keepers_of(pid: int) -> list[int]:
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
     named = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
-    return [child for child, line in named.items() if b"law_keeper" in line]
+    return [child for child, line in named.items() if b"rig.keeper" in line]
 
 
 @pytest.mark.parametrize(
@@ -266,6 +325,6 @@ class KillsItsKeeper:
 
 def test_a_run_without_its_keeper_goes_on_and_says_so(tmp_path: Path) -> None:
     run = rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path)
-    assert run.failure == ""
+    assert run.failure == "" and run.result is not None
     assert any("no process watches the law" in note and "status -9" in note for note in run.result.notes)
-    assert keepers_of(os.getpid()) == [] and signal.getsignal(law_watch.asks()) is signal.SIG_DFL
+    assert keepers_of(os.getpid()) == [] and signal.getsignal(asks()) is signal.SIG_DFL

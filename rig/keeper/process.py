@@ -1,6 +1,6 @@
 """The keeper of a run: a process that stops the device where a law of a user's own never returns (docs/safety.md).
 
-``python -m rig.experiment.law_keeper MEMORY SIGNALS`` gets its settings as one line on standard input, and says that it
+``python -m rig.keeper.process MEMORY SIGNALS`` gets its settings as one line on standard input, and says that it
 is ready on standard output. MEMORY is the descriptor of the ``LawLease``. From the descriptor SIGNALS it reads the
 number of each signal of the loop's process: the system writes it there even where the law holds the interpreter.
 
@@ -26,8 +26,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from rig.experiment.law_watch import END, READY, LawTimes, asks, too_long_words
 from rig.faults import Fault
+from rig.keeper.terms import END, READY, LawTimes, asks, too_long_words
 from rig.live.law_lease import LawLease
 from rig.loop.stop_request import STOP_SIGNALS
 
@@ -191,7 +191,8 @@ def main(arguments: list[str]) -> int:
     _go_before_the_loop(settings["priority"])
     loop = _loop_of(settings)
     stopper = _stopper(loop.folder, settings["link"])
-    os.write(1, READY)
+    with contextlib.suppress(OSError):  # it is gone already, which the watch sees
+        os.write(1, READY)
     watch = Watch(loop, lease, signals)
     ended = watch.serve()
     if ended == "loop died":
