@@ -34,6 +34,7 @@ from rig.signals import Sample
 
 _STARTS_S: Final = 30.0
 _CLOSES_S: Final = 5.0
+_VIRTUAL_LEASE_S: Final = 2.0
 _LOOK_EVERY_STEPS: Final = 50
 _NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
 
@@ -44,7 +45,7 @@ def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
     words = "loop.law_cpu_s" if cpu_s is not None else "loop.law_cpu_s, by default half a period"
     bound_s = 0.5 * e.period_s if cpu_s is None else cpu_s
     lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
-    return LawTimes(math.inf if virtual else bound_s, 1.0 if virtual else lease_s, words)
+    return LawTimes(math.inf if virtual else bound_s, _VIRTUAL_LEASE_S if virtual else lease_s, words)
 
 
 class WatchedLaw(Timed):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rig.backends.driver import Driver
 
 LOOK_EVERY_S: Final = 0.005
+_ASKS_AT: Final = 0.8  # of the lease: a law that sleeps so long would not be back in time
 _ASLEEP: Final = "SD"  # states of a thread; any other but R: stopped, or gone
 _RECORDED_S: Final = 30.0
 _DIES_S: Final = 2.0
@@ -174,7 +175,7 @@ class Watch:
             self.charge = Charge(step, 1e-9 * self._lease.cpu_ns if loop.is_real else ran_s)
             return False
         charge.look(state, ran_s)
-        if not charge.asked and (charge.cpu_s > times.cpu_s or charge.used_s > 0.5 * times.lease_s):
+        if not charge.asked and (charge.cpu_s > times.cpu_s or charge.used_s > _ASKS_AT * times.lease_s):
             charge.asked = True
             if loop.is_real:  # else the signal itself has asked
                 os.kill(loop.pid, asks())
@@ -190,22 +191,28 @@ def main(arguments: list[str]) -> int:
     settings = json.loads(_line())
     _go_before_the_loop(settings["priority"])
     loop = _loop_of(settings)
-    stopper = _stopper(loop.folder, settings["link"])
+    link = settings["link"]
+    stopper = _stopper(loop.folder, link)
     with contextlib.suppress(OSError):  # it is gone already, which the watch sees
         os.write(1, READY)
     watch = Watch(loop, lease, signals)
     ended = watch.serve()
-    if ended == "loop died":
-        # nobody holds the lease: what the loop drove last would stay on where the device has no watchdog
-        _add_events(loop, _stop_event(loop, _stop(stopper), 0.0))
-    elif ended == "taken":
-        confirmed = _stop(stopper)
-        os.kill(loop.pid, signal.SIGKILL)
+    if ended == "in order":
+        return 0
+    # if the loop died nobody holds the lease: its last drive would stay on where the device has no watchdog
+    confirmed = _stop(stopper)
+    if ended == "taken":
+        if loop.lives:
+            os.kill(loop.pid, signal.SIGKILL)
         if not confirmed:
             _await_death(loop)
             confirmed = _stop(stopper)
-        charge = watch.charge
-        assert charge is not None
+    if link is not None:
+        os.close(link)  # the next run may have the port
+    charge = watch.charge
+    if ended == "loop died" or charge is None:
+        _add_events(loop, _stop_event(loop, confirmed, 0.0))
+    else:
         fault = Fault("LAW_TIME", _words(loop, watch, charge, confirmed))
         _conclude(loop, fault, _stop_event(loop, confirmed, charge.late_s))
     return 0
@@ -256,7 +263,10 @@ def _stopper(folder: Path, link: int | None) -> Driver | None:
 
 def _stop(stopper: Driver | None) -> bool:
     """Whether the device confirmed the stop."""
-    return stopper is not None and stopper.safe_stop()
+    try:
+        return stopper is not None and stopper.safe_stop()
+    except Exception:  # noqa: BLE001 - a broken driver must not keep the process that hangs alive
+        return False
 
 
 def _await_death(loop: Loop) -> None:

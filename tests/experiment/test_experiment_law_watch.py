@@ -205,7 +205,7 @@ class Watched:
         return math.nan
 
 
-@pytest.mark.parametrize(("state", "cpu_share", "asked_after_s"), [("R", 1.0, 0.005), ("S", 0.0, 0.05)])
+@pytest.mark.parametrize(("state", "cpu_share", "asked_after_s"), [("R", 1.0, 0.005), ("S", 0.0, 0.08)])
 def test_the_keeper_asks_first_once_and_takes_the_link_when_the_lease_is_over(
     clock: list[float], monkeypatch: pytest.MonkeyPatch, state: str, cpu_share: float, asked_after_s: float
 ) -> None:

@@ -118,6 +118,21 @@ def test_the_chip_is_stopped_as_well() -> None:
     assert device.truth().pin_V == 0.0
 
 
+def test_a_law_that_swallows_the_signal_and_returns_ends_at_the_next_tick() -> None:
+    device = VirtualBoard(DEMO, 3)
+    with stop_on_signals() as stop, sent(signal.SIGINT) as begins:
+        loop, record = loop_on(device, stop)
+
+        def swallows() -> None:
+            begins()
+            with suppress(BaseException):
+                spins()
+
+        with pytest.raises(Fault, match="SIGINT"), loop.armed(LIMITS):
+            loop.run(Timed(HangsFrom(swallows), 5.0, "own"), "law")
+    assert device.truth().pin_V == 0.0 and len(record.rows) == FROM_TICK
+
+
 def interrupting(owner: Any, name: str, seen: list[str]) -> None:
     """Let a signal arrive in each call of this method, from its 20th on; ``seen`` grows when it has run to its end."""
     method = getattr(owner, name)

@@ -91,6 +91,7 @@ class RealRow:
     only           keys of devices; none: all but the bare one
     law            way in which a law of the user's own hangs (``hanging_laws``); "": a relay test goes on
     loop           of section loop of the config
+    counts_from_hang  the bound begins when the law hangs, not when something is done
     """
 
     name: str
@@ -103,6 +104,7 @@ class RealRow:
     only: tuple[str, ...] = ()
     law: str = ""
     loop: Mapping[str, Any] = field(default_factory=dict)
+    counts_from_hang: bool = False
 
     def is_for(self, device: RealDevice) -> bool:
         """Whether it is tried on that device."""
@@ -259,6 +261,7 @@ def _law_row(name: str, way: str, code: str, status: int, *signals: signal.Signa
         only=_LAW_DEVICES,
         law=way,
         loop=_UNHURRIED if by_signal else {},
+        counts_from_hang=not by_signal,
     )
 
 
@@ -345,12 +348,12 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             config["daq"]["port"] = device.start(board, check(path)[0], folder)
             path.write_text(yaml.safe_dump(config), encoding="utf-8")
             experiment = check(path)[0]
-            with _rig(folder, "run" if row.law else "relay") as host:
+            with _rig(folder, "run" if row.law else "relay") as host, _before(row):
                 if row.law:
-                    happened_s = _await_mark(mark, host)
+                    hung_s = _await_mark(mark, host)
                 else:
                     time.sleep(phase * _await_cycle(folder, host))
-                    happened_s = time.monotonic()
+                happened_s = hung_s if row.counts_from_hang else time.monotonic()
                 row.act(Case(host, board, folder / "link-fault"))
                 output = host.communicate(timeout=_WAIT_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
@@ -430,6 +433,20 @@ def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
             host.kill()
             raise EndedBefore(f"no limit cycle comes: {host.communicate()[0][-1000:]}")
         time.sleep(0.005)
+
+
+@contextlib.contextmanager
+def _before(row: RealRow) -> Iterator[None]:
+    """A law that spins at the loop's priority leaves little to this process, which has to send signals to it."""
+    if not row.law:
+        yield
+        return
+    with contextlib.suppress(OSError):  # then the loop has no such priority either
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(70))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def _await_mark(mark: Path, host: subprocess.Popen[str]) -> float:
