@@ -83,8 +83,8 @@ class WatchedLaw(Timed):
         return u_V
 
     def asked_to_end(self, number: int, frame: FrameType | None) -> None:
-        """The handler of the keeper's signal. Out of the law it means nothing: the law has just come back."""
-        if is_of_own_law(frame):
+        """The handler of the keeper's signal. Out of that step it means nothing: the law has just come back from it."""
+        if is_of_own_law(frame) and self.keeper is not None and self.keeper.lease.is_asked:
             raise Stopped(self._too_long("its step was ended: it had taken"))
 
     def _cpu_s(self) -> float:

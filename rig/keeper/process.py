@@ -169,6 +169,8 @@ class Watch:
             self.charge = None
             return False
         state, ran_s = loop.thread()
+        if self._lease.at_work != step:
+            return False  # what ran may have been the loop's own
         charge = self.charge
         if charge is None or charge.step != step:
             # in virtual time what the law did before the signal is no fault of it
@@ -178,6 +180,7 @@ class Watch:
         if not charge.asked and (charge.cpu_s > times.cpu_s or charge.used_s > _ASKS_AT * times.lease_s):
             charge.asked = True
             if loop.is_real:  # else the signal itself has asked
+                self._lease.ask(step)
                 os.kill(loop.pid, asks())
             return False
         return charge.asked and charge.used_s >= times.lease_s and self._lease.take(step)

@@ -14,7 +14,8 @@ SIZE: Final = 4096
 _COUNT: Final = 0  # steps begun so far
 _AT_WORK: Final = 1  # number of the step in which the law is; 0: in none
 _CPU_NS: Final = 2  # CPU time of the loop's thread when that step began
-_TAKEN: Final = 8  # 1: the link is the keeper's; on a cache line of its own
+_TAKEN: Final = 8  # 1: the link is the keeper's; this and the next on a cache line of their own
+_ASKED: Final = 9  # number of the step that the keeper has asked to end
 _SEEN_S: Final = 0.002  # by far enough for a write to be seen by another processor
 
 
@@ -43,6 +44,11 @@ class LawLease:
         self._words[_AT_WORK] = 0
         return self._words[_TAKEN] == 0
 
+    @property
+    def is_asked(self) -> bool:
+        """Whether the keeper has asked the step in which the law is to end, and not an earlier one."""
+        return self._words[_ASKED] == self._words[_AT_WORK]
+
     # -- the keeper's
 
     @property
@@ -54,6 +60,10 @@ class LawLease:
     def cpu_ns(self) -> int:
         """CPU time of the loop's thread when the step began, ns."""
         return self._words[_CPU_NS]
+
+    def ask(self, step: int) -> None:
+        """Ask that step to end; a signal has to follow."""
+        self._words[_ASKED] = step
 
     def take(self, step: int) -> bool:
         """Take the link if the law is still in that step. Returns whether the keeper has it.

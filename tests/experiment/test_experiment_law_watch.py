@@ -212,9 +212,9 @@ def test_the_keeper_asks_first_once_and_takes_the_link_when_the_lease_is_over(
     one = Watched(clock, monkeypatch, times(), is_real=True)
     one.state = state
     began_s = clock[0]
-    assert 0.1 <= one.taken_after_s(1.0, cpu_share) <= 0.1 + 2 * LOOK_EVERY_S
+    assert 0.1 <= one.taken_after_s(1.0, cpu_share) <= 0.1 + 2.5 * LOOK_EVERY_S
     [asked_s] = one.asked
-    assert asked_after_s < asked_s - began_s <= asked_after_s + 2 * LOOK_EVERY_S
+    assert asked_after_s < asked_s - began_s <= asked_after_s + 2.5 * LOOK_EVERY_S
 
 
 def test_the_keeper_leaves_alone_a_law_that_is_back_in_time_or_has_no_processor(
@@ -224,6 +224,39 @@ def test_the_keeper_leaves_alone_a_law_that_is_back_in_time_or_has_no_processor(
     for _ in range(50):  # a step's charge is its own
         assert math.isnan(one.taken_after_s(0.095, 0.04)) and one.asked == []
     assert math.isnan(one.taken_after_s(5.0, 0.0)) and one.asked == []
+
+
+def test_time_that_is_the_loops_own_does_not_count(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law comes back while the keeper looks, and the loop then runs for long."""
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    one.lease.begin(0)
+    assert one.watch._is_over() is False
+    clock[0], one.ran_s = LOOK_EVERY_S, 3.0
+    thread = one.watch._loop.thread
+    one.watch._loop.thread = lambda: (one.lease.end(), thread())[1]  # type: ignore[method-assign]  # of a stand-in
+    assert one.watch._is_over() is False and one.asked == []
+
+
+def test_what_was_asked_of_one_step_ends_no_other() -> None:
+    lease, raised = LawLease(-1), list[str]()
+    law: WatchedLaw
+
+    def step(sample: Sample) -> float:
+        if sample.t_s > 0.0:
+            lease.ask(lease.at_work)
+        try:
+            law.asked_to_end(0, sys._getframe())
+        except BaseException as error:
+            raised.append(str(error))
+            raise
+        return 0.3
+
+    law = WatchedLaw(Timed(SimpleNamespace(step=step), 1.0, "own"), times())
+    law.keeper = SimpleNamespace(lease=lease)  # type: ignore[assignment]  # what a step needs of it
+    lease.ask(7)
+    assert law.step(Sample(0.0, 0.0, 512)) == 0.3 and raised == []
+    with pytest.raises(Fault, match="the law own: its step was ended"):
+        law.step(Sample(0.01, 0.0, 512))
 
 
 def test_in_virtual_time_the_keeper_waits_for_a_signal(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:

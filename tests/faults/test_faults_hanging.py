@@ -6,6 +6,7 @@ The bound is longer by what this machine was late in that run: device, loop, law
 from __future__ import annotations
 
 import pytest
+
 from faults import realtime
 from faults.realtime import DEVICES, NO_WATCHDOG, REAL_ROWS, RealDevice
 
