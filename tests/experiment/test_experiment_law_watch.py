@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig as command
-from processes import alive, wait_until
+from processes import PATIENCE_S, alive, wait_until
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
 import rig
@@ -287,7 +287,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
         )
-    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None)
+    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None, 3 * PATIENCE_S)
     return host
 
 
