@@ -83,7 +83,7 @@ class WatchedLaw(Timed):
         return u_V
 
     def asked_to_end(self, number: int, frame: FrameType | None) -> None:
-        """The handler of the keeper's signal. Out of that step it means nothing: the law has just come back from it."""
+        """The handler of the keeper's signal: raises Stopped. Out of that step it does nothing."""
         if is_of_own_law(frame) and self.keeper is not None and self.keeper.lease.is_asked:
             raise Stopped(self._too_long("its step was ended: it had taken"))
 
@@ -98,7 +98,6 @@ class Keeper:
     """The loop's side of the process that watches a law. It hears of stop signals even where a law holds Python.
 
     lease  who may speak on the link
-    status  exit status of the process; None while it runs
     Raises OSError where it cannot be started, or is not ready in time.
     """
 

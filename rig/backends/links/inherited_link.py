@@ -18,7 +18,7 @@ class InheritedLink:
         self._descriptor = descriptor
 
     def write(self, data: bytes) -> None:
-        """Send all of ``data``; LINK_LOST if the link is dead or takes no more."""
+        """Send all of ``data``. Raises Fault LINK_LOST if the link is dead or takes no more."""
         try:
             sent = os.write(self._descriptor, data)
         except OSError as error:
@@ -27,7 +27,7 @@ class InheritedLink:
             raise Fault("LINK_LOST", "the link takes no more bytes: the device does not read")
 
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte, or b"" after ``timeout_s``; LINK_LOST if the link is dead."""
+        """What has arrived, at least one byte, or b"" after ``timeout_s``. Raises Fault LINK_LOST."""
         try:
             if not select.select([self._descriptor], [], [], timeout_s)[0]:
                 return b""
