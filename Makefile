@@ -4,13 +4,19 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: whole stalls free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
 
-demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulated serial device; CHIP=1: on the Uno's emulated chip
+demo: .venv/.ready firmware  ## the whole experiment on the emulated serial device, in virtual time; REALTIME=1: in real time; CHIP=1: on the Uno's emulated chip
+ifdef REALTIME
+	@mkdir -p build
+	sed 's/port: emulated  /port: emulated-realtime  /' $(CONFIG) > build/realtime.yaml
+	$(RIG) run build/realtime.yaml
+else
 	$(RIG) run $(CONFIG)
+endif
 
 # what needs a real clock, or pytest's own process, runs alone, after the rest
 test: .venv/.ready  ## check, then every test, the firmware's own included
@@ -84,6 +90,11 @@ tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs
 design: .venv/.ready  ## how soon designed tests tell enough, beside a free optimum: docs/design-table.md
 	PYTHONPATH=tools .venv/bin/python tools/design_table.py
 
+stalls: .venv/.ready firmware  ## random motors, driven by a host that stands still at random: docs/stalls-table.md; it resumes
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stalls \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(CHIPS),--chips $(CHIPS)) $(if $(SEED),--seed $(SEED)) $(if $(JOBS),--jobs $(JOBS)) \
+	    $(if $(PAGE),--page $(PAGE))
+
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
 
@@ -95,6 +106,9 @@ safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno
 
 soak: .venv/.ready firmware  ## HOURS=8 of the devices' time, run after run, with faults at random; half an hour or so
 	PYTHONPATH=tools .venv/bin/python -m faults.soak --hours $(or $(HOURS),8)
+
+whole: .venv/.ready firmware  ## whether TIMES=20 runs of the demo end whole: beside busy loops, stopped now and then, in real time
+	PYTHONPATH=tools .venv/bin/python tools/whole.py --times $(or $(TIMES),20) $(if $(ASK),--ask $(ASK))
 
 fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each target; counts are printed
 	PYTHONPATH=tools .venv/bin/python -m fuzz --seconds $(or $(SECONDS_EACH),60)

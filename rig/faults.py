@@ -32,8 +32,8 @@ FAULTS: dict[str, FaultEntry] = {
     "LINK_TIMEOUT": FaultEntry(
         "no valid reply within the time-out",
         "check supply, cable, interference and daq.baud; on a Modbus device also daq.modbus.unit and "
-        "daq.modbus.parity; `rig check` prints what the link needs. An emulated device shares this machine: on a busy "
-        "machine this can happen; run it again",
+        "daq.modbus.parity; `rig check` prints what the link needs. An emulated device in real time shares this "
+        "machine; where it is busy, leave `-realtime` out of daq.port: virtual time waits for it",
     ),
     "LINK_REPLY": FaultEntry(
         "the reply does not fit the request, or is damaged",
@@ -94,8 +94,8 @@ FAULTS: dict[str, FaultEntry] = {
     # device, reported by the firmware
     "DEVICE_WATCHDOG": FaultEntry(
         "the device heard nothing from the host within its watchdog time and set 0 V",
-        "close programs that load the machine and run it again, or raise daq.watchdog_s within what `rig check` "
-        "allows. The breakaway check uses a shorter time: `rig check` prints it",
+        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows. The breakaway "
+        "check uses a shorter time: `rig check` prints it",
     ),
     "DEVICE_TRAVEL": FaultEntry(
         "the device saw the position beyond the hard limit and set 0 V",
@@ -135,13 +135,17 @@ FAULTS: dict[str, FaultEntry] = {
         "home`",
     ),
     "DEVICE_ENCODER_STILL": FaultEntry(
-        "one channel of the encoder changed while the other stood still, and the device set 0 V",
-        "check the wires of both channels (Uno: D2 and D3; Pico: GP2 and GP3), and the encoder's supply. Then set zero "
-        "anew with `rig home`",
+        "one channel of the encoder changed while the other stood still, by a loose wire or a shaft that trembles on "
+        "an edge: the device set 0 V and forgot its zero",
+        "check the wires of both channels (Uno: D2 and D3; Pico: GP2 and GP3), and the encoder's supply. A shaft that "
+        "trembles on an edge of one channel, or interference on one wire, looks the same, also while the drive is off: "
+        "turn the shaft a little, or keep it still. Then set zero anew with `rig home`",
     ),
     "DEVICE_NO_ZERO": FaultEntry(
         "the device does not know where its encoder stands, so no travel limit would hold",
-        "type `rig home CONFIG`. A reset of the board, a new plug or a fault of the encoder ends the zero",
+        "type `rig home CONFIG`. A reset of the board, a new plug, or a `rig home` that did not end well leaves no "
+        "zero. A fault of the encoder ends it, also while the drive is off: a loose wire, or a shaft that trembles on "
+        "an edge",
     ),
     "DEVICE_ESTOP_UNTRIED": FaultEntry(
         "without travel limits the device arms only after its e-stop has been tried",
@@ -205,8 +209,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DELAY": FaultEntry(
         "the bench acts too late for the room that it has: from a drive to its motion the shaft could travel too far",
-        "widen limits.hard_rad, or lower limits.max_speed_rad_s or relay.target.amplitude_rad; or find what is late "
-        "and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
+        "widen limits.hard_rad, or lower limits.max_speed_rad_s, relay.target.amplitude_rad or daq.watchdog_s; or find "
+        "what is late and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
     ),
     "LATE": FaultEntry(
         "ticks came late, so strokes of the breakaway check lasted too long",
@@ -304,6 +308,7 @@ _SINCE_THE_LAST_RUN = {
     "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
     "DEVICE_SENSOR": "the position sensor was at its rail",
     "DEVICE_END_SWITCH": "an end switch opened",
+    "DEVICE_ENCODER_STILL": "a loose channel of the encoder, or a shaft that trembled on an edge,",
 }
 
 

@@ -11,6 +11,7 @@ from datetime import datetime
 from operator import index
 from pathlib import Path
 
+from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
@@ -39,6 +40,7 @@ from rig.results import (
     RealTimeReport,
     RunMeta,
     RunResult,
+    RunTime,
     ScriptCall,
     SearchStepResult,
     SensorBelieved,
@@ -130,9 +132,18 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         host={"system": platform.platform(), "machine": platform.machine()},
         command=" ".join(sys.argv),
         truth=true_motor(bench),
+        time=run_time(bench),
         script=script,
         identify_without=experiment.identify.without or None,
     )
+
+
+def run_time(bench: Bench) -> RunTime:
+    """The time of an open bench, with its stalls so far."""
+    clock = bench.clock
+    if isinstance(clock, PacedClock):
+        return RunTime(kind="virtual", pace=clock.pace, stalls=clock.stalls, longest_stall_s=clock.longest_stall_s)
+    return RunTime(kind="real" if isinstance(clock, MonotonicClock) else "virtual")
 
 
 def run_result(

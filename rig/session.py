@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.backends.clock import MonotonicClock
+from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock
 from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
@@ -38,7 +38,7 @@ from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
 from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
-from rig.run_summary import Findings, least_result, run_meta, run_result
+from rig.run_summary import Findings, least_result, run_meta, run_result, run_time
 from rig.signals import BenchDelay
 
 Array = NDArray[np.float64]
@@ -52,12 +52,13 @@ _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
 
 @dataclass
 class Outcome:
-    """How a run ended: its folder, its result.json, the fault that ended it, and what else failed."""
+    """How a run ended: its folder, its result.json, the fault that ended it, what else failed, how it was paced."""
 
     folder: Path
     result: RunResult
     fault: Fault | None = None
     failures: list[str] = field(default_factory=list)
+    paced: str = ""  # in words; empty where no pace was asked for
 
     @property
     def traceback(self) -> str:
@@ -99,6 +100,7 @@ class Session:
     found: Findings = field(default_factory=Findings)
     recording: Recording | None = None  # the rows that were read last
     delay: BenchDelay | None = None  # of the bench, once it is known; in a replay from the begin
+    paced: str = ""  # at the end: as of ``Outcome``
 
     def read(self) -> Recording:
         """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
@@ -152,7 +154,7 @@ def record(
                 if session is None:
                     raise
                 failures.append(f"the bench was not closed well: {_defect(error)}")
-            outcome = Outcome(session.folder, RunResult(), fault, failures)
+            outcome = Outcome(session.folder, RunResult(), fault, failures, session.paced)
             _measure_tracking(session, outcome)
             _write_result(session, outcome)
             late = stop.look()
@@ -224,7 +226,8 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.close()
     if fault is not None:
         session.note("fault", **fault.as_dict())
-    session.found.notes += _loop_notes(session.loop)
+    session.paced = _told_pace(session)
+    session.found.notes += _loop_notes(session.loop) + ([session.paced] if session.paced else [])
     session.note("end")
     return fault
 
@@ -251,6 +254,21 @@ def _loop_notes(loop: Loop) -> list[str]:
             "passed unseen; wire the e-stop so that it cuts the motor's supply"
         )
     return notes
+
+
+def _told_pace(session: Session) -> str:
+    """Whether a paced time kept its pace, in words; also into meta.json. Empty for any other time."""
+    clock = session.bench.clock
+    if not isinstance(clock, PacedClock):
+        return ""
+    session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
+    with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
+        write_meta(session.folder, session.meta)
+    stood = "without a stall"
+    if clock.stalls:
+        times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
+        stood = f"it stood {times}, {clock.longest_stall_s:.3g} s at most, for the machine or for sums of rig itself"
+    return f"virtual time at pace {clock.pace:g}: {stood}"
 
 
 def _close(recorder: Recorder) -> Fault | None:

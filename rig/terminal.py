@@ -131,6 +131,8 @@ def show_run(outcome: Outcome) -> None:
         _show_loop(result.loop)
     for note in result.config_notes:
         click.echo(f"note: {note}")
+    if outcome.paced:
+        click.echo(f"time: {outcome.paced}")
     click.echo(f"run:    {outcome.folder}")
     if (outcome.folder / "report.html").is_file():  # if it is missing, the failure says why
         click.echo(f"report: {outcome.folder / 'report.html'}")

@@ -27,6 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     "rig/cli/campaign.py": {"campaign"},
     "rig/cli/flash.py": {"flash"},
     "rig/cli/init.py": {"init"},
+    "rig/cli/jog.py": {"jog"},
     "rig/cli/tune.py": {"tune"},
     "rig/cli/panel.py": {"panel"},
 }

@@ -365,7 +365,10 @@ def core_corpus() -> dict[str, bytes]:
                 for bits in (1, 2, 4, 7)
             )
             + STOP
-            + b"".join(board(troubles=bits) + ticks(1) + READ + ENCODER_SEEN + zero() for bits in (4, 1, 2))
+            + b"".join(
+                board(troubles=bits) + ticks(1) + READ + zero() + ENCODER_SEEN + ARM + drive(50) + zero()
+                for bits in (4, 1, 2)
+            )
             + ARM
             + strokes(STROKES._replace(strokes=((120, 300), (-150, -300))))
             + ticks(2)
@@ -377,7 +380,9 @@ def core_corpus() -> dict[str, bytes]:
             ENCODER,
             frame(Kind.SETUP, endless._replace(homing=1).pack())
             + frame(Kind.SETUP, limited._replace(homing=2).pack())
+            + zero()
             + frame(Kind.SETUP, limited._replace(homing=1).pack())
+            + READ
             + ack(Code.RESET)
             + ARM
             + relay(RELAY._replace(centre=0))

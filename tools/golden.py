@@ -85,14 +85,14 @@ RUNS: dict[str, Golden] = {
     ),
     "simulated-jog": Golden("simulated", _TARGET, _jog),
     "simulated-fault": Golden("simulated", {**_FIXED, "limits.max_speed_rad_s": 1.5, "tracking": None}),
-    "host-board": Golden("demo", {**_FIXED, **_SHORT}, _halted, is_virtual=False),
+    "host-board": Golden("demo", {"daq.port": "emulated-realtime", **_FIXED, **_SHORT}, _halted, is_virtual=False),
     "chip": Golden("demo", {**_CHIP, **_FIXED, **_SHORT, "tracking.methods": ["triple-relay"]}),
     "chip-relay-in-device": Golden("device-relay", {**_CHIP, **_FIXED, "relay.cycles": 5, "tracking": None}),
-    "modbus": Golden("modbus-rtu", {"daq.port": "emulated-virtual", **_FIXED, **_SHORT}),
+    "modbus": Golden("modbus-rtu", {"daq.port": "emulated", **_FIXED, **_SHORT}),
     "modbus-separate": Golden(
         "modbus-rtu",
         {
-            "daq.port": "emulated-virtual",
+            "daq.port": "emulated",
             "daq.modbus.requests": "separate",
             "daq.timeout_s": 0.0045,
             **_FIXED,

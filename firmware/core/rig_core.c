@@ -11,6 +11,7 @@
 #define STROKES_LENGTH 56u /* room for STROKES_MAX strokes */
 #define ZERO_LENGTH 4u
 #define LOOPBACK_LENGTH 1u
+#define PULSE_LENGTH 4u
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
@@ -122,7 +123,7 @@ static void put_hello(packet *out, const rig_core *core)
     put_u8(out, board->board_id);
     put_u8(out, core->reset_cause);
     put_u8(out, board->bridge);
-    put_u8(out, (uint8_t)(board->features | (unsigned)RIG_FEATURE_STROKES |
+    put_u8(out, (uint8_t)(board->features | (unsigned)RIG_FEATURE_STROKES | (unsigned)RIG_FEATURE_PULSE |
                           (board->loopback != NULL ? (unsigned)RIG_FEATURE_LOOPBACK : 0u)));
     put_u32(out, (uint32_t)board->counts_max);
     put_u16(out, board->drive_full);
@@ -189,6 +190,7 @@ static void disarm(rig_core *core)
     act(core, 0);
     core->armed = false;
     core->recovering = 0;
+    core->pulsing = false;
 }
 
 static uint32_t bit_of(enum rig_code code)
@@ -312,6 +314,17 @@ static void latch_encoder(rig_core *core, enum rig_code code)
     latch(core, code);
 }
 
+/* One of its faults that is latched, or RIG_OK. */
+static enum rig_code encoder_fault(const rig_core *core)
+{
+    for (uint8_t code = (uint8_t)RIG_E_ENCODER_LOST; code <= (uint8_t)RIG_E_ENCODER_STILL; code++) {
+        if ((core->latched & bit_of((enum rig_code)code)) != 0u) {
+            return (enum rig_code)code;
+        }
+    }
+    return RIG_OK;
+}
+
 static void sense_encoder(rig_core *core)
 {
     const unsigned troubles = core->board->encoder_troubles(core->board->context);
@@ -321,8 +334,8 @@ static void sense_encoder(rig_core *core)
     if ((troubles & (unsigned)RIG_ENCODER_LOST) != 0u) {
         latch_encoder(core, RIG_E_ENCODER_LOST);
     }
-    if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u && core->armed) {
-        latch_encoder(core, RIG_E_ENCODER_STILL); /* at rest a shaft may tremble on an edge of one channel */
+    if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u) {
+        latch_encoder(core, RIG_E_ENCODER_STILL); /* or a shaft at rest trembles on an edge: it looks the same */
     }
     if (is_in_the_way(core, RIG_E_ESTOP)) {
         core->estop_tried = true; /* P14 */
@@ -503,6 +516,9 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     }
     core->setup = wanted;
     core->has_setup = true;
+    if (wanted.homing != 0u) {
+        core->has_zero = false; /* P13: whatever becomes of the homing */
+    }
     head(out, RIG_SETUP | RIG_REPLY, seq);
     put_setup(out, &core->setup);
 }
@@ -554,6 +570,7 @@ static void start_law(rig_core *core, bool stroking, uint8_t rows)
     core->law_acted = false;
     core->delay_us = 0;
     core->stroking = stroking;
+    core->pulsing = false;
     core->running = true;
     heard(core);
 }
@@ -692,29 +709,82 @@ static enum rig_code arm(rig_core *core, uint32_t session)
     return RIG_OK;
 }
 
-static void on_drive(rig_core *core, uint16_t seq, int16_t units)
+/* Whether a drive may reach the pin; what it has done wrong is said, or latched. */
+static bool may_drive(rig_core *core, int16_t units)
 {
     if (core->latched != 0u) {
-        return; /* P7 */
+        return false; /* P7 */
     }
     if (!core->armed) {
         core->fault = RIG_E_NOT_ARMED; /* P1 */
-        return;
+        return false;
     }
     if (is_too_much(core, units)) {
         latch(core, RIG_E_DRIVE_RANGE); /* P2 */
-        return;
+        return false;
     }
     const bool raises = (units > 0) == (core->setup.polarity > 0);
     const bool is_above = core->recovering > 0;
     if (core->recovering != 0 && units != 0 && raises == is_above) {
         latch(core, RIG_E_TRAVEL); /* P6 */
-        return;
+        return false;
     }
+    return true;
+}
+
+static void take_drive(rig_core *core, uint16_t seq, int16_t units)
+{
     act(core, units);
     core->drive_seq = seq;
     if (core->running) {
         end_law(core); /* the host takes over, without a gap in the drive */
+    }
+}
+
+static void on_drive(rig_core *core, uint16_t seq, int16_t units)
+{
+    if (!may_drive(core, units)) {
+        return;
+    }
+    if (core->pulsing && core->drive == 0 && units == 0) {
+        core->drive_seq = seq; /* the pulse has ended before: the state goes on telling when */
+    } else {
+        take_drive(core, seq, units);
+    }
+    core->pulsing = false;
+}
+
+static bool is_pulse_over(const rig_core *core)
+{
+    return core->board->micros(core->board->context) - core->t_pulse_us >= core->pulse_ms * US_PER_MS;
+}
+
+/* P16: once over it stays over, though the clock wraps. */
+static void end_pulse(rig_core *core)
+{
+    if (core->pulsing && is_pulse_over(core)) {
+        core->pulse_ms = 0;
+        if (core->drive != 0) {
+            act(core, 0);
+        }
+    }
+}
+
+/* P16: the pulse's time counts from its first frame, so that no late frame makes it longer. */
+static void on_pulse(rig_core *core, uint16_t seq, int16_t units, uint16_t longest_ms)
+{
+    if (!may_drive(core, units)) {
+        return;
+    }
+    if (core->pulsing && is_pulse_over(core)) {
+        core->drive_seq = seq; /* it has come, but it drives nothing */
+        return;
+    }
+    take_drive(core, seq, units);
+    if (!core->pulsing) {
+        core->pulsing = true;
+        core->t_pulse_us = core->t_drive_us;
+        core->pulse_ms = longest_ms;
     }
 }
 
@@ -738,9 +808,15 @@ static void on_zero(rig_core *core, uint16_t seq, int32_t counts, packet *out)
         refuse(out, RIG_ZERO, seq, RIG_E_SETUP); /* positions never change under drive */
         return;
     }
-    core->board->set_position(core->board->context, counts);
-    core->has_zero = true;
     sense(core);
+    const enum rig_code trouble = encoder_fault(core);
+    if (trouble != RIG_OK) {
+        refuse(out, RIG_ZERO, seq, trouble); /* the host may have worked it out from counts that are wrong */
+        return;
+    }
+    core->board->set_position(core->board->context, counts);
+    core->counts = counts;
+    core->has_zero = true;
     head(out, RIG_ZERO | RIG_REPLY, seq);
     put_state(out, core);
 }
@@ -872,6 +948,8 @@ static int8_t body_length(uint8_t type)
         return (int8_t)DRIVE_LENGTH;
     case RIG_LOOPBACK:
         return (int8_t)LOOPBACK_LENGTH;
+    case RIG_PULSE:
+        return (int8_t)PULSE_LENGTH;
     default:
         return -1;
     }
@@ -892,7 +970,7 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
     }
     case RIG_READ:
         if (core->drive == 0 && !core->running) {
-            heard(core); /* P3: what drives is kept up by DRIVE alone: one that got lost must not stay on */
+            heard(core); /* P3: what drives is kept up by DRIVE and PULSE alone: one that got lost must not stay on */
         }
         sample(core);
         head(out, RIG_READ | RIG_REPLY, seq);
@@ -901,6 +979,10 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
     case RIG_DRIVE:
         heard(core);
         on_drive(core, seq, get_i16(body));
+        break;
+    case RIG_PULSE:
+        heard(core);
+        on_pulse(core, seq, get_i16(body), get_u16(&body[2]));
         break;
     case RIG_RELAY:
         on_relay(core, seq, body, out);
@@ -985,6 +1067,9 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->running = false;
     core->law_acted = false;
     core->stroking = false;
+    core->pulsing = false;
+    core->t_pulse_us = 0;
+    core->pulse_ms = 0;
     core->delay_us = 0;
     blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
     disarm(core); /* P1 */
@@ -1012,6 +1097,7 @@ void rig_tick(rig_core *core)
             latch(core, RIG_E_WATCHDOG); /* P3 */
         }
     }
+    end_pulse(core);
     if (core->running) {
         law_tick(core);
     }

@@ -16,7 +16,7 @@
  *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
  *     P2 more drive than max_drive never reaches the pin
  *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later;
- *        while something drives, only DRIVE counts as the host's voice; while a law of the device runs, only KEEP
+ *        while something drives, only DRIVE and PULSE count as the host's voice; while a law of the device runs, only KEEP
  *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
  *     P5 a sensor at its rail sets the drive to 0, at most one tick later
  *     P6 armed outside a hard limit, only drive inward reaches the pin
@@ -28,11 +28,13 @@
  *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
  *    P11 ARM names the session that SETUP has begun; a reset ends it
  *    P12 a stroke drives no longer than its time; after two in a row that failed nothing drives
- *    P13 an encoder counts from anywhere: nothing but a homing arms before ZERO has said where it stands; a reset ends
- *        that, and so does a fault of the encoder, which latches whether armed or not (a still channel only while armed)
+ *    P13 an encoder counts from anywhere: nothing but a homing arms before ZERO has said where it stands. A reset ends
+ *        that, a homing as it begins, and a fault of the encoder, which latches whether armed or not: no ZERO until ACK
  *    P14 without travel limits nothing arms until the e-stop has been open since the reset
  *    P15 loop-back begins only disarmed, and only where the e-stop's input follows a pin of the board's own: no bench is
  *        wired so. In it at most half of full duty reaches the pin, and no law runs. HELLO ends it, and so does a reset
+ *    P16 a pulse drives no longer than its time, at most one tick more, whatever the host does; after that no PULSE drives
+ *        until a DRIVE has come
  *
  * Two laws can run in the device, one at a time: the relay (relay.h), started by RELAY, and the stroke test (strokes.h),
  * started by STROKES. The law drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever disarms ends it;
@@ -65,7 +67,7 @@ enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
 /* A board's count from the first bit, the core's from the last. */
-enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_ENCODER = 4,
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_ENCODER = 4, RIG_FEATURE_PULSE = 32,
                    RIG_FEATURE_LOOPBACK = 64, RIG_FEATURE_STROKES = 128 };
 
 enum rig_status {
@@ -92,6 +94,7 @@ enum rig_type {
     RIG_STROKES = 0x0B,
     RIG_ZERO = 0x0C,
     RIG_LOOPBACK = 0x0D,
+    RIG_PULSE = 0x0E,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -115,7 +118,7 @@ enum rig_code {
     RIG_E_SESSION = 15,
     RIG_E_ENCODER_LOST = 16,  /* both channels changed at once: counts are lost */
     RIG_E_ENCODER_RATE = 17,  /* edges come faster than they can be counted */
-    RIG_E_ENCODER_STILL = 18, /* one channel changes, the other does not */
+    RIG_E_ENCODER_STILL = 18, /* one channel changes, the other does not: a loose wire, or a shaft that trembles */
     RIG_E_ZERO = 19,          /* nobody has said where the encoder stands: does not latch */
     RIG_E_ESTOP_UNTRIED = 20, /* does not latch; a bit of rig_core.latched has room for codes up to 31 */
     RIG_E_LOOPBACK = 21       /* its wires are not there, or it has not begun: does not latch */
@@ -198,7 +201,7 @@ typedef struct {
     uint16_t max_drive;
     uint16_t watchdog_ms;
     int8_t polarity; /* +1: positive drive raises counts */
-    uint8_t homing;  /* 1: the limits count from wherever an encoder was switched on; no relay */
+    uint8_t homing;  /* 1: no zero; the limits count from wherever an encoder was switched on; no relay */
 } rig_setup;
 
 typedef struct {
@@ -216,6 +219,9 @@ typedef struct {
     uint16_t drive_seq;  /* of the DRIVE last accepted */
     uint32_t t_drive_us; /* when `drive` took effect */
     uint32_t t_heard_us; /* of the last frame that counts for P3 */
+    bool pulsing;         /* a PULSE has come since the last DRIVE: P16 */
+    uint32_t t_pulse_us;  /* when the first of them took effect */
+    uint16_t pulse_ms;    /* how long they may drive in all */
     uint32_t t_sample_us;
     int32_t counts;
     uint16_t tach;

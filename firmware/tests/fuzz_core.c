@@ -21,6 +21,7 @@ enum step {
 #define RECOVERED_COUNTS 3
 #define LAG_US 500u
 #define REACH 0x100000 /* counts from the centre, without limits */
+#define ENCODER_FAULTS (1u << RIG_E_ENCODER_LOST | 1u << RIG_E_ENCODER_RATE | 1u << RIG_E_ENCODER_STILL)
 #define OUTWARD_DIVISOR 32 /* of the hard range: so far out is a wrong polarity */
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -54,6 +55,9 @@ static struct {
     unsigned latched; /* bits of what must not be forgotten until it is acknowledged */
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
+    bool pulsing; /* P16 */
+    uint32_t t_pulse_us;
+    uint32_t pulse_us;
     struct {
         bool run; /* else the relay, about `relay_centre` */
         uint8_t body[56];        /* as they were confirmed */
@@ -134,24 +138,16 @@ static void take_position(void *context, int32_t counts)
     witness.has_zero = true;
 }
 
-/* P13: what is found ends the zero and latches; a still channel only while armed. */
+/* P13: what is found ends the zero and latches. */
 static uint8_t give_troubles(void *context)
 {
     const unsigned found = board.troubles;
     (void)context;
     board.troubles = 0;
-    if ((found & RIG_ENCODER_LOST) != 0u) {
-        witness.latched |= 1u << RIG_E_ENCODER_LOST;
-    }
-    if ((found & RIG_ENCODER_RATE) != 0u) {
-        witness.latched |= 1u << RIG_E_ENCODER_RATE;
-    }
-    if (found == RIG_ENCODER_STILL && core.armed) {
-        witness.latched |= 1u << RIG_E_ENCODER_STILL;
-    }
-    if ((found & (RIG_ENCODER_LOST | RIG_ENCODER_RATE)) != 0u || (found != 0u && core.armed)) {
-        witness.has_zero = false;
-    }
+    witness.latched |= (found & RIG_ENCODER_LOST) != 0u ? 1u << RIG_E_ENCODER_LOST : 0u;
+    witness.latched |= (found & RIG_ENCODER_RATE) != 0u ? 1u << RIG_E_ENCODER_RATE : 0u;
+    witness.latched |= (found & RIG_ENCODER_STILL) != 0u ? 1u << RIG_E_ENCODER_STILL : 0u;
+    witness.has_zero = witness.has_zero && found == 0u;
     return (uint8_t)found;
 }
 
@@ -323,6 +319,7 @@ static void hold_after_tick(void)
         return;
     }
     REQUIRE(board.now_us - witness.t_voice_us < witness.watchdog_ms * 1000u);                  /* P3 */
+    REQUIRE(!witness.pulsing || board.now_us - witness.t_pulse_us < witness.pulse_us);         /* P16 */
     REQUIRE(!is_in_the_way(RIG_E_SENSOR));                                                     /* P5 */
     REQUIRE((board.inputs & RIG_INPUT_ESTOP) == 0u);                                           /* P9 */
     REQUIRE(end() == witness.recovering || end() == 0);                                        /* P4, P9 */
@@ -402,6 +399,7 @@ static void note_setup(const uint8_t *body)
     witness.watchdog_ms = u16(body + 26);
     witness.positive_raises = body[28] == 1u;
     witness.homing = body[29] == 1u;
+    witness.has_zero = witness.has_zero && !witness.homing; /* P13 */
     REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 30) == 0); /* what is stored is what was sent */
     REQUIRE(witness.hard_lo < witness.hard_hi && witness.rail_lo >= 0 && witness.rail_hi <= hardware.counts_max);
     REQUIRE(body[29] <= (counts_an_encoder() ? 1u : 0u) && !(witness.homing && is_endless()));
@@ -445,16 +443,31 @@ static uint32_t arrival(void)
     return hardware.arrived_us != NULL ? board.now_us - LAG_US : board.now_us;
 }
 
+/* The time of a pulse counts from the first PULSE after a DRIVE: P16. */
+static void note_pulse(bool pulse, const uint8_t *body)
+{
+    const bool begins = pulse && !witness.pulsing && core.armed;
+    witness.pulsing = pulse && (witness.pulsing || begins);
+    if (begins) {
+        witness.t_pulse_us = board.now_us;
+        witness.pulse_us = u16(body + 2) * 1000u;
+    }
+}
+
 /* A valid frame went in: what it was, what came back, and what that permits. */
 static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_running)
 {
     const uint8_t type = content[1];
     const bool whole = content[0] == RIG_PROTOCOL;
-    const bool is_silent = whole && ((type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_KEEP && n == FRAME_HEADER));
+    const bool drives = (type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_PULSE && n == FRAME_HEADER + 4u);
+    const bool is_silent = whole && (drives || (type == RIG_KEEP && n == FRAME_HEADER));
     REQUIRE(board.replies == (is_silent ? 0u : 1u));
     if (is_silent) {
-        if (type == RIG_DRIVE || was_running) {
+        if (drives || was_running) {
             witness.t_voice_us = arrival();
+        }
+        if (drives) {
+            note_pulse(type == RIG_PULSE, content + FRAME_HEADER);
         }
         return;
     }
@@ -477,6 +490,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         witness.recovering = end();
         witness.outmost = board.counts;
         witness.t_voice_us = arrival();
+        witness.pulsing = false;
         REQUIRE(board.pin == 0);
         break;
     case RIG_RELAY | RIG_REPLY:
@@ -485,6 +499,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         witness.relay_centre = (int32_t)u32(content + FRAME_HEADER + 8u) / 16;
         witness.t_voice_us = arrival();
         witness.strokes.run = false;
+        witness.pulsing = false;
         if (type == RIG_STROKES) {
             note_strokes(content + FRAME_HEADER);
         }
@@ -496,10 +511,12 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         break;
     case RIG_ZERO | RIG_REPLY:
         REQUIRE(counts_an_encoder() && !was_armed && board.counts == (int32_t)u32(content + FRAME_HEADER));
+        REQUIRE((witness.latched & ENCODER_FAULTS) == 0u); /* P13 */
         note_state();
         break;
     case RIG_STOP | RIG_REPLY:
         witness.permitted = false;
+        witness.pulsing = false;
         REQUIRE(board.pin == 0);
         note_state();
         break;

@@ -202,6 +202,15 @@ static void send_drive(int units)
     send_raw(RIG_PROTOCOL, RIG_DRIVE, body, 2);
 }
 
+static void send_pulse(int units, unsigned longest_ms)
+{
+    uint8_t body[4];
+    put_i16(body, units);
+    body[2] = (uint8_t)(longest_ms & 0xFFu);
+    body[3] = (uint8_t)(longest_ms >> 8);
+    send_raw(RIG_PROTOCOL, RIG_PULSE, body, 4);
+}
+
 static uint8_t send_arm_of(uint32_t session)
 {
     uint8_t body[4];
@@ -327,7 +336,7 @@ static void test_hello(void)
     send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0);
     CHECK(replied(RIG_HELLO | RIG_REPLY, 31));
     CHECK(board.got[4] == RIG_BOARD_HOST && board.got[5] == RIG_RESET_BROWN_OUT);
-    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == (RIG_FEATURE_TACHOMETER | RIG_FEATURE_LOOPBACK | RIG_FEATURE_STROKES));
+    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == (RIG_FEATURE_TACHOMETER | RIG_FEATURE_PULSE | RIG_FEATURE_LOOPBACK | RIG_FEATURE_STROKES));
     CHECK(got_u32(4) == 1023 && got_u16(8) == FULL && got_u32(10) == 0xFEDCBA98u && board.got[18] == 0);
     CHECK(memcmp(board.got + 19, "build 1234567890", 16) == 0);
 }
@@ -505,6 +514,60 @@ static void test_watchdog_counts_from_the_arrival(void)
     board.now_us += 1;
     rig_tick(&core);
     CHECK(board.pin == 0 && core.fault == RIG_E_WATCHDOG);
+}
+
+/* P16 */
+static void test_pulse(void)
+{
+    armed();
+    send_pulse(100, 30);
+    CHECK(board.pin == 100 && board.replies == 0);
+    for (unsigned i = 0; i < 29; i++) {
+        tick();
+        CHECK(board.pin == 100);
+    }
+    tick();
+    CHECK(board.pin == 0 && core.armed); /* it is no fault */
+    send_read();
+    CHECK(state_drive() == 0 && got_u32(10) == board.now_us && state_fault() == 0); /* and it is told */
+    send_pulse(100, 30);
+    CHECK(board.pin == 0); /* what comes late drives no more */
+    board.now_us -= 30000u; /* though the clock goes round */
+    send_pulse(100, 30);
+    CHECK(board.pin == 0);
+    board.now_us += 30000u;
+    const uint32_t ended_us = core.t_drive_us;
+    tick();
+    send_drive(0);
+    send_read();
+    CHECK(state_drive() == 0 && got_u32(10) == ended_us); /* a DRIVE of 0 after its end hides nothing */
+    send_pulse(-100, 30);
+    CHECK(board.pin == -100); /* a DRIVE was between */
+    for (unsigned i = 0; i < 30; i++) {
+        CHECK(board.pin == -100 - (int)i);
+        tick();
+        send_pulse(-101 - (int)i, 30); /* none of them makes it longer */
+    }
+    CHECK(board.pin == 0);
+    armed();
+    send_pulse(100, 30);
+    send_drive(100); /* and a DRIVE goes on as ever */
+    for (unsigned i = 0; i < 90; i++) {
+        tick();
+    }
+    CHECK(board.pin == 100);
+    armed();
+    send_pulse(100, 1000); /* the watchdog comes first */
+    for (unsigned i = 0; i < 101; i++) {
+        tick();
+    }
+    check_latched(RIG_E_WATCHDOG);
+    armed();
+    send_pulse(201, 30);
+    check_latched(RIG_E_DRIVE_RANGE);
+    power_on();
+    send_pulse(100, 30);
+    CHECK(board.pin == 0);
 }
 
 /* The clock wraps at 2^32 us, after 71.6 min. */
@@ -1055,6 +1118,7 @@ int main(void)
     test_watchdog_is_fed();
     test_watchdog_counts_from_the_arrival();
     test_watchdog_over_wrap();
+    test_pulse();
     test_travel();
     test_sensor();
     test_first_fault_is_kept();

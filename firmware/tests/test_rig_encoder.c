@@ -235,27 +235,42 @@ static void test_limits_hold_below_0(void)
     CHECK(board.pin == 0 && core.fault == RIG_E_TRAVEL);
 }
 
-/* Each trouble: 0 V, latched, and zero is void; a still channel only while armed. */
+/* Each trouble, armed or not: 0 V, latched, zero is void, and none is set before somebody has seen it. */
 static void test_troubles(void)
 {
     static const uint8_t CODES[] = {RIG_E_ENCODER_LOST, RIG_E_ENCODER_RATE, RIG_E_ENCODER_STILL};
-    for (unsigned i = 0; i < 3u; i++) {
+    for (unsigned i = 0; i < 6u; i++) {
+        const uint8_t code = CODES[i % 3u];
         power_on(&ENCODER);
-        CHECK(setup(-1000, 1000, 0, 0) == RIG_OK && zero(0) == RIG_OK && arm() == RIG_OK);
+        CHECK(setup(-1000, 1000, 0, 0) == RIG_OK && zero(0) == RIG_OK);
+        CHECK(i >= 3u || arm() == RIG_OK);
         drive(50);
-        board.troubles = (uint8_t)(1u << i);
-        tick();
-        CHECK(board.pin == 0 && !core.armed && core.fault == CODES[i] && !core.has_zero);
-        CHECK(arm() == CODES[i] && ack(CODES[i]) == RIG_OK && arm() == RIG_E_ZERO);
+        board.troubles = (uint8_t)(1u << (i % 3u));
+        if (i != 5u) {
+            tick();
+        } /* else the ARM itself finds it */
+        CHECK(arm() == code && board.pin == 0 && !core.armed && core.fault == code && !core.has_zero);
+        CHECK(zero(5) == code && !core.has_zero && board.counts == 0);
+        CHECK(ack(code) == RIG_OK && arm() == RIG_E_ZERO);
+        board.troubles = (uint8_t)(1u << (i % 3u));
+        CHECK(zero(5) == code && ack(code) == RIG_OK && arm() == RIG_E_ZERO);
         CHECK(zero(5) == RIG_OK && arm() == RIG_OK);
-
-        power_on(&ENCODER);
-        CHECK(zero(0) == RIG_OK);
-        board.troubles = (uint8_t)(1u << i);
-        tick();
-        const bool latches = CODES[i] != RIG_E_ENCODER_STILL;
-        CHECK(core.has_zero != latches && (core.latched != 0u) == latches);
     }
+}
+
+/* What was known before a homing began is forgotten, whatever becomes of it. */
+static void test_a_homing_forgets_the_zero(void)
+{
+    power_on(&ENCODER);
+    CHECK(zero(-300) == RIG_OK);
+    CHECK(setup(NO_LIMITS, 1) == RIG_E_SETUP && (status() & RIG_STATUS_ZERO) != 0u); /* refused: it has not begun */
+    CHECK(setup(-1000, 1000, 0, 1) == RIG_OK && (status() & RIG_STATUS_ZERO) == 0u);
+    CHECK(setup(-1000, 1000, 0, 0) == RIG_OK && arm() == RIG_E_ZERO);
+    drive(50);
+    CHECK(board.pin == 0);
+    CHECK(zero(0) == RIG_OK && setup(-1000, 1000, 0, 1) == RIG_OK && arm() == RIG_OK);
+    drive(50);
+    CHECK(ask(RIG_STOP, NULL, 0) == RIG_OK && setup(-1000, 1000, 0, 0) == RIG_OK && arm() == RIG_E_ZERO);
 }
 
 /* A homing arms without a zero, inside limits from wherever it counts, and runs no law. */
@@ -392,6 +407,7 @@ int main(void)
     test_no_zero_no_drive();
     test_limits_hold_below_0();
     test_troubles();
+    test_a_homing_forgets_the_zero();
     test_homing();
     test_endless();
     test_endless_relay();

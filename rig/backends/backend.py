@@ -173,9 +173,9 @@ class Backend(ABC):
         """For people: what section ``emulated`` does where this device is not emulated."""
         return "section `emulated` counts as the truth only if the driver says that its device is emulated"
 
-    def seconds_words(self, e: Experiment) -> str:
-        """Words after a time in virtual seconds; "" for real ones."""
-        return ""
+    def in_virtual_time(self, e: Experiment) -> bool:
+        """Whether its time is virtual, as far as the config says: it passes only while the loop waits."""
+        return False
 
     def adapter_behind(self, e: Experiment) -> Adapter | None:
         """The adapter that the delays of a real USB port are computed with; None where there is no such port."""

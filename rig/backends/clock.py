@@ -7,9 +7,12 @@ import os
 import sys
 import time
 
+from rig.backends.driver import Clock
+
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
 _EINTR = 4
+STALL_S = 0.02  # by which a paced time may be late before it stands
 
 
 class _Timespec(ctypes.Structure):
@@ -81,3 +84,49 @@ class VirtualClock:
         """Let time pass to ``t_s``, or none if that is past. Returns the time then, s."""
         self._now_s = max(self._now_s, t_s)
         return self._now_s
+
+
+class PacedClock:
+    """A virtual time that follows this machine's clock, for people who watch. It never runs ahead of it.
+
+    Where the machine stands, so does this time: if it fell behind by more than STALL_S, that was a stall, and nothing
+    catches up on it. A time is told, or slept until, only once it has come.
+
+    clock   virtual time
+    pace    seconds of it in a second of the machine's
+    wall    the machine's clock
+
+    stalls  so far; longest_stall_s: the longest of them, s of the machine's clock
+    """
+
+    absolute = True
+
+    def __init__(self, clock: Clock, pace: float, wall: Clock | None = None) -> None:
+        self.pace = pace
+        self.stalls, self.longest_stall_s = 0, 0.0
+        self._clock, self._wall = clock, MonotonicClock() if wall is None else wall
+        self._zero_s, self._wall_zero_s = clock.now_s(), self._wall.now_s()
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        now_s = self._clock.now_s()
+        self._has_come(now_s)
+        return now_s
+
+    def sleep_until(self, t_s: float) -> float:
+        """Sleep until ``t_s``, and let virtual time pass to it; the time then, s. Returns early only for a signal."""
+        now_s = self._clock.now_s()
+        return self._clock.sleep_until(t_s) if self._has_come(max(t_s, now_s)) else now_s
+
+    def _has_come(self, t_s: float) -> bool:
+        """Wait for the instant of the machine's clock that belongs to ``t_s``. False: a signal came first."""
+        due_s = self._wall_zero_s + (t_s - self._zero_s) / self.pace
+        now_s = self._wall.now_s()
+        if now_s < due_s:
+            now_s = self._wall.sleep_until(due_s)
+        late_s = now_s - due_s
+        if late_s > STALL_S:
+            self.stalls += 1
+            self.longest_stall_s = max(self.longest_stall_s, late_s)
+            self._wall_zero_s += late_s
+        return late_s >= 0.0

@@ -286,6 +286,23 @@ class RelayRules(Protocol):
 
 
 @runtime_checkable
+class PulseDriver(Driver, Protocol):
+    """A driver whose device may end a drive by itself, after a time and without a fault, whatever the host does.
+
+    pulses  whether this device does; known once it is open
+    """
+
+    pulses: bool
+
+    def write_pulse(self, u_V: float, longest_s: float) -> None:
+        """As ``write``, but the drive ends ``longest_s`` after the first ``write_pulse`` since the last ``write``.
+
+        After that no further one drives, until a ``write`` has come. Raises ValueError where the device has no pulses.
+        """
+        ...
+
+
+@runtime_checkable
 class EncoderDriver(Driver, Protocol):
     """A driver whose device counts an encoder, from wherever it was switched on.
 
@@ -296,8 +313,15 @@ class EncoderDriver(Driver, Protocol):
     homing: bool
     stopped: Stopped | None
 
+    def forget_zero(self) -> None:
+        """Forget the zero of a disarmed device: only a homing arms it until ``set_zero``. Raises Fault LINK_*."""
+        ...
+
     def set_zero(self, here_rad: float) -> None:
-        """Tell a disarmed device that its shaft stands at ``here_rad``, until its next reset. Raises Fault LINK_*."""
+        """Tell a disarmed device that its shaft stands at ``here_rad``, until its next reset.
+
+        Raises Fault LINK_*, and the fault of the encoder that the device has latched: it takes no zero then.
+        """
         ...
 
     def leave_switch(self) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.backends.backend import Backend, Unopened
+from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock, DeviceInfo, Driver
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.plug_in import PlugIn, loaded, plug_in, refused
@@ -31,6 +32,7 @@ BUILT_IN = {
     name: EntryPoint(name, f"rig.backends.{name}.backend:{name.upper()}", GROUP)
     for name in ("simulated", "serial", "modbus")
 }
+_REAL = "the time of this device is real, whose pace is 1"
 _EMULATES = "serial"  # what `rig emulate` starts for a config whose device cannot be emulated by itself
 
 
@@ -115,6 +117,8 @@ def rules(e: Experiment) -> Iterator[Problem]:
         if owner is not None:
             yield wrong("daq.port", f"{port} is a port of `driver: {owner}`", "/dev/ttyACM0, or port: emulated")
             return  # rules about this link say nothing of that port
+    if e.loop.pace not in (None, 1.0) and own.name in BUILT_IN and not own.in_virtual_time(e):
+        yield wrong("loop.pace", f"{e.loop.pace:g}, but {_REAL}", "leave it out, and --pace")
     yield from own.rules(e)
 
 
@@ -139,6 +143,10 @@ def connect(e: Experiment) -> Iterator[Bench]:
             info = driver.open()
             if driver.failsafe is None and not e.daq.accept_no_watchdog:
                 raise Fault("NO_WATCHDOG")
+            if e.loop.pace is not None and not isinstance(clock, MonotonicClock):
+                clock = PacedClock(clock, e.loop.pace)
+            elif e.loop.pace not in (None, 1.0):
+                raise Fault("CONFIG_MISMATCH", f"loop.pace is {e.loop.pace:g}, but {_REAL}")
             # only a device that says that it is emulated has a truth to compare with
             yield Bench(driver, clock, info, truth if info.emulated else None, shaft if info.emulated else None)
         finally:

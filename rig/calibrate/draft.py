@@ -32,9 +32,9 @@ class Draft:
 
     @property
     def experiment(self) -> Experiment:
-        """The config with the changes; an emulated bench stays the one that it was before them."""
+        """The config with the changes; an emulated bench stays the one that it was before them, at its pace."""
         e = load(changed(self.data, self.changes))
-        return e.model_copy(update={"emulated": self.original.emulated})
+        return e.at_pace(self.original.loop.pace).model_copy(update={"emulated": self.original.emulated})
 
     def with_changes(self, changes: Mapping[Path, Value]) -> Draft:
         """With these values, too. Raises Refusal if they make no config."""

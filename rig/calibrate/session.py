@@ -20,7 +20,7 @@ from rig.errors import RigError
 from rig.loop.stop_request import Gone
 from rig.preflight import preflight
 
-_NEEDED_BEFORE = ("daq", "drive.bridge", "emulated")  # keys without which no device can be opened
+_NEEDED_BEFORE = ("daq", "drive.bridge", "emulated", "loop.pace")  # keys without which no device can be opened
 
 
 class NotWrittenError(RigError):
@@ -70,12 +70,14 @@ class Finished:
     problems: tuple[str, ...]
 
 
-def open_config(file: Path) -> Opened:
+def open_config(file: Path, pace: float | None = None) -> Opened:
     """Read a config. One that `rig check` refuses can be calibrated, if its device can be opened.
 
+    pace  in place of loop.pace; None: as the file says
     Raises ConfigError; Fault if the device's port is not there.
     """
     experiment, document = load_with_places(file)
+    experiment = experiment.at_pace(pace)
     problems = [p for p in preflight(experiment).problems if p.key.startswith(_NEEDED_BEFORE)]
     if problems:
         raise ConfigError(map(document.located, problems))

@@ -26,10 +26,14 @@ from rig.campaign.grid import CampaignError
 from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
 from rig.package import FOLDER, VERSION
+from rig.plain_file import open_plain, read_plain
+from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, write_config, write_meta
+from rig.recording.reader import read_object
 from rig.results import JsonObject
 
 RESULTS: Final = "results.csv"
+_MOST_BYTES: Final = 2**30  # of it: millions of experiments
 FREE: Final = ("name", "experiments")  # keys that change no row
 HEADER: Final = ",".join(COLUMNS) + "\n"
 
@@ -91,7 +95,7 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
         if (folder / META).exists():
             _same_campaign(folder, campaign)
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        descriptor = open_plain(folder / RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
     except OSError as error:
         raise CampaignError(
             f"{folder}: cannot be written: {error.strerror}", "choose another folder with --out"
@@ -148,7 +152,7 @@ def _field(value: Any) -> str:
 
 def _whole_lines(path: Path) -> bytes:
     """The content up to its last line end. The rest is torn."""
-    content = path.read_bytes()
+    content = read_plain(path, _MOST_BYTES)
     return content[: content.rfind(b"\n") + 1]
 
 
@@ -200,9 +204,11 @@ def _begin(folder: Path, campaign: Campaign) -> None:
 def _same_campaign(folder: Path, campaign: Campaign) -> None:
     path = folder / META
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-        config, program, there = meta["config_sha256"], meta["program_sha256"], dict(meta["campaign"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        meta = read_object(path)
+        config, program, there = meta["config_sha256"], meta["program_sha256"], meta["campaign"]
+        if not isinstance(there, dict):
+            raise TypeError("no keys of a campaign")
+    except (RecordingError, KeyError, TypeError) as error:
         raise CampaignError(
             f"{path}: does not say which campaign this is", "choose another folder with --out"
         ) from error

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rig import strict_json
 from rig.catalogue.entry import read_entry
 from rig.package import VERSION
+from rig.plain_file import read_plain
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import META, RESULT, write_whole
 from rig.recording.path_kind import CAMPAIGN_ROWS, is_run, no_run
@@ -22,6 +24,7 @@ from rig.results.reading import DamagedError, parsed
 
 INDEX = ".rig-index.jsonl"
 FORM = 1  # of the index
+_MOST_BYTES = 64 * 2**20  # a hundred thousand runs
 FROM = (META, RESULT)  # files that a line is made from
 
 Stamp = tuple[tuple[int, int], ...]
@@ -34,7 +37,7 @@ class Catalogue:
 
     runs     by name, which is by their start
     read     how many of them had to be read; the others were in the index
-    notes    why the index was not written
+    notes    why the index was not written, and which folders could not be looked into
     """
 
     runs: tuple[ListedRun, ...]
@@ -51,15 +54,15 @@ def catalogue(folder: Path) -> Catalogue:
         raise no_run(folder)
     if is_run(folder):
         raise RecordingError(folder, "is a run itself", f"list the folder that holds it: `rig list {folder.parent}`")
+    notes: list[str] = []
     try:
-        stamps = dict(sorted(_stamps(folder)))
+        stamps = dict(sorted(_stamps(folder, notes)))
     except OSError as error:
         raise RecordingError(folder, f"cannot be read: {error.strerror}", "check its permissions") from error
     known = _read(folder / INDEX)
     lines = {name: known[name][1] for name, stamp in stamps.items() if name in known and known[name][0] == stamp}
     missing = [name for name in stamps if name not in lines]
     lines |= {name: read_entry(folder / name) for name in missing}
-    notes = []
     if missing or set(known) != set(stamps):
         try:
             _write(folder / INDEX, stamps, lines)
@@ -68,10 +71,14 @@ def catalogue(folder: Path) -> Catalogue:
     return Catalogue(tuple(lines[name] for name in stamps), len(missing), tuple(notes))
 
 
-def _stamps(folder: Path) -> Iterator[tuple[str, Stamp]]:
+def _stamps(folder: Path, notes: list[str]) -> Iterator[tuple[str, Stamp]]:
+    """The runs with their stamps; ``notes`` take the folders that cannot be looked into."""
     for child in folder.iterdir():
-        if child.is_dir() and is_run(child) and not (child / CAMPAIGN_ROWS).exists():
-            yield child.name, tuple(_stamp(child / name) for name in FROM)
+        try:
+            if child.is_dir() and is_run(child) and not (child / CAMPAIGN_ROWS).exists():
+                yield child.name, tuple(_stamp(child / name) for name in FROM)
+        except OSError as error:
+            notes.append(f"left out: {child} cannot be looked into: {error.strerror}")
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -85,15 +92,15 @@ def _stamp(path: Path) -> tuple[int, int]:
 def _read(path: Path) -> dict[str, tuple[Stamp, ListedRun]]:
     """The lines of the index by run; empty if it is lost, damaged or of another form."""
     try:
-        head, *lines = path.read_text(encoding="utf-8").splitlines()
-        if json.loads(head) != _head():
+        head, *lines = read_plain(path, _MOST_BYTES).decode("utf-8").splitlines()
+        if strict_json.parse(head) != _head():
             return {}
-        return dict(_line(json.loads(line)) for line in lines)
+        return dict(_line(strict_json.parse(line)) for line in lines)
     except (OSError, ValueError, KeyError, TypeError, DamagedError):
         return {}  # it is made anew from the folder
 
 
-def _line(entry: dict[str, Any]) -> tuple[str, tuple[Stamp, ListedRun]]:
+def _line(entry: Any) -> tuple[str, tuple[Stamp, ListedRun]]:
     run = parsed(ListedRun, entry["run"])
     return run.name, (tuple((int(size), int(ns)) for size, ns in entry["stamp"]), run)
 

@@ -12,7 +12,7 @@ import click
 from rig.calibrate.dialogue import Ask, Motion, Say, Skipped
 from rig.calibrate.wiring import text as drawn
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
-from rig.cli.options import CONFIG, JSON, OUT
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.config.problems import ConfigError, key_of
 from rig.recording.folder import json_text
 from rig.signals import plain
@@ -27,8 +27,11 @@ from rig.signals import plain
     "the lines of stdin.",
 )  # fmt: skip
 @OUT
+@PACE
 @JSON
-def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, out: Path, as_json: bool) -> None:
+def calibrate(
+    config_path: Path, steps: tuple[str, ...], answers: Path | None, out: Path, pace: float | None, as_json: bool
+) -> None:
     """Measure sensor, travel and drive of a bench, and put the results into CONFIG.
 
     Asks you to turn the shaft by hand to known angles and to its stops. Then, only after you have said yes, it drives
@@ -43,7 +46,7 @@ def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, o
 
     try:
         with faults():
-            opened = open_config(config_path)
+            opened = open_config(config_path, pace)
         known = steps_for(opened.draft.original)
         if unknown := [name for name in steps if name not in known]:
             words = ", ".join(f"{name} ({what})" for name, (what, _) in known.items())

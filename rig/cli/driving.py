@@ -20,24 +20,28 @@ if TYPE_CHECKING:  # scipy comes with it
     from rig.session import OnStart, Outcome
 
 
-def checked(path: Path, *, drives: bool = True) -> Experiment:
+def checked(path: Path, pace: float | None = None, *, drives: bool = True) -> Experiment:
     """The checked experiment of a config file. Exits with status 2 and the problems if the config is bad.
 
+    pace    in place of loop.pace; None: as the config says
     drives  False: no motor turns, so the config need not name the bridge; `rig doctor` reads it from the firmware
     """
     try:
-        experiment, _ = preflight.check(path, () if drives else ("drive.bridge",))
+        experiment, _ = preflight.check(path, () if drives else ("drive.bridge",), pace)
     except ConfigError as error:
         fail_config(error)
     return experiment
 
 
-def checked_bench(path: Path) -> Experiment:
-    """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports."""
+def checked_bench(path: Path, pace: float | None = None) -> Experiment:
+    """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports.
+
+    pace  seconds of virtual time in a second, as of ``checked``
+    """
     from rig.backends.links.device_file import require_device_file
     from rig.backends.serial.emulated.firmware_build import require_emulator
 
-    experiment = checked(path)
+    experiment = checked(path, pace)
     with faults():
         require_device_file(experiment.daq.port)
         require_emulator(experiment.daq.port)

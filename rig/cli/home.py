@@ -8,7 +8,7 @@ import click
 
 from rig.cli.driving import checked_bench
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
-from rig.cli.options import CONFIG, JSON
+from rig.cli.options import CONFIG, JSON, PACE
 from rig.recording.folder import json_text
 
 
@@ -16,14 +16,16 @@ from rig.recording.folder import json_text
 @CONFIG
 @click.option("--at-rad", type=float, default=0.0, show_default=True, help="By hand: where the shaft stands, rad.")
 @click.option("--here", is_flag=True, help="By hand: the shaft stands there already; do not ask.")
+@PACE
 @JSON
-def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
+def home(config_path: Path, at_rad: float, here: bool, pace: float | None, as_json: bool) -> None:
     """Set the zero of an encoder, which counts from wherever it was switched on.
 
     By hand: turn the shaft to its zero, and press Enter. With an end switch (sensor.encoder.home): rig drives the shaft
-    to the switch, and back inside. The device keeps the zero until its next reset.
+    to the switch, and back inside. The device keeps the zero until its next reset, a fault of the encoder, or the next
+    homing: that forgets it first, so that one that fails leaves none.
     """
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     from rig.experiment import zero
 
     encoder = experiment.sensor.encoder
@@ -50,6 +52,8 @@ def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
             f"turn the shaft to a position within {soft_low:g} to {soft_high:g} rad",
         )
     if not by_switch and not here:
+        with faults():
+            zero.forget(experiment)
         click.prompt(
             f"the motor's supply is off, and the shaft stands at {at_rad:g} rad: press Enter",
             default="",
@@ -67,4 +71,4 @@ def home(config_path: Path, at_rad: float, here: bool, as_json: bool) -> None:
     click.echo(
         f"zero is set: the shaft stands at {found.y_rad:+.4f} rad, {found.y_counts} counts ({found.from_counts} before)"
     )
-    click.echo("the device keeps it until its next reset; `rig run` can start")
+    click.echo("the device keeps it until its next reset, or a fault of the encoder; `rig run` can start")

@@ -65,6 +65,7 @@ def init(
     """
     from rig import preflight
     from rig.backends.serial.flashing import flash_line
+    from rig.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
     if yes:
@@ -140,6 +141,10 @@ def init(
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
         experiment, _ = preflight.check(file)
+        longest_s = longest_watchdog_s(experiment)
+        if longest_s is not None and longest_s > experiment.daq.watchdog_s:
+            file.write_text(new_bench.with_watchdog(text, longest_s), encoding="utf-8")
+            experiment, _ = preflight.check(file)
     except OSError as error:
         fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
     except ConfigError as error:

@@ -8,7 +8,7 @@ import click
 
 from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail
-from rig.cli.options import CONFIG, JSON, OUT
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.config import Experiment
 from rig.results import known
 
@@ -27,8 +27,17 @@ USUAL_LEASED_S, LONGEST_LEASED_S = 60.0, 600.0
     f"by default, at most {LONGEST_LEASED_S:g}.",
 )
 @OUT
+@PACE
 @JSON
-def jog(config_path: Path, u_V: float | None, leased: bool, seconds: float | None, out: Path, as_json: bool) -> None:
+def jog(
+    config_path: Path,
+    u_V: float | None,
+    leased: bool,
+    seconds: float | None,
+    out: Path,
+    pace: float | None,
+    as_json: bool,
+) -> None:
     """Drive the shaft for a moment, within the limits.
 
     If it stands outside the limits, it can only be driven inward: that brings it back.
@@ -42,7 +51,7 @@ def jog(config_path: Path, u_V: float | None, leased: bool, seconds: float | Non
     duration_s = seconds if seconds is not None else USUAL_LEASED_S if leased else USUAL_S
     if duration_s > longest_s:
         fail(EXIT_BAD_INPUT, f"--seconds {duration_s:g} is too long", f"ask for at most {longest_s:g}")
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     from rig import experiment as script
 
     if u_V is None:

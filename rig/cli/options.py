@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,22 @@ class Rows(click.ParamType):  # type: ignore[type-arg]
         return int(first) if first else None, int(last) if last else None
 
 
+class Pace(click.FloatRange):
+    """A number of seconds in a second; so slow that a tick takes no hour."""
+
+    name = "pace"
+
+    def __init__(self) -> None:
+        super().__init__(1e-3)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number; infinity and nan are none."""
+        pace = float(super().convert(value, param, ctx))
+        if not math.isfinite(pace):
+            self.fail(f"{value!r} must be a number of seconds in a second, such as 1", param, ctx)
+        return pace
+
+
 CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))
 # In every command --out is the folder in which rig makes run folders, and --to is the file that it writes.
 OUT = click.option(
@@ -31,5 +48,11 @@ ROWS = click.option(
     "--rows", metavar="FIRST:LAST", type=Rows(), default=None,
     help="Only these rows, both included. They count from 0, as in messages and result.json. "
     "You may leave out FIRST or LAST.",
+)  # fmt: skip
+# Beside a real motor 1 is what it is anyway; anything else is refused there.
+PACE = click.option(
+    "--pace", type=Pace(), default=None,
+    help="On a device in virtual time: let so many of its seconds pass in a second, as 1, for people who watch. "
+    "Default: as fast as the machine.",
 )  # fmt: skip
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")

@@ -8,19 +8,20 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, compiled, finish, perform
-from rig.cli.options import CONFIG, JSON, OUT
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 
 
 @click.command()
 @CONFIG
 @OUT
+@PACE
 @JSON
-def relay(config_path: Path, out: Path, as_json: bool) -> None:
+def relay(config_path: Path, out: Path, pace: float | None, as_json: bool) -> None:
     """Run breakaway, gain search and relay tests, and identify.
 
     No tracking check follows.
     """
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     compiled(designs=False)
     from rig import experiment as script
 

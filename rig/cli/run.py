@@ -11,7 +11,7 @@ from rich.console import Console
 
 from rig.cli.driving import checked_bench, compiled, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
-from rig.cli.options import CONFIG, JSON, OUT
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.terminal import show_scatter
@@ -32,13 +32,14 @@ from rig.terminal import show_scatter
     type=click.Path(path_type=Path),
     help="With relay.until: begin with the motor of this run folder, or of this result.json.",
 )
+@PACE
 @JSON
-def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, as_json: bool) -> None:
+def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, pace: float | None, as_json: bool) -> None:
     """Run the whole experiment, identify the motor, write a report.
 
     The stages: breakaway, search, tests, identify, verify, report.
     """
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     known = None
     if model_run is not None:
         if experiment.relay.until is None or experiment.law is not None:

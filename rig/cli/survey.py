@@ -8,20 +8,21 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.options import CONFIG, JSON, OUT
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 
 
 @click.command()
 @CONFIG
 @OUT
+@PACE
 @JSON
-def survey(config_path: Path, out: Path, as_json: bool) -> None:
+def survey(config_path: Path, out: Path, pace: float | None, as_json: bool) -> None:
     """Sweep the travel slowly to and fro, and draw the friction map.
 
     The stages: breakaway, search, one relay test, survey, identify. The map shows the drive over speed and over
     position.
     """
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     from rig import experiment as script
 
     finish(perform(partial(script.run_survey, experiment, out), as_json), as_json)

@@ -9,7 +9,7 @@ import click
 
 from rig.cli.driving import checked_bench, compiled, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
-from rig.cli.options import CONFIG, JSON, OUT
+from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.recording.errors import RecordingError
 
 
@@ -23,10 +23,11 @@ from rig.recording.errors import RecordingError
     help="Run folder from which the models come.",
 )
 @OUT
+@PACE
 @JSON
-def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
+def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_json: bool) -> None:
     """Run the tracking check with the models of an earlier run."""
-    experiment = checked_bench(config_path)
+    experiment = checked_bench(config_path, pace)
     from rig import experiment as script
     from rig.identify import IdentifyError, identify
     from rig.recording.reader import read_run

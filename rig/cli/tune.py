@@ -11,7 +11,7 @@ import click
 
 from rig.cli.driving import checked_bench, compiled, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
-from rig.cli.options import JSON, OUT
+from rig.cli.options import JSON, OUT, PACE
 from rig.config import ConfigError
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     help="Then drive the step and the tracking on the bench of this config, and show them beside the prediction.",
 )  # fmt: skip
 @OUT
+@PACE
 @JSON
 def tune(
     run_folder: Path,
@@ -67,6 +68,7 @@ def tune(
     file: Path | None,
     config_path: Path | None,
     out: Path,
+    pace: float | None,
     as_json: bool,
 ) -> None:
     """Tune a loop for the motor of a run, and predict what it does.
@@ -75,7 +77,7 @@ def tune(
     every motor that the run does not exclude. The step and the tracking are simulated on motors drawn from its
     intervals, with the delay, the sensor's noise and its steps. RUN must hold its config.
     """
-    bench = None if config_path is None else checked_bench(config_path)
+    bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.report import tuned_loop
     from rig.run_tuning import Asked, tune_run, written_up
     from rig.terminal import patience, show_tuned

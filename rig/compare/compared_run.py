@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from rig.estimators import LEADING
+from rig.recording.errors import RecordingError
 from rig.recording.path_kind import no_run
 from rig.recording.reader import read_meta, read_result
 from rig.results import EstimateResult, FoundLawResult, RunMeta, RunResult, known
@@ -81,12 +82,15 @@ def read_run(folder: Path, name: str = "") -> ComparedRun:
     """Read a run folder's meta.json and result.json.
 
     name   in messages; default: the folder's
-    Raises RecordingError (`no_run`) if it is no run folder or is broken, NotComparableError if its motor is not known.
+    Raises RecordingError (`no_run`) if it is no run folder, NotComparableError if it is broken, or its motor unknown.
     """
     if not folder.is_dir():
         raise no_run(folder)
-    meta, meta_notes = read_meta(folder)
-    result, notes = read_result(folder)
+    try:
+        meta, meta_notes = read_meta(folder)
+        result, notes = read_result(folder)
+    except RecordingError as error:
+        raise NotComparableError(f"its {error.path.name} {error.cause}; {error.cure}") from error
     if meta is None and result is None:
         raise no_run(folder)
     if result is None:

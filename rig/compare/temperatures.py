@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rig.recording.errors import RecordingError
+from rig.recording.text_file import content_of, lines_of
 
 RUN, TEMPERATURE = "run", "temperature_C"
+_MOST_BYTES = 2**20
 ABSOLUTE_ZERO_C = -273.15
 HEAD = f"{RUN},{TEMPERATURE}"
 
@@ -20,14 +22,12 @@ def read_temperatures(path: Path) -> dict[str, float]:
     The CSV file has a line of names, ``run`` and ``temperature_C``, and may have other columns. Raises RecordingError.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.DictReader(file, skipinitialspace=True)
-            if not {RUN, TEMPERATURE} <= set(lines.fieldnames or ()):
-                raise RecordingError(path, f"has no columns {RUN} and {TEMPERATURE}", f"begin it with {HEAD}", 1)
-            return _by_name(path, dict(enumerate(lines, 2)))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise RecordingError(path, f"cannot be read: {why}", f"give a CSV file that begins with {HEAD}") from error
+        lines = csv.DictReader(lines_of(path, content_of(path, _MOST_BYTES)), skipinitialspace=True)
+        if not {RUN, TEMPERATURE} <= set(lines.fieldnames or ()):
+            raise RecordingError(path, f"has no columns {RUN} and {TEMPERATURE}", f"begin it with {HEAD}", 1)
+        return _by_name(path, dict(enumerate(lines, 2)))
+    except csv.Error as error:
+        raise RecordingError(path, f"cannot be read: {error}", f"give a CSV file that begins with {HEAD}") from error
 
 
 def _by_name(path: Path, lines: Mapping[int, Mapping[str, str | None]]) -> dict[str, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -14,7 +13,8 @@ from rig.config.campaign import Campaign
 from rig.config.messages import explain
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
-from rig.config.yaml12 import Document, emit, parse
+from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
+from rig.plain_file import UnfitError, read_plain
 
 Given = str | PathLike[str] | Mapping[str, Any]  # a file, or its keys with their values
 IN_PYTHON = "config"  # what a config is called that is in no file
@@ -22,18 +22,23 @@ IN_PYTHON = "config"  # what a config is called that is in no file
 _Schema = TypeVar("_Schema", Experiment, Campaign)
 
 
-def load(path: Given) -> Experiment:
+def load(path: Given, *, follows_links: bool = True) -> Experiment:
     """The experiment in a YAML file (UTF-8), or in a mapping with the same keys.
+
+    follows_links  whether the file may be a link: not in a run folder
 
     Raises ConfigError, and nothing else, if there is none in it.
     What is loaded need not be safe to run: that is ``rig.preflight.check``.
     """
-    return load_with_places(path)[0]
+    return load_with_places(path, follows_links=follows_links)[0]
 
 
-def load_with_places(path: Given) -> tuple[Experiment, Document]:
+def load_with_places(path: Given, *, follows_links: bool = True) -> tuple[Experiment, Document]:
     """``load``, and the file that it came from, which knows the place of each key."""
-    document = Document(IN_PYTHON, dict(path)) if isinstance(path, Mapping) else _read(path)
+    if isinstance(path, Mapping):
+        document = Document(IN_PYTHON, dict(path))
+    else:
+        document = _read(path, follows_links=follows_links)
     return _experiment(document), document
 
 
@@ -70,12 +75,12 @@ def schema_text(of: type[Experiment] | type[Campaign] = Experiment) -> str:
     return json.dumps(json_schema(of), indent=2, ensure_ascii=False) + "\n"
 
 
-def _read(path: str | PathLike[str]) -> Document:
+def _read(path: str | PathLike[str], *, follows_links: bool = True) -> Document:
     file = str(path)
     try:
-        raw = Path(path).read_bytes()
-    except IsADirectoryError as error:
-        raise ConfigError([Problem((), "is a directory", "name a YAML file in it", file)]) from error
+        raw = read_plain(path, MOST_BYTES, follows_links=follows_links)
+    except UnfitError as error:
+        raise ConfigError([Problem((), error.cause, error.cure, file)]) from error
     except FileNotFoundError as error:
         raise ConfigError([Problem((), "no such file", "`rig config list` names the ready ones", file)]) from error
     except (OSError, ValueError) as error:  # ValueError: a path with a null character

@@ -237,6 +237,11 @@ def text(answers: Answers, file: str) -> str:
     return _with_introduction(new, answers, module).replace(f"config/{board.example}.yaml", file)
 
 
+def with_watchdog(config: str, watchdog_s: float) -> str:
+    """The config with this watchdog time, s: the longest that the room to stop bears needs the config to be read."""
+    return _with(config, "watchdog_s", f"{watchdog_s:g}")
+
+
 def _with_encoder(config: str, answers: Answers) -> str:
     """With an encoder in place of the potentiometer, in the section and among the wiring of the first comment."""
     start, end = config.index("sensor:"), config.index("\ndrive:")

@@ -58,10 +58,10 @@ class Link(_Section):
     )
     port: str | None = Field(
         None,
-        description="serial port such as /dev/ttyACM0; or `emulated`: start the device of section `emulated`; "
-        "or, with that bench behind it, the Uno's firmware on its emulated chip: `emulated-chip` in virtual time, "
-        "`emulated-chip-realtime` in real time; the Pico's: `emulated-pico`, `emulated-pico-realtime`. For modbus: "
-        "/dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU), `emulated-tcp`, or `emulated-virtual` in virtual time",
+        description="serial port such as /dev/ttyACM0; or the device of section `emulated`, in virtual time: "
+        "`emulated`, or firmware on its emulated chip, `emulated-chip` (the Uno's) or `emulated-pico`. For modbus: "
+        "/dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU) or `emulated-tcp`. With `-realtime` behind it, each of "
+        "these words is the same device in a process of its own, in real time",
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
@@ -71,10 +71,10 @@ class Link(_Section):
 class LinkTimes(_Section):
     """How long host and device wait for each other."""
 
-    timeout_s: Positive = Field(0.03, description="longest wait for one reply")
+    timeout_s: Positive = Field(0.03, description="after it a reply is late: it is asked for again, or waited for")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")
     watchdog_s: Annotated[float, Field(gt=0, le=1.0)] = Field(
-        0.1, description="host silence before the device sets 0 V; 3 to 10 periods"
+        0.1, description="host silence before the device sets 0 V: `rig check` tells the longest that there is room for"
     )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
 
@@ -97,6 +97,11 @@ class LoopSection(_Section):
     priority: Annotated[int, Field(ge=0, le=99)] = Field(60, description="of SCHED_FIFO; 0: the ordinary scheduler")
     cpu: Annotated[int, Field(ge=0)] | None = Field(None, description="core to stay on; default: any")
     lock_memory: bool = Field(True, description="keep every page of the process in memory")
+    pace: Annotated[float, Field(ge=1e-3, allow_inf_nan=False)] | None = Field(
+        None,
+        description="of a device in virtual time, for people who watch: seconds of its time in a second, 1 for that of "
+        "a clock; default: as fast as the machine. `--pace` sets it",
+    )
     raise_workers: bool = Field(
         False,
         description="for a busy machine, as root: let the kernel's workers that carry serial data go before all else",
@@ -677,8 +682,11 @@ class EmulatedWiring(_Section):
     """Faults that the emulated bench is built with."""
 
     drive: Literal["ok", "reversed", "dead", "stuck_on"] = Field("ok", description="fault of the drive")
-    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still"] = Field(
-        "ok", description="fault of the position sensor; `still`: one channel of an encoder stands still"
+    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", "still_a"] = (
+        Field(
+            "ok",
+            description="fault of the position sensor; `still`, `still_a`: channel B, or A, of an encoder stands still",
+        )
     )
     fault_after_s: NonNegative = Field(0.0, description="device time from arming until drive and sensor faults begin")
 
@@ -774,6 +782,12 @@ class Experiment(_Section):
         tachometer = None if self.tachometer is None else self.tachometer.scale
         s = self.sensor
         return Scaling(s.curve, self.drive.map, s.rails, s.counts_max, tachometer)
+
+    def at_pace(self, pace: float | None) -> Self:
+        """With this in place of ``loop.pace``; None: as it is."""
+        if pace is None:
+            return self
+        return self.model_copy(update={"loop": self.loop.model_copy(update={"pace": pace})})
 
     @model_validator(mode="after")
     def _emulated_as_believed(self) -> Self:

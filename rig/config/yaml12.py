@@ -16,7 +16,9 @@ import yaml
 
 from rig.config.problems import ConfigError, Path, Problem, printable
 
+MOST_BYTES = 2**20  # of a config; ours have some thousands
 _DEEPEST = 20  # sections within sections; the schema needs 5
+_MOST_VALUES = 10_000  # keys among them; a config has some hundreds
 _LONGEST_NUMBER = 40  # characters
 
 _NULL, _BOOL, _INT, _FLOAT, _STR = (f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str"))
@@ -53,6 +55,7 @@ class _Loader(yaml.SafeLoader):
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._depth = 0
+        self._values = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
@@ -63,6 +66,9 @@ class _Loader(yaml.SafeLoader):
             raise _refused(mark, "tags (`!...`) are not supported: write the plain value")
         if self._depth >= _DEEPEST:
             raise _refused(mark, f"nested more than {_DEEPEST} levels deep")
+        self._values += 1
+        if self._values > _MOST_VALUES:
+            raise _refused(mark, f"more than {_MOST_VALUES} keys and values")
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -106,7 +112,7 @@ def parse(text: str, file: str) -> Document:
     """Read one document whose top is a mapping.
 
     Raises ConfigError, with places, for anything else: bad syntax, several documents, keys given twice or not
-    names, anchors, tags, numbers that are not finite, text that is not Unicode.
+    names, anchors, tags, numbers that are not finite, text that is not Unicode, what is nested too deeply or too much.
     """
     node = compose(text, file)
     document = Document(file)
@@ -129,7 +135,9 @@ def emit(data: dict[str, Any]) -> str:
 
 
 def compose(text: str, file: str) -> yaml.Node | None:
-    """The document's root node, None if there is none; ConfigError for bad syntax."""
+    """The document's root node, None if there is none; ConfigError for bad syntax, and for what is too much."""
+    if len(text) > MOST_BYTES:
+        raise ConfigError([Problem((), f"more than {MOST_BYTES} characters", "leave out what is no experiment", file)])
     try:
         loader = _Loader(text)
         try:

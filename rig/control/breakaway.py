@@ -14,6 +14,9 @@ from rig.signals import Sample
 _QUEUED = 1.5  # periods; a device that acts later keeps drives waiting, and its reports may leave one out
 _SEEN_PERIODS = 4  # that a stroke and the report of its end have, at least, before the next one
 _LONGEST_WAIT_S = 0.3  # for the report of the first stroke, before it counts as lost
+_LEAST_SPARE_S = 0.002  # by which a device's own end of a stroke comes after the check's
+_FEWEST_AT_REST = 8  # readings of a rest, and of a pause after the shaft has stopped: a gap may have taken the others
+_FEWEST_STILL = 3
 _ROUNDING = 1e-9
 SURELY = 0.5  # of motion_rad: displacements to which noise adds up once in e^6 strokes
 _LEFT_OVER = 0.55  # periods; a stroke lasts whole periods, so one that takes back another is off by up to half of one
@@ -84,7 +87,7 @@ class RestingCheck:
         Raises Fault SENSOR_NOISY (in the first rest), DRIVE_STUCK_ON.
         """
         self._rest_y.append(sample.y_rad)
-        if elapsed_s < self.rest_s:
+        if elapsed_s < self.rest_s or len(self._rest_y) < _FEWEST_AT_REST:
             return None
         # the second half: the shaft has coasted to a stop by then
         still = self._rest_y[len(self._rest_y) // 2 :]
@@ -148,9 +151,10 @@ class BreakawayCheck(RestingCheck):
     between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
     sensor fails. ``rig.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
 
-    A late tick makes its stroke longer. The stroke back lasts as long as that stroke really acted. If the stroke back
-    is itself too long, one more stroke in each direction makes them equal again. All strokes together may be longer
-    than planned by ``plan.late_s``.
+    A late tick makes its stroke longer, by a period at most where the device ends it itself (``pulse_s``). The stroke
+    back lasts as long as that stroke really acted. If the stroke back is itself too long, one more stroke in each
+    direction makes them equal again. All strokes together may be longer than planned by ``plan.late_s``; one that came
+    short is driven again, and what it was driven in vain counts. A gap of the readings makes a pause longer.
 
     The strokes of a slow shaft each move it little. Once both directions together have moved it by ``motion_rad``, the
     sensor shows its motion. After the planned pairs the check then goes on at ``max_V``: by no more than
@@ -209,9 +213,9 @@ class BreakawayCheck(RestingCheck):
         self._ahead_s = (
             0.0  # how much longer strokes towards rising positions have acted than those that took them back
         )
-        self._longer_s = 0.0  # how much longer or shorter than planned all strokes were, added up
+        self._longer_s = 0.0  # what all strokes together were driven beyond the plan
         self._before_rad = 0.0  # where it stood before the stroke
-        self._pause_y: list[float] = []
+        self._pause_y: list[tuple[float, float]] = []  # s and rad
         self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
         self._against = {1: 0.0, -1: 0.0}
         self._further, self._in_all = plan.further, plan.in_all
@@ -251,6 +255,11 @@ class BreakawayCheck(RestingCheck):
         self._phase = phase
         self._since_s = sample.t_s
         self._pause_y = []
+
+    @property
+    def pulse_s(self) -> float:
+        """Longest time from the begin of this stroke's drive to its end, s: so a device that can ends it by itself."""
+        return self._meant_s + max(self._period_s, _LEAST_SPARE_S)
 
     def _watch_drive(self, sample: Sample) -> None:
         """Note when the stroke's drive began and ceased to act: a drive may be lost, or written late."""
@@ -336,11 +345,14 @@ class BreakawayCheck(RestingCheck):
 
     def _pause(self, sample: Sample, elapsed_s: float) -> float:
         """Wait until the shaft stands, judge the stroke, begin the next one. Returns the drive, V."""
-        self._pause_y.append(sample.y_rad)
+        self._pause_y.append((sample.t_s, sample.y_rad))
         if elapsed_s < self._least_pause_s() - 0.5 * self._period_s:
             return 0.0
-        # the last two thirds: the shaft has mostly coasted to a stop by then
-        still = self._pause_y[len(self._pause_y) // 3 :]
+        # the last two thirds, of the readings and of the time: the shaft has mostly coasted to a stop by then
+        coasted_s = self._since_s + elapsed_s / 3.0 - 0.5 * self._period_s
+        still = [y_rad for t_s, y_rad in self._pause_y[len(self._pause_y) // 3 :] if t_s >= coasted_s]
+        if len(still) < _FEWEST_STILL:
+            return 0.0
         if self._turns(still):
             if elapsed_s > 10.0 * self.rest_s:
                 raise Fault("DRIVE_STUCK_ON", f"the shaft still turns {elapsed_s:.1f} s after the drive was set to 0 V")
@@ -369,15 +381,18 @@ class BreakawayCheck(RestingCheck):
         way, error_s = stroke.way, acted_s - self._meant_s
         as_meant = abs(error_s) <= 0.5 * self._period_s
         if not as_meant:
-            self._longer_s += abs(error_s)
+            # one that came short is driven again: beyond the plan is what it was driven in vain
+            self._longer_s += error_s if error_s > 0.0 else acted_s
             if self._longer_s > self._late_s:
                 raise Fault(
                     "LATE",
                     f"a stroke of {way * self._level_V:+.2f} V lasted {1e3 * acted_s:.0f} ms instead of "
-                    f"{1e3 * self._meant_s:.0f} ms; all strokes together may be off by {1e3 * self._late_s:.0f} ms",
+                    f"{1e3 * self._meant_s:.0f} ms; in all the check has driven {1e3 * self._longer_s:.0f} ms beyond "
+                    f"its plan, and may by {1e3 * self._late_s:.0f} ms",
                 )
         if acted_s < 0.5 * self._period_s:
-            self._needed.insert(0, stroke)  # it never reached the motor
+            self._needed.insert(0, stroke)  # it hardly reached the motor
+            self._ahead_s += way * acted_s
         elif not stroke.takes_back:
             self._needed.append(_Stroke(-way, acted_s, takes_back=True))
         elif as_meant:

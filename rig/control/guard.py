@@ -22,6 +22,7 @@ class GuardSettings:
     reaction_s         time at full speed to add: a tick, the latency and the watchdog time. So the shaft stays inside
                        even if the host dies at this instant
     noise_rad          sensor noise, standard deviation, at least one LSB
+    free_rad_s         speed that the largest drive can give the shaft in the end; 0.0: unknown, max_speed_rad_s counts
     delay_s            time beyond its own tick until a drive shows in the reading: it is added to each of these times
     stuck_s, motion_rad  a drive well above static friction must move the shaft by motion_rad within stuck_s; or within
                        twice the longest time that the shaft has needed so far, but at most four times stuck_s
@@ -36,6 +37,7 @@ class GuardSettings:
     motion_rad: float
     stuck_s: float = 0.3
     delay_s: float = 0.0
+    free_rad_s: float = 0.0
 
 
 WINDOW_S = 0.04  # shortest window for the velocity, which lags by half of it
@@ -57,8 +59,10 @@ def _samples_every(period_s: float, window_s: float = WINDOW_S) -> int:
 class VelocityWindow:
     """Velocity as the slope of the last few positions, by least squares. Without a model, none can mislead it.
 
+    After a gap longer than the window it begins anew: readings from before the gap say little of the velocity after it.
+
     samples       number of samples in the window
-    before_rad_s  the velocity to return until half of them have come
+    before_rad_s  the velocity to return until half of them have come; after a gap, its mean over the gap
     """
 
     def __init__(self, samples: int = _LEAST_SAMPLES, before_rad_s: float = 0.0) -> None:
@@ -69,6 +73,10 @@ class VelocityWindow:
     def step(self, t_s: float, y_rad: float) -> float:
         """Slope after this sample, rad/s."""
         window = self._window
+        if len(window) == window.maxlen and t_s - window[-1][0] > window[-1][0] - window[0][0]:
+            since_s, since_rad = window[-1]
+            self._before_rad_s = (y_rad - since_rad) / (t_s - since_s)
+            window.clear()
         window.append((t_s, y_rad))
         n = len(window)
         if n < self._fewest:
@@ -113,6 +121,8 @@ class Guard:
         self._samples = _LEAST_SAMPLES
         self._velocity = VelocityWindow()
         self._last: Sample | None = None
+        self._fast_since_s = math.nan  # too fast since then; -inf: not by a gap
+        self._gap_ended_s = -math.inf  # in which the device held a drive, and nothing could brake
         self._same_instant = 0  # samples in a row that are not later than the one before
         self._push_sign = 0
         self._window_s = WINDOW_S
@@ -125,6 +135,7 @@ class Guard:
         """Forget the motion before a pause: the guard has seen nothing during the pause."""
         self._velocity = VelocityWindow(self._samples)
         self._last = None
+        self._fast_since_s = math.nan
         self._standstill.restart()
         self._gain.restart()
         self._inward_since = None
@@ -182,21 +193,46 @@ class Guard:
         if not low < sample.y_counts < high:
             raise Fault("SENSOR_RAIL", f"reading {sample.y_counts} counts; the rails are {low} and {high}")
         if self._last is not None:
+            since_s = sample.t_s - self._last.t_s
             step = abs(sample.y_rad - self._last.y_rad)
-            allowed = 1.5 * self.settings.max_speed_rad_s * (sample.t_s - self._last.t_s)
-            allowed += 12.0 * self.settings.noise_rad
+            fastest_rad_s = 1.5 * self.settings.max_speed_rad_s
+            if since_s > self._window_s:
+                fastest_rad_s = max(fastest_rad_s, self.settings.free_rad_s)
+                self._note_gap(sample)
+            allowed = fastest_rad_s * since_s + 12.0 * self.settings.noise_rad
             if step > allowed:
                 raise Fault(
                     "SENSOR_JUMP",
-                    f"{step:.3f} rad in {(sample.t_s - self._last.t_s) * 1e3:.1f} ms; at most {allowed:.3f} rad is "
-                    "possible",
+                    f"{step:.3f} rad in {since_s * 1e3:.1f} ms; at most {allowed:.3f} rad is possible",
                 )
         self.velocity_rad_s = self._velocity.step(sample.t_s, sample.y_rad)
-        if abs(self.velocity_rad_s) > 1.2 * self.settings.max_speed_rad_s:
+        if self._stays_too_fast(sample.t_s):
             raise Fault(
                 "OVERSPEED",
                 f"{abs(self.velocity_rad_s):.1f} rad/s; limit {self.settings.max_speed_rad_s:.1f} rad/s",
             )
+
+    @property
+    def _is_too_fast(self) -> bool:
+        return abs(self.velocity_rad_s) > 1.2 * self.settings.max_speed_rad_s
+
+    def _stays_too_fast(self, t_s: float) -> bool:
+        """Whether the shaft is too fast. One that a gap made so has time to slow down, braked or at 0 V."""
+        if not self._is_too_fast:
+            self._fast_since_s = math.nan
+            return False
+        shown_s = _SETTLING_WINDOWS * self._window_s + self.settings.delay_s
+        if math.isnan(self._fast_since_s):
+            self._fast_since_s = t_s if t_s <= self._gap_ended_s + shown_s else -math.inf
+        return t_s > self._fast_since_s + shown_s + self.settings.coast_tau_s
+
+    def _note_gap(self, sample: Sample) -> None:
+        """A gap ends: what was decided just before it may have gone out only now."""
+        self._gap_ended_s = sample.t_s
+        self._inward_since = None
+        self._gain.restart()
+        if not sample.t_u_s <= self._gap_ended_s - self._window_s:
+            self._standstill.restart()
 
     def _limit_travel(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         s = self.settings
@@ -219,6 +255,8 @@ class Guard:
         if self.recovering:
             return u_V, flags
         outward = 1 if self.predicted_stop_rad > hard_high else -1 if self.predicted_stop_rad < hard_low else 0
+        if not outward and self._is_too_fast:  # a gap let it: its drive must not go on
+            outward = 1 if v > 0.0 else -1
         if outward and u_V * outward > -s.limits.max_u_V:
             u_V = -outward * s.limits.max_u_V if self.sign_proven else 0.0
             flags |= FLAG_GUARD_BRAKED

@@ -60,7 +60,8 @@ class Homing:
         self._direction = 0  # 0: looking
         self._ticks = 0  # planned ticks of the stroke
         self._gone = 0  # its ticks so far
-        self._begin_s = math.nan
+        self._period_s = period_s
+        self._begin_s = self._last_s = math.nan
 
     def step(self, sample: Sample) -> float:
         """Drive of a stroke, V; 0 V while looking."""
@@ -75,7 +76,8 @@ class Homing:
         if self._direction == 0:
             self._look(sample.y_rad)
         else:
-            self._stroke(sample.y_rad)
+            self._stroke(sample)
+        self._last_s = sample.t_s
         return self._drive_V()
 
     def _drive_V(self) -> float:
@@ -132,9 +134,11 @@ class Homing:
             reach = other
         return max(self.SHORTEST_TICKS, math.floor(math.sqrt(abs(self.rest_rad) / reach)))
 
-    def _stroke(self, y_rad: float) -> None:
-        self._gone += 1
-        left = -y_rad * self._direction
+    def _stroke(self, sample: Sample) -> None:
+        # a host that stood still has made it longer, unless it sent its drive only after that
+        acted_s = sample.t_s - (max(sample.t_u_s, self._last_s) if sample.t_u_s <= sample.t_s else self._last_s)
+        self._gone += max(round(acted_s / self._period_s), 1)
+        left = -sample.y_rad * self._direction
         near = left < 0.25 * abs(self.rest_rad) and abs(self.rest_rad) > 5.0 * self.tolerance_rad
         if self._gone >= self._ticks or near:
             self._direction = 0

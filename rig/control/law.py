@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import FrameType
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from rig.faults import Fault
 from rig.plug_ins import in_words
@@ -27,6 +27,16 @@ class Law(Protocol):
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault if the law finds something wrong with the bench."""
+        ...
+
+
+@runtime_checkable
+class Pulsed(Law, Protocol):
+    """A law whose drives must not outlast a time: a device that can ends them by itself."""
+
+    @property
+    def pulse_s(self) -> float:
+        """How long after its begin the drive that was just decided must have ended, s, > 0."""
         ...
 
 

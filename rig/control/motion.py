@@ -10,6 +10,25 @@ from rig.model.cycle_detector import DetectedCycle
 from rig.signals import Sample
 
 
+class Gaps:
+    """Finds gaps between readings: the host stood still, or a reply came late. The device held its drive meanwhile."""
+
+    STEPS, LEAST_S = 3.0, 0.03  # times the last step that was none, and s: a longer step is a gap
+
+    def __init__(self) -> None:
+        self._last_s = math.nan
+        self._step_s = math.nan  # between the last two readings that were no gap
+
+    def step(self, t_s: float) -> float:
+        """How much longer than the steps before the one to this reading was, s; 0.0: it was no gap."""
+        since_s, self._last_s = t_s - self._last_s, t_s
+        if since_s > max(self.STEPS * self._step_s, self.LEAST_S):
+            return since_s - self._step_s
+        if not math.isnan(since_s):
+            self._step_s = since_s
+        return 0.0
+
+
 def is_obeyed(asked_V: float, acting_V: float) -> bool:
     """Whether the drive that a device reports is the one asked for, as far as its steps allow.
 
@@ -19,7 +38,7 @@ def is_obeyed(asked_V: float, acting_V: float) -> bool:
 
 
 class Standstill:
-    """How long a reading has stood still: stayed within a span.
+    """How long a reading has stood still: stayed within a span. A gap between two readings does not count.
 
     still_s           time since it last left the span, or since the first sample, s
     low_rad, high_rad lowest and highest reading in that time
@@ -29,6 +48,7 @@ class Standstill:
 
     def __init__(self) -> None:
         self.longest_s = 0.0
+        self._gaps = Gaps()
         self.restart()
 
     def restart(self) -> None:
@@ -43,6 +63,9 @@ class Standstill:
 
     def step(self, t_s: float, y_rad: float, span_rad: float) -> float:
         """How long the reading has stood still, s; readings within ``span_rad`` of each other count as one position."""
+        unseen_s = self._gaps.step(t_s)  # the shaft may have gone to and fro
+        self._since_s += unseen_s
+        self._changed_s += unseen_s
         self.low_rad, self.high_rad = min(self.low_rad, y_rad), max(self.high_rad, y_rad)
         leaves = self.high_rad - self.low_rad >= span_rad
         if leaves:

@@ -14,6 +14,8 @@ from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.signals import Sample
 
+_GAP_PERIODS = 2.5  # a longer time between two samples is a gap
+
 
 class MotorObserver:
     """Steady-state Kalman filter whose prediction is the exact motor, friction and reversals included.
@@ -110,8 +112,9 @@ class MotorObserver:
         latency_s = min(max(sample.t_u_s - self._last_t_s, 0.0), span)
         waiting = max(round((self.latency_s - latency_s) / self._period_s), 0)
         latency_s += waiting * self._period_s
-        # smoothed: one late exchange must not shake the prediction
-        self.latency_s += 0.1 * (latency_s - self.latency_s) if self.latency_s else latency_s
+        # smoothed: one late exchange must not shake the prediction; across a gap it says nothing of the next drives
+        if span <= _GAP_PERIODS * self._period_s or not self.latency_s:
+            self.latency_s += 0.1 * (latency_s - self.latency_s) if self.latency_s else latency_s
         come = [self._asked.popleft() for _ in range(len(self._asked) - waiting)]
         if waiting:
             # a report is of the last drive that acted: those before it have acted, too

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from rig.control.motion import Standstill
+from rig.control.motion import Gaps, Standstill
 from rig.faults import Fault
 from rig.signals import Sample
 
@@ -75,7 +75,8 @@ class UnshownMotion:
         self.standstill = Standstill()
         self._last: deque[float] = deque(maxlen=_MEAN_OF)
         self._last_s = math.nan
-        self._u_V = 0.0
+        self._gaps = Gaps()
+        self._u_V = self._before_V = 0.0
         self._driven_s = 0.0  # in units of moves_V; > 0: towards rising positions
         self._to_and_fro_s = 0.0
         self._longest_s = 0.0
@@ -85,6 +86,7 @@ class UnshownMotion:
 
         Raises Fault SENSOR_STUCK, as ``Flicker``.
         """
+        gap_s = self._gaps.step(sample.t_s)
         self.flicker.step(sample, u_V)
         self._last.append(sample.y_rad)
         still_s = self.standstill.step(sample.t_s, sum(self._last) / len(self._last), self.motion_rad)
@@ -92,12 +94,12 @@ class UnshownMotion:
             self._longest_s = max(self._longest_s, abs(self._driven_s))
             self._driven_s = self._to_and_fro_s = 0.0
         elif not math.isnan(self._last_s):
-            share = min(abs(self._u_V) / self.moves_V, STRONGEST) - FRICTION
-            if abs(self._u_V) >= self.from_V:
-                driven_s = max(share, 0.0) * (sample.t_s - self._last_s)
-                self._driven_s += math.copysign(driven_s, self._u_V)
-                self._to_and_fro_s += driven_s
-        self._last_s, self._u_V = sample.t_s, u_V
+            # a host that stood still may have sent its drive late: the one before acted until then
+            came_late = gap_s > 0.0 and sample.t_u_s > self._last_s
+            acts_s = min(sample.t_u_s, sample.t_s) if came_late else self._last_s
+            self._take(self._before_V, acts_s - self._last_s)
+            self._take(self._u_V, sample.t_s - acts_s)
+        self._last_s, self._before_V, self._u_V = sample.t_s, self._u_V, u_V
         allowed_s = min(max(self.allowed_s, _LONGER * self._longest_s), _MOST * self.allowed_s)
         if abs(self._driven_s) <= allowed_s and self._to_and_fro_s <= TO_AND_FRO * allowed_s:
             return ""
@@ -105,6 +107,14 @@ class UnshownMotion:
             f"the reading stood still for {still_s:.2f} s under {abs(u_V):.2f} V; the shaft broke away at "
             f"{self.moves_V:.2f} V; {self.standstill.words()}"
         )
+
+    def _take(self, u_V: float, time_s: float) -> None:
+        """A drive has acted for a time while the reading stood still."""
+        share = min(abs(u_V) / self.moves_V, STRONGEST) - FRICTION
+        if abs(u_V) >= self.from_V:
+            driven_s = max(share, 0.0) * time_s
+            self._driven_s += math.copysign(driven_s, u_V)
+            self._to_and_fro_s += driven_s
 
 
 class Pushes:
@@ -137,6 +147,8 @@ class Pushes:
         self.moved_V = math.nan
         self._way = way
         self._since_s = math.nan
+        self._last_s = math.nan
+        self._gaps = Gaps()
         self._is_second = False
         self._last: deque[float] = deque(maxlen=_MEAN_OF)
         self._standstill = Standstill()
@@ -150,6 +162,9 @@ class Pushes:
             self._way = -1 if sample.y_rad > 0.0 else 1
         self._last.append(sample.y_rad)
         self._standstill.step(t_s, sum(self._last) / len(self._last), self.motion_rad)
+        if self._gaps.step(t_s) > 0.0 and self._last_s == self._since_s and sample.u_V * self._way > 0.0:
+            self._since_s = max(self._since_s, sample.t_u_s)  # a host that stood still may have sent the push late
+        self._last_s = t_s
         if self._standstill.longest_s > 0.0:
             self.finished, self.moved_V = True, self.level_V
         elif t_s - self._since_s >= self.push_s - _ROUNDING_S:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.backends.clock import MonotonicClock
+from rig.backends.emulated.words import in_real_time, in_virtual_time
 from rig.backends.registry import backend_of, connect
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
@@ -13,6 +14,7 @@ from rig.doctor.finding import Finding
 from rig.faults import Fault, since_the_last_run
 from rig.loop.real_time import real_time
 from rig.preflight.loop_settings import real_time_of
+from rig.preflight.room_to_stop import watchdog_words
 
 SECONDS = 3.0  # of ticks
 _PERIOD_S, _SPIN_S = 0.01, 200e-6  # without a config
@@ -41,6 +43,9 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
         yield port
         if port.state == "bad":
             return
+    if words := watchdog_words(experiment):
+        topic, _, told = words.partition(": ")
+        yield Finding(topic, "note", told)
     try:
         with connect(experiment) as bench:
             yield Finding("device", "good", bench.driver.backend)
@@ -51,7 +56,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only
                 yield machine.usb_adapter(port_name, adapter)
             if not isinstance(bench.clock, MonotonicClock):
-                yield Finding("period", "note", "this bench runs in virtual time: it holds every period")
+                real = "" if not in_virtual_time(port_name) else f"daq.port: {in_real_time(port_name)} has one to time"
+                yield Finding("period", "note", "this bench runs in virtual time: it holds every period", real)
                 return
             with real_time(real_time_of(experiment)):
                 number = _number(seconds, experiment.period_s)

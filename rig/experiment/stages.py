@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 
-from rig.backends.clock import MonotonicClock
+from rig.backends.clock import MonotonicClock, PacedClock
+from rig.backends.driver import PulseDriver
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
@@ -128,12 +129,8 @@ def drive_by_lease(session: Session, longest_s: float, recorded: Callable[[int],
     if recorded is not None:
         drive(lambda: recorded(loop.rows))
         return
-    if not isinstance(session.bench.clock, MonotonicClock):
-        raise Fault(
-            "CONFIG_MISMATCH",
-            "a lease runs out in real time, which daq.driver: simulated does not wait for; an emulated board "
-            "does: driver: serial with port: emulated",
-        )
+    if not isinstance(session.bench.clock, MonotonicClock | PacedClock):
+        raise Fault("CONFIG_MISMATCH", "a lease runs out in real time, for which virtual time does not wait: --pace 1")
     try:
         held = HeldLease(session.folder)
     except OSError as error:
@@ -161,11 +158,15 @@ def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
 
 
 def armed_check(session: Session, check: BreakawayLaw | None) -> None:
-    """The breakaway check, armed with a short watchdog: it bounds unseen travel even if the host dies in a stroke."""
+    """The breakaway check. Its device ends each stroke itself, which bounds unseen travel even if the host dies in one.
+
+    A device that cannot is armed with a short watchdog, which ends the stroke and the run.
+    """
     e = session.experiment
     limits = e.device_limits
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
-    if strokes is not None:
+    driver = session.bench.driver
+    if strokes is not None and not (isinstance(driver, PulseDriver) and driver.pulses):
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
     try:
         with session.loop.armed(limits):
@@ -292,7 +293,8 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         session.found.real_time = report
         granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
         session.found.notes += granted + [f"loop: {line}" for line in done.refused]
-        write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
+        session.meta = session.meta.model_copy(update={"real_time": report})
+        write_meta(session.folder, session.meta)
 
 
 def breakaway_check(e: Experiment, *, further: bool = True, repeats: bool = True) -> BreakawayCheck:

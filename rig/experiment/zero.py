@@ -33,10 +33,20 @@ class Zero(NamedTuple):
     from_counts: int
 
 
+def forget(e: Experiment) -> None:
+    """Forget the zero before a hand turns the shaft. Raises Fault LINK_*, CONFIG_MISMATCH."""
+    with connect(e) as bench:
+        _encoder_driver(bench).forget_zero()
+
+
 def by_hand(e: Experiment, at_rad: float) -> Zero:
-    """Set the zero of a shaft that stands at ``at_rad``. Raises Fault LINK_*, CONFIG_MISMATCH."""
+    """Forget the zero, then set that of a shaft that stands at ``at_rad``.
+
+    Raises Fault LINK_*, CONFIG_MISMATCH, DEVICE_ENCODER_*: then there is none.
+    """
     with connect(e) as bench:
         driver = _encoder_driver(bench)
+        driver.forget_zero()
         before = driver.read()
         driver.set_zero(at_rad)
         now = driver.read()
@@ -52,15 +62,17 @@ def by_switch(e: Experiment) -> Zero:
 def find_by_switch(e: Experiment, bench: Bench) -> Zero:
     """Drive the shaft to the end switch of ``sensor.encoder.home`` twice, then inside, and set the zero last.
 
-    Whatever goes wrong before, no zero is set: a switch that opens for a moment, or the other end's, would give a wrong
-    one. Nothing is recorded. Raises Fault NO_MOTION, POLARITY, NOT_HOME, INTERRUPTED, and those of guard, link and
-    device; ValueError without such a switch.
+    The zero of before is forgotten first. So whatever goes wrong, there is none: a switch that opens for a moment, or
+    the other end's, would give a wrong one. Nothing is recorded.
+    Raises Fault NO_MOTION, POLARITY, NOT_HOME, INTERRUPTED, and those of guard, link and device; ValueError without
+    such a switch.
     """
     switch = None if e.sensor.encoder is None else e.sensor.encoder.home
     if switch is None:
         raise ValueError("no end switch is given")
     with stop_on_signals() as stop:
         driver = _encoder_driver(bench)
+        driver.forget_zero()
         before = driver.read()
         driver.homing = True
         try:

@@ -17,6 +17,7 @@ from rig.model.real_motor import PARTS, FramedMotor
 from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT
+from rig.recording.text_file import content_of
 from rig.recording.writer import SAMPLES
 from rig.results import EstimateResult, JsonObject, RunResult
 
@@ -241,7 +242,7 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
     meta, samples = run.recording.meta, run_folder / SAMPLES
     provenance = Provenance(
         run_folder.resolve().name,
-        hashlib.sha256(samples.read_bytes()).hexdigest() if samples.exists() else None,
+        hashlib.sha256(content_of(samples, own=True)).hexdigest() if samples.exists() else None,
         meta.backend,
         meta.emulated,
         LEADING,

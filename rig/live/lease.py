@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from rig.live.own_folder import OwnFolder
 from rig.live.shared_page import MappedPage, OthersPage
 
 NAME: Final = "jog.lease"
@@ -38,15 +39,18 @@ class Lease(NamedTuple):
 class HeldLease:
     """The lease as the loop reads it each tick, for the block. Raises OSError where the folder has no room for it.
 
-    folder  the run folder; no other lease may be in it
+    folder  the run folder, or rig's own one; no other lease of this name may be in it
     now_ns  the clock of the leases
     name    of its file
 
     refused  leases that reached further ahead than LONGEST_NS, or asked for no number of volts: they drive nothing
     """
 
-    def __init__(self, folder: Path, now_ns: Callable[[], int] = time.monotonic_ns, name: str = NAME) -> None:
-        self._page = MappedPage(folder / name, _LEASE.pack(0, 0.0, 0, 0))
+    def __init__(
+        self, folder: Path | OwnFolder, now_ns: Callable[[], int] = time.monotonic_ns, name: str = NAME
+    ) -> None:
+        path, within = _place(folder, name)
+        self._page = MappedPage(path, _LEASE.pack(0, 0.0, 0, 0), within)
         self._now_ns = now_ns
         self._held = Lease(0, 0.0, 0)
         self.refused = 0
@@ -87,8 +91,11 @@ class Leaser:
     no page of leases.
     """
 
-    def __init__(self, folder: Path, now_ns: Callable[[], int] = time.monotonic_ns, name: str = NAME) -> None:
-        self._page = OthersPage(folder / name, writes=True)
+    def __init__(
+        self, folder: Path | OwnFolder, now_ns: Callable[[], int] = time.monotonic_ns, name: str = NAME
+    ) -> None:
+        path, within = _place(folder, name)
+        self._page = OthersPage(path, writes=True, folder=within)
         self._now_ns = now_ns
         self._number = _LEASE.unpack(self._page.read(0, _LEASE.size))[0]
 
@@ -123,3 +130,8 @@ class Leaser:
         lease = Lease(self._number, u_V, expires_ns)
         self._page.write(0, _LEASE.pack(*lease, self._number))
         return lease
+
+
+def _place(folder: Path | OwnFolder, name: str) -> tuple[Path, int | None]:
+    """The path of a file in a folder, and the descriptor that it is relative to; None: the present folder."""
+    return (Path(name), folder.descriptor) if isinstance(folder, OwnFolder) else (folder / name, None)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from rig import strict_json
 from rig.live.born import born
 from rig.live.stop_flag import NAME, Runner, runner_of
+from rig.plain_file import open_plain
 from rig.recording.writer import EVENTS
 
 _NEWEST: Final = 50  # by name: a run has its flag soon after its folder
@@ -86,12 +87,13 @@ class Seen:
 def _has_ended(folder: Path) -> bool:
     """Whether the events have the run's end. Its process may live a moment longer."""
     try:
-        with (folder / EVENTS).open("rb") as file:
+        with os.fdopen(open_plain(folder / EVENTS), "rb") as file:
             file.seek(max(file.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
-            event = json.loads(file.read().rstrip().rpartition(b"\n")[2])
-            return bool(event.get("kind") == "end")
-    except (OSError, ValueError, AttributeError):
+            last = file.read(_LAST_BYTES).rstrip().rpartition(b"\n")[2]
+        event = strict_json.parse(last.decode("utf-8"))
+    except (OSError, ValueError):
         return False
+    return isinstance(event, dict) and event.get("kind") == "end"
 
 
 def _folders(parent: Path) -> list[str]:

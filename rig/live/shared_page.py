@@ -6,17 +6,15 @@ import contextlib
 import mmap
 import os
 import secrets
-import stat
 import sys
 from pathlib import Path
 from typing import Final
 
+from rig.plain_file import open_plain
 from rig.recording.layout import allocate
 
 SIZE: Final = 4096
 _NEW: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-# without O_NONBLOCK opening a pipe of that name would wait
-_LOOK: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 _RENAMES_OPEN_FILES: Final = sys.platform != "win32"
 
 
@@ -28,24 +26,31 @@ class MappedPage:
 
     path     must not exist
     content  its first bytes
+    folder   descriptor of the folder in which ``path`` is; None: the present one
     Raises OSError, e.g. where the disk is full or read-only.
     """
 
-    def __init__(self, path: Path, content: bytes) -> None:
+    def __init__(self, path: Path, content: bytes, folder: int | None = None) -> None:
         self._path = path
+        self._folder = None if folder is None else os.dup(folder)
         first = path.with_name(f".{path.name}.{secrets.token_hex(8)}") if _RENAMES_OPEN_FILES else path
-        self._descriptor = os.open(first, _NEW, 0o666)
+        try:
+            self._descriptor = os.open(first, _NEW, 0o666, dir_fd=self._folder)
+        except OSError:
+            self._leave_folder()
+            raise
         try:
             allocate(self._descriptor, SIZE)
             self.write(0, content)
             _lock(self._descriptor)
             self._map = mmap.mmap(self._descriptor, SIZE, access=mmap.ACCESS_READ)
             if first != path:
-                first.rename(path)
+                os.rename(first, path, src_dir_fd=self._folder, dst_dir_fd=self._folder)
         except OSError:
             os.close(self._descriptor)
             with contextlib.suppress(OSError):
-                first.unlink()
+                os.unlink(first, dir_fd=self._folder)
+            self._leave_folder()
             raise
 
     def __getitem__(self, at: int) -> int:
@@ -63,28 +68,36 @@ class MappedPage:
 
     def close(self) -> None:
         """Delete the file: nobody owns it any more."""
+        status = os.fstat(self._descriptor)
         if _RENAMES_OPEN_FILES:
-            self._delete()
+            self._delete(status)
         self._map.close()
         os.close(self._descriptor)
         if not _RENAMES_OPEN_FILES:
-            self._delete()
+            self._delete(status)
+        self._leave_folder()
 
-    def _delete(self) -> None:
+    def _delete(self, mine: os.stat_result) -> None:
+        """Delete the file, but not what somebody has put in its place."""
         with contextlib.suppress(OSError):  # a read-only disk: nobody holds the lock any more, and that says the same
-            self._path.unlink()
+            if os.path.samestat(os.stat(self._path, dir_fd=self._folder, follow_symlinks=False), mine):
+                os.unlink(self._path, dir_fd=self._folder)
+
+    def _leave_folder(self) -> None:
+        if self._folder is not None:
+            os.close(self._folder)
 
 
 class OthersPage:
     """The page of another process, open to be read, or to be written, too.
 
+    folder  descriptor of the folder in which ``path`` is; None: the present one
     Raises OSError where there is no such file, or this user may not open it; ValueError where it is no such page.
     """
 
-    def __init__(self, path: Path, *, writes: bool = False) -> None:
-        self._descriptor = os.open(path, (os.O_RDWR if writes else os.O_RDONLY) | _LOOK)
-        status = os.fstat(self._descriptor)
-        if not stat.S_ISREG(status.st_mode) or status.st_size != SIZE:
+    def __init__(self, path: Path, *, writes: bool = False, folder: int | None = None) -> None:
+        self._descriptor = open_plain(path, os.O_RDWR if writes else os.O_RDONLY, folder=folder)
+        if os.fstat(self._descriptor).st_size != SIZE:
             os.close(self._descriptor)
             raise ValueError(f"{path} is no page of rig: it is no file of {SIZE} bytes")
 

@@ -6,7 +6,6 @@ is new. What the run folder does not say, the stop flag does: who runs, whether 
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections import deque
@@ -17,11 +16,13 @@ from typing import Any, Final, Literal, NamedTuple
 from rig.config import ConfigError, Experiment, load
 from rig.live.stop_flag import Runner, runner_of
 from rig.recording.columns import COLUMNS
+from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
-from rig.recording.follow import Progress, Tail, live_remark
+from rig.recording.follow import Progress, Tail, event_of, live_remark
+from rig.recording.reader import read_object
 from rig.recording.stage import StageKind, kind_of
 from rig.recording.writer import EVENTS, SAMPLES
-from rig.signals import FLAG_SKIPPED, Limits
+from rig.signals import FLAG_SKIPPED, Limits, plain
 
 KEPT_ROWS: Final = 1024
 KEPT_ESTIMATES: Final = 4096
@@ -29,6 +30,9 @@ _FIRST_BYTES: Final = 4_000_000  # of a recording that has grown before it is lo
 _FIRST_EVENTS: Final = 64_000_000  # bytes of its events: days
 _MOST_BYTES: Final = _FIRST_BYTES  # that one read takes of each file, so that none takes long
 _MOST_FAULTS: Final = 200
+_MOST_STAGES: Final = 1000
+_LONGEST_WORD, _LONGEST_WORDS = 200, 2000  # characters of a name, and of a sentence, that the pages are told
+_LARGEST_COUNT: Final = 2**53  # a page's numbers are floats
 _COMPUTES: Final = "identify"  # the stage in which nothing drives
 _TESTS: Final = (StageKind.SEARCH, StageKind.RELAY, StageKind.STROKES)
 
@@ -190,11 +194,11 @@ class LiveView:
         return Snapshot(
             state=self._state(runner),
             runner=runner,
-            command=self._script.get("name"),
+            command=_text(self._script.get("name"), _LONGEST_WORD) or None,
             rows=tuple(row for row in rows if row.number > after_row),
             age_s=None if not rows or now_s is None else max(now_s - rows[-1].t_s, 0.0),
             stage=story.stages[-1][1] if story.stages else None,
-            words=story.progress.detail,
+            words=_text(story.progress.detail, _LONGEST_WORDS),
             drive_is_off=story.drive_is_off,
             is_over=story.progress.ended,
             left=self._left(now_s),
@@ -227,10 +231,10 @@ class LiveView:
             return
         self._knows_folder = True
         try:
-            script = json.loads((self.folder / META).read_bytes()).get("script")
+            script = read_object(self.folder / META).get("script")
             self._script = script if isinstance(script, dict) else {}
-            self._experiment = load(self.folder / CONFIG)
-        except (OSError, ValueError, AttributeError, ConfigError):
+            self._experiment = load(self.folder / CONFIG, follows_links=False)
+        except (RecordingError, ConfigError):
             return  # of an older version, or damaged: the view goes on without limits
 
     def _run_time(self, runner: Runner | None) -> float | None:
@@ -292,17 +296,18 @@ class _Story:
     def take(self, line: str) -> bool:
         """Take a line of events.jsonl. Returns False if it is no event."""
         try:
-            event = json.loads(line)
+            event = event_of(line)
             self.progress.take_event(event)
             self._take(event)
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError):
             return False
         return True
 
     def _take(self, event: dict[str, Any]) -> None:
         kind, t_s = event.get("kind"), _number(event.get("t_s")) or 0.0
         if kind == "stage":
-            name = str(event["name"])
+            name = _text(event["name"], _LONGEST_WORD)
+            del self.stages[_MOST_STAGES:]  # what is left out is in the middle: the first ones and the newest count
             self.stages.append((t_s, name))
             self.drive_is_off = self.drive_is_off and name == _COMPUTES
             self.cycle = None
@@ -312,13 +317,13 @@ class _Story:
             self.drive_is_off = bool(event["confirmed"])
             self.planes = None
         elif kind in ("gains", "decided", "search"):
-            gains = Planes(event["h1_V"], event["h2_V"]) if event.get("h1_V") is not None else None
+            gains = Planes(_sure(event["h1_V"]), _sure(event["h2_V"])) if event.get("h1_V") is not None else None
             if kind == "search":
                 self.planes = gains
             else:
                 self._gains = gains
         elif kind == "cycle":
-            self.cycle = Cycle(event["number"], event["amplitude_rad"], event["period_s"])
+            self.cycle = Cycle(_count(event["number"]), _sure(event["amplitude_rad"]), _sure(event["period_s"]))
         elif kind == "live":
             self.estimates.append(
                 Estimate(
@@ -330,17 +335,20 @@ class _Story:
                 )
             )
         elif kind == "fault" and len(self.faults) < _MOST_FAULTS:
-            words = (str(event.get(name) or "") for name in ("code", "cause", "detail", "cure"))
+            words = (_text(event.get(name), _LONGEST_WORDS) for name in ("code", "cause", "detail", "cure"))
             self.faults.append(SeenFault(t_s, *words))
         elif kind == "link":
-            self.link_errors = int(event["errors"])
+            self.link_errors = _count(event["errors"])
 
 
 def _row(number: int, line: str) -> LiveRow:
     """A line of samples.csv. Raises ValueError if it is none."""
-    row = dict(zip(COLUMNS, line.split(","), strict=True))
+    row = dict(zip(COLUMNS, line.split(",", len(COLUMNS)), strict=True))
     real = {name: float(row[name] or "nan") for name in ("t_s", "y_rad", "u_V", "z_rad_s", "yd_rad", "late_us")}
-    return LiveRow(number, int(row["tick"]), **real, stage=row["stage"], flags=int(row["flags"]))
+    if not math.isfinite(real["t_s"]):
+        raise ValueError("a row without a time")
+    tick, flags = _count(int(row["tick"])), _count(int(row["flags"]))
+    return LiveRow(number, tick, **real, stage=_text(row["stage"], _LONGEST_WORD), flags=flags)
 
 
 def _with_half(event: dict[str, Any], name: str, percent: str) -> tuple[float, float] | None:
@@ -351,3 +359,23 @@ def _with_half(event: dict[str, Any], name: str, percent: str) -> tuple[float, f
 def _number(value: object) -> float | None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if is_number else None  # type: ignore[arg-type]  # checked in the line above
+
+
+def _sure(value: object) -> float:
+    """A number. Raises ValueError for anything else."""
+    number = _number(value)
+    if number is None:
+        raise ValueError("no number")
+    return number
+
+
+def _count(value: object) -> int:
+    """A whole number that a page can hold. Raises ValueError for anything else."""
+    if not isinstance(value, int) or isinstance(value, bool) or abs(value) > _LARGEST_COUNT:
+        raise ValueError("no count")
+    return value
+
+
+def _text(value: object, longest: int) -> str:
+    """A text for the pages; empty for what is none."""
+    return plain(value[:longest]) if isinstance(value, str) else ""

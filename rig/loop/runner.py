@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rig.backends.clock import MonotonicClock
-from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
+from rig.backends.driver import Clock, Driver, PulseDriver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
 from rig.control.guard import WINDOW_S, Guard
-from rig.control.law import Law
+from rig.control.law import Law, Pulsed
 from rig.control.motion import is_obeyed
 from rig.faults import Fault
 from rig.loop.device_relay import DeviceRelay
@@ -24,6 +24,7 @@ from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
 _CHECK_EVERY_TICKS = 25
 _ENDS_LAW = ("INTERRUPTED", "LAW_TIME")  # in the middle of its step
+_OLD_PERIODS = 2.0  # age of a reading on which nothing is decided any more
 _KEPT_DRIVES = 512  # asked for last: those that may still wait in a device
 
 
@@ -63,6 +64,7 @@ class Loop:
         self.last_y_rad = math.nan  # position at the last tick, of the loop or of a relay in the device
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
+        self._write: Callable[[float], None] = driver.write
         self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
         self._rows = 0  # of the loop itself
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
@@ -151,10 +153,18 @@ class Loop:
         Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, RECORDER_DEAD.
         """
         self._record.event(self.now_s, "stage", name=stage)
+        self._write = self._writer(law)
         while not law.finished:
             sample = self._run_tick(law, stage)
             if watch is not None:
                 watch(sample.t_s)
+
+    def _writer(self, law: Law) -> Callable[[float], None]:
+        """What sends the law's drives: as pulses where it wants that, and the device ends them by itself."""
+        driver = self._driver
+        if not (isinstance(law, Pulsed) and isinstance(driver, PulseDriver) and driver.pulses):
+            return driver.write
+        return lambda u_V: driver.write(u_V) if u_V == 0.0 else driver.write_pulse(u_V, law.pulse_s)
 
     def run_in_device(
         self,
@@ -205,7 +215,7 @@ class Loop:
     def _run_tick(self, law: Law, stage: str) -> Sample:
         now_s = self._clock.now_s
         due_s, woke_s = self._await_tick()
-        sample = self._driver.read()
+        sample = self._fresh_reading()
         read_s = now_s()
         sample = sample._replace(t_s=self._since_start_s(sample.t_s), t_u_s=self._since_start_s(sample.t_u_s))
         if sample.t_s < self._newest_t_s:
@@ -217,7 +227,7 @@ class Loop:
         try:
             u_V, flags = self.guard.allow(sample, law.step(sample))
             decided_s = now_s()
-            self._driver.write(u_V)
+            self._write(u_V)
         except BaseException as error:
             if isinstance(error, Fault) and error.code in _ENDS_LAW:
                 self._complete_row(sample)  # no law decided on this reading, so a replay must not ask it to
@@ -232,6 +242,13 @@ class Loop:
         self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, (now_s() - written_s) * 1e6)
         self._end_tick(due_s)
         return sample
+
+    def _fresh_reading(self) -> Sample:
+        """A reading of this tick; another one where the host stood still after the device had taken the first."""
+        begun_s, old_s = self._clock.now_s(), _OLD_PERIODS * self._period_s
+        sample = self._driver.read()
+        now_s = self._clock.now_s()
+        return self._driver.read() if now_s - begun_s > old_s and now_s - sample.t_s > old_s else sample
 
     def _record_tick(
         self, law: Law, stage: str, sample: Sample, u_V: float, late_us: float, io_us: float, flags: int

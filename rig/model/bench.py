@@ -17,7 +17,7 @@ from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
 
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
-SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still"]
+SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", "still_a"]
 
 _LEAST_SHARE = 1e-6  # of the time connected: its braking is beyond any measurement
 NOISY_COUNTS = 25.0  # standard deviation that a "noisy" sensor adds to its own noise
@@ -241,7 +241,7 @@ class BenchModel:
     def _encoder_counts(self, wiring: SensorWiring) -> int:
         offset_counts = (self.sensed_rad + self.parameters.offset_rad) / self.parameters.rad_per_count
         counts = math.floor((-offset_counts if wiring == "reversed" else offset_counts) + 0.5)
-        if wiring not in ("stuck", "still"):
+        if wiring not in ("stuck", "still", "still_a"):
             self._stuck_counts = None
             return counts + 2 if wiring == "jumped" else counts
         if self._stuck_counts is None:

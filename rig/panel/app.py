@@ -276,8 +276,8 @@ class _Pages:
     async def report(self, request: Request) -> Response:
         """A run's report, in a sandbox."""
         self._require_reader(request)
-        path = await _read(self._panel.runs.report, request.path_params["name"])
-        answer = FileResponse(path, media_type="text/html")
+        page = await _read(self._panel.runs.report, request.path_params["name"])
+        answer = Response(page, media_type="text/html")
         for key, value in security_headers(report=True):
             answer.headers[key.decode()] = value.decode()
         return answer

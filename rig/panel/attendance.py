@@ -1,7 +1,7 @@
 """Who lets a calibration drive has to be there: the panel promises it by leases, and the calibration's loop looks.
 
-The file of the leases is in ``FOLDER`` beside the run folders. If the panel is killed or frozen, nothing has to notice:
-the last lease runs out, and the drive is 0.
+The file of the leases is in rig's own folder beside the run folders. If the panel is killed or frozen, nothing has to
+notice: the last lease runs out, and the drive is 0.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Final
 
 from rig.calibrate.refusal import ALONE
 from rig.live.lease import HeldLease, Leaser
+from rig.live.own_folder import OwnFolder
 from rig.loop.stop_request import Gone
 
-FOLDER: Final = ".panel"  # beside the run folders: what a panel leaves for its processes, and for the next panel
 EVERY_S: Final = 0.05  # between two promises, each of 150 ms
 
 
@@ -26,9 +26,7 @@ def watched(out: Path) -> Iterator[Gone]:
 
     out  folder of the run folders
     """
-    folder = out / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
-    with HeldLease(folder, name=_name(os.getpid())) as held:
+    with OwnFolder(out) as folder, HeldLease(folder, name=_name(os.getpid())) as held:
         yield lambda: "" if held.holds() else ALONE
 
 
@@ -36,14 +34,15 @@ class Attendance:
     """The panel's promises to the calibration of process ``pid``. Not for two threads at once."""
 
     def __init__(self, out: Path, pid: int) -> None:
-        self._folder, self._name = out / FOLDER, _name(pid)
+        self._out, self._name = out, _name(pid)
         self._leaser: Leaser | None = None
 
     def renew(self) -> None:
         """Promise to be there for 150 ms from now; nothing where there is no calibration that looks."""
         with suppress(OSError, ValueError):
             if self._leaser is None:
-                self._leaser = Leaser(self._folder, name=self._name)
+                with OwnFolder(self._out, makes=False) as folder:
+                    self._leaser = Leaser(folder, name=self._name)
             self._leaser.stay()
 
     def end(self) -> None:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from rig.config.yaml12 import MOST_BYTES
 from rig.live.lease import Leaser
 from rig.live.running import Lookout, Running, Seen, running
 from rig.live.stop_flag import Runner, StopError, request_stop, runner_of
@@ -26,10 +27,12 @@ from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
 from rig.panel.processes import Ended, StartedProcess
+from rig.plain_file import read_plain
 
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
 CALIBRATION: Final = Path("the calibration")  # stands for one that drives without a run folder
 _CONFIRMED_FOR_S: Final = 600.0
+_AS_WATCHED: Final = ("--pace", "1")  # of a device in virtual time; the time of any other has that pace
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,7 @@ class Bench:
             raise RefusedError(409, "this start was not confirmed, or too long ago", "check the config again")
         if _digest(config) != given.digest:
             raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
-        return self._start("run", str(config))
+        return self._start("run", str(config), *_AS_WATCHED)
 
     # ------------------------------------------------------------------ calibrate
 
@@ -268,7 +271,7 @@ class Bench:
         if not found.get("may_run"):
             raise RefusedError(409, "rig refuses this config", "press Check and start…: the check says why")
         self._jog_V = float(found["plan"]["jog_V"])
-        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased")
+        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased", *_AS_WATCHED)
         return {**started, "jog_V": self._jog_V}
 
     def end_jog(self) -> None:
@@ -331,6 +334,6 @@ class Bench:
 
 def _digest(config: Path) -> str:
     try:
-        return hashlib.sha256(config.read_bytes()).hexdigest()
+        return hashlib.sha256(read_plain(config, MOST_BYTES, follows_links=True)).hexdigest()
     except OSError as error:
         raise RefusedError(409, f"{config} cannot be read: {error.strerror}", "check the path") from error

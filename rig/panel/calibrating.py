@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.registry import backend_of
 from rig.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
 from rig.calibrate.refusal import Refusal
 from rig.calibrate.session import NotWrittenError, calibrate, open_config
 from rig.calibrate.steps import steps_for
 from rig.calibrate.wiring import svg
 from rig.config.problems import ConfigError
-from rig.config.schema import Experiment
 from rig.faults import Fault
 from rig.loop.stop_request import Gone
 from rig.panel.attendance import watched
@@ -94,21 +92,16 @@ def _tell(type_: str, /, **what: object) -> None:
 
 
 @contextmanager
-def _attended(e: Experiment, out: Path) -> Iterator[Gone | None]:
-    """What tells, for the block, that the panel is gone. Raises NotWrittenError where there is no room for its leases.
-
-    In simulation nothing moves, and time is not the panel's: there is nothing to end.
-    """
+def _attended(out: Path) -> Iterator[Gone]:
+    """What tells, for the block, that the panel is gone. Raises NotWrittenError where its leases have no room."""
     with ExitStack() as stack:
-        gone = None
-        if not backend_of(e).seconds_words(e):  # real seconds
-            try:
-                gone = stack.enter_context(watched(out))
-            except OSError as error:
-                raise NotWrittenError(
-                    f"no file can be made below {out}: {error.strerror}; without one rig cannot notice a dead panel",
-                    "check the disk and its permissions",
-                ) from error
+        try:
+            gone = stack.enter_context(watched(out))
+        except OSError as error:
+            raise NotWrittenError(
+                f"no file can be made below {out}: {error.strerror}; without one rig cannot notice a dead panel",
+                "check the disk and its permissions",
+            ) from error
         yield gone
 
 
@@ -116,9 +109,9 @@ def main(config: Path, out: Path) -> None:
     """Go through one calibration."""
     page = _Page(config)
     try:
-        opened = open_config(config)
+        opened = open_config(config, pace=1.0)
         known = {name: what for name, (what, _) in steps_for(opened.draft.original).items()}
-        with _attended(opened.draft.original, out) as gone:
+        with _attended(out) as gone:
             done = calibrate(opened, page.steps(known), out, page, gone)
     except ConfigError as error:
         _tell("end", written=False, words="rig cannot calibrate with this config", cure=str(error))

@@ -1,32 +1,33 @@
 """The commands that the panel starts: each a process in a session of its own, so that the panel's end does not end it.
 
-A started process is noted in the folder ``.panel`` beside the run folders, with a file for what it says. So a panel
-that was started anew finds it again. It cannot know the exit status then: only the process that started it is told.
+A started process is noted in rig's own folder beside the run folders, with a file for what it says. So a panel that was
+started anew finds it again. It cannot know the exit status then: only the process that started it is told.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
+import re
 import secrets
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from rig.live.born import born
-from rig.panel.attendance import FOLDER
+from rig.live.own_folder import START_LOCK, HeldError, NotOwnError, OwnFolder
 from rig.panel.errors import RefusedError
 from rig.signals import plain
 
 _LAST_WORDS_BYTES: Final = 2000
 _LAST_WORDS_LINES: Final = 12
+_NOTE: Final = re.compile(r"[0-9a-f]{16}\.json")
+_LARGEST_NOTE: Final = 4096  # bytes
 _WAIT_S: Final = 2.0  # for another panel that starts something
 
 
@@ -55,12 +56,14 @@ class StartedProcess:
     has_folder  whether its run folder was seen
     """
 
-    def __init__(self, note: Path, command: str, pid: int, born: str, child: subprocess.Popen[bytes] | None) -> None:
+    def __init__(
+        self, out: Path, note: str, command: str, pid: int, born: str, child: subprocess.Popen[bytes] | None
+    ) -> None:
         self.command, self.pid = command, pid
         self.has_folder = False
         self._stopped = False
         self.is_others = False  # another panel that lives started it, and cleans up
-        self._note, self._born, self._child = note, born, child
+        self._out, self._note, self._born, self._child = out, note, born, child
 
     def status(self) -> int | None:
         """Its exit status if it has ended and is known."""
@@ -83,73 +86,66 @@ class StartedProcess:
     def end(self) -> Ended:
         """How it ended; it is forgotten."""
         ended = Ended(self.pid, self.command, self.status(), self.last_words(), self._stopped, self.has_folder)
-        for path in () if self.is_others else (self._note, self._words):
-            with contextlib.suppress(OSError):
-                path.unlink()
+        if not self.is_others:
+            for name in (self._note, _words_of(self._note)):
+                with contextlib.suppress(OSError), OwnFolder(self._out, makes=False) as folder:
+                    folder.delete(name)
         return ended
 
     def last_words(self) -> str:
         """The last lines that it said on standard error, safe to print."""
         try:
-            with self._words.open("rb") as file:
+            with (
+                OwnFolder(self._out, makes=False) as folder,
+                os.fdopen(folder.open(_words_of(self._note)), "rb") as file,
+            ):
                 file.seek(max(file.seek(0, os.SEEK_END) - _LAST_WORDS_BYTES, 0))
-                lines = file.read().decode(errors="replace").splitlines()
+                lines = file.read(_LAST_WORDS_BYTES).decode(errors="replace").splitlines()
         except OSError:
             return ""
         return "\n".join(plain(line) for line in lines[-_LAST_WORDS_LINES:])
-
-    @property
-    def _words(self) -> Path:
-        return self._note.with_suffix(".stderr")
 
 
 @contextlib.contextmanager
 def one_at_a_time(out: Path) -> Iterator[None]:
     """No other panel of this folder starts anything in the block. Raises RefusedError if one does for ``_WAIT_S``."""
-    try:
-        (out / FOLDER).mkdir(parents=True, exist_ok=True)
-        lock = (out / FOLDER / "start.lock").open("w")
-    except OSError as error:
-        raise RefusedError(
-            503, f"nothing can be started: {error.strerror}", "check the disk and its permissions"
-        ) from error
-    with lock:
-        until_s = time.monotonic() + _WAIT_S
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError as error:  # a panel that was frozen in its start may hold it for long
-                if time.monotonic() > until_s:
-                    raise RefusedError(
-                        409, "another panel of this folder starts something", "wait for it, or end that panel"
-                    ) from error
-                time.sleep(0.02)
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(stack.enter_context(OwnFolder(out)).locked(START_LOCK, _WAIT_S))
+        except HeldError as error:  # a panel that was frozen in its start may hold it for long
+            raise RefusedError(
+                409, "another panel of this folder starts something", "wait for it, or end that panel"
+            ) from error
+        except OSError as error:
+            raise RefusedError(503, *_cannot_start("nothing can", error)) from error
         yield
 
 
 def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
     """Start ``rig COMMAND ARGUMENTS --out OUT``. Raises RefusedError if it cannot be started."""
-    folder = out / FOLDER
-    note = folder / f"{secrets.token_hex(8)}.json"
+    note = f"{secrets.token_hex(8)}.json"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with note.with_suffix(".stderr").open("xb") as words:
-            child = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig", command, *arguments, "--out", str(out)],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True,
-            )  # fmt: skip
-        began = born(child.pid)
-        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": began}), encoding="utf-8")
+        with OwnFolder(out) as folder:
+            with os.fdopen(folder.open(_words_of(note), os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb") as words:
+                child = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "rig", command, *arguments, "--out", str(out)],
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True,
+                )  # fmt: skip
+            began = born(child.pid)
+            folder.write(note, json.dumps({"command": command, "pid": child.pid, "born": began}).encode())
     except OSError as error:
-        raise RefusedError(
-            503, f"the {command} cannot be started: {error.strerror}", "check the disk and its permissions"
-        ) from error
-    return StartedProcess(note, command, child.pid, began, child)
+        raise RefusedError(503, *_cannot_start(f"the {command} cannot", error)) from error
+    return StartedProcess(out, note, command, child.pid, began, child)
+
+
+def _cannot_start(what: str, error: OSError) -> tuple[str, str]:
+    """What is wrong, and the cure."""
+    cure = "" if isinstance(error, NotOwnError) else "check the disk and its permissions"
+    return f"{what} be started: {error.strerror}", cure
 
 
 def found_again(out: Path) -> list[StartedProcess]:
-    """The processes that an earlier panel started and that go on. What it noted of others is deleted."""
+    """The processes that an earlier panel started and that go on. Its notes of others are deleted, and nothing else."""
     found = []
     for process in _noted(out):
         if process.lives:
@@ -170,10 +166,28 @@ def of_others(out: Path, known: Collection[int]) -> list[StartedProcess]:
     return found
 
 
-def _noted(out: Path) -> Iterator[StartedProcess]:
-    for note in sorted((out / FOLDER).glob("*.json")) if (out / FOLDER).is_dir() else ():
-        try:
-            said = json.loads(note.read_text(encoding="utf-8"))
-            yield StartedProcess(note, str(said["command"]), int(said["pid"]), str(said["born"]), None)
-        except (OSError, ValueError, KeyError, TypeError):
-            yield StartedProcess(note, "", 0, "?", None)
+def _noted(out: Path) -> list[StartedProcess]:
+    """What the notes in rig's folder say. What is no note of ``start`` is not rig's to judge."""
+    try:
+        with OwnFolder(out, makes=False) as folder:
+            return [one for name in folder.names() if (one := _of_note(out, folder, name)) is not None]
+    except OSError:
+        return []
+
+
+def _of_note(out: Path, folder: OwnFolder, name: str) -> StartedProcess | None:
+    if _NOTE.fullmatch(name) is None:
+        return None
+    try:
+        said = json.loads(folder.read(name, _LARGEST_NOTE))
+    except (OSError, ValueError, RecursionError):
+        return None
+    match said:
+        case {"command": str(command), "pid": int(pid), "born": str(began), **others} if not others and pid > 1:
+            return StartedProcess(out, name, command, pid, began, None)
+    return None
+
+
+def _words_of(note: str) -> str:
+    """The name of the file with what the process of a note says."""
+    return f"{note.removesuffix('.json')}.stderr"

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from rig.estimators import LEADING
 from rig.panel.errors import RefusedError
+from rig.plain_file import read_plain
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import is_run
@@ -28,7 +29,7 @@ from rig.signals import plain
 REPORT: Final = "report.html"
 MOST_RUNS: Final = 300
 _FILES: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, REPORT)
-_LARGEST_JSON: Final = 20_000_000  # bytes of a file that says what came of a run; ours have some thousands
+_LARGEST_REPORT: Final = 64 * 2**20  # bytes
 _NAME: Final = re.compile(r"(\d{8}T\d{6}Z)-[^/\\]{1,180}")
 
 
@@ -47,12 +48,14 @@ class Runs:
                     return found
         raise RefusedError(404, f"there is no run {plain(name)[:200]} in {self.folder}", "reload the list of runs")
 
-    def report(self, name: str) -> Path:
-        """The report of a run. Raises RefusedError 404 if it has none."""
-        path = self.find(name) / REPORT
-        if not path.is_file():
-            raise RefusedError(404, f"the run {name} has no report", f"make it: rig report {self.folder / name}")
-        return path
+    def report(self, name: str) -> bytes:
+        """The report of a run; no link is followed, whenever it was put there. Raises RefusedError 404 without one."""
+        try:
+            return read_plain(self.find(name) / REPORT, _LARGEST_REPORT)
+        except OSError as error:
+            raise RefusedError(
+                404, f"the run {name} has no report", f"make it: rig report {self.folder / name}"
+            ) from error
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each run, the newest first; at most ``MOST_RUNS``."""
@@ -64,10 +67,6 @@ class Runs:
     def row(self, folder: Path) -> dict[str, Any]:
         """What came of one run; reads its small files."""
         notes: list[str] = []
-        for name in (META, RESULT):
-            with contextlib.suppress(OSError):
-                if (folder / name).stat().st_size > _LARGEST_JSON:
-                    return _summary(folder, RunMeta(), None, [f"{name} is too large to be rig's"])
         try:
             meta, _ = read_meta(folder)
         except RecordingError as error:

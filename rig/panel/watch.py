@@ -79,7 +79,7 @@ class Watch:
         self._number = 0
         self._ticks = 0
         self._over_ticks = 0
-        self._trouble = ""
+        self._troubles: dict[str, str] = {}  # by run; "": of none
         self._lost: Path | None = None  # folder of the run whose flag the pages know to be gone
         self.scene = Scene()
         self._followers: set[Follower] = set()
@@ -125,11 +125,14 @@ class Watch:
         """Look once."""
         try:
             self._look()
-        except OSError as error:  # a run folder that was deleted, or a disk that fails: say so, go on
-            words = f"{error.strerror}: {error.filename}"
-            if words != self._trouble:
-                self._tell({"type": "trouble", "what": words})
-            self._trouble = words
+        except OSError as error:  # a disk that fails: say so, go on
+            self._say("", f"{error.strerror}: {error.filename}")
+
+    def _say(self, run: str, trouble: str) -> None:
+        """Tell of the trouble with a run once, though it is met with each look."""
+        if self._troubles.get(run) != trouble:
+            self._troubles[run] = trouble
+            self._tell({"type": "trouble", "what": trouble})
 
     def _look(self) -> None:
         bench = self._bench
@@ -152,15 +155,28 @@ class Watch:
             bench.calibration_changes,
         )
 
-    def _read(self, view: LiveView) -> Snapshot:
+    def _seen(self, view: LiveView) -> Snapshot | None:
+        """A run as it is now. None, and the pages are told, where it cannot be read: the others are shown all the same.
+
+        Its folder may be deleted, or its files may be no files. What else is in them the view judges; should it fail
+        at that, this one run is not shown.
+        """
+        try:
+            return view.read(lost=self._bench.lost(view.folder))
+        except OSError as error:
+            self._say(view.folder.name, f"{view.folder.name} cannot be shown: {error.filename} {error.strerror}")
+        except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError, RecursionError) as error:
+            name = view.folder.name
+            self._say(name, f"{name} cannot be shown ({type(error).__name__}: {error}): try rig report on it")
+        return None
+
+    def _read(self, view: LiveView) -> Snapshot | None:
         """The run that is followed; whoever deletes its flag does not make it look over."""
-        lost = self._bench.lost(view.folder)
-        snapshot = view.read(lost=lost)
-        if snapshot.state == "died" and self._ended is None:
+        snapshot = self._seen(view)
+        if snapshot is not None and snapshot.state == "died" and self._ended is None:
             self._bench.look(at_all=False)
-            lost = self._bench.lost(view.folder)
-            snapshot = view.read(lost=lost)
-        if lost is not None and self._lost != view.folder:
+            snapshot = self._seen(view)
+        if self._bench.lost(view.folder) is not None and self._lost != view.folder:
             self._lost = view.folder
             self._tell(
                 {
@@ -231,10 +247,9 @@ class Watch:
             calibration = self._bench.calibration
             return None if calibration is not None and calibration.works else True
         if snapshot is None:
-            try:
-                snapshot = stop.view.read(lost=self._bench.lost(asked))
-            except OSError:
-                return None  # nobody can know
+            snapshot = self._seen(stop.view)
+        if snapshot is None:
+            return None  # nobody can know
         if snapshot.drive_is_off and snapshot.state != "absent":
             return True
         return False if snapshot.is_over or snapshot.state != "runs" else None

@@ -27,6 +27,9 @@ def guard_settings_of(
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
         delay_s=0.0 if delay is None else counted_delay_s(experiment, delay),
+        free_rad_s=0.0
+        if experiment.motor is None
+        else experiment.motor.no_load_speed_rad_s * experiment.drive.max_V / experiment.drive.supply_V,
     )
 
 

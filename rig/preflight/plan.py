@@ -22,8 +22,11 @@ from rig.preflight.room_to_stop import (
     stopping_sum,
     stopping_terms,
     swing_rad,
+    watchdog_words,
 )
 from rig.preflight.survey_room import expected_sweeps
+
+_UNSEEN_COUNTS = 66  # of travel, until a board has seen that one channel of an encoder is loose: docs/encoder.md
 
 
 def plan(e: Experiment) -> Iterator[str]:
@@ -36,6 +39,8 @@ def plan(e: Experiment) -> Iterator[str]:
         f"limits: {_travel_words(e)}; "
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
+    if e.sensor.encoder is not None:
+        yield f"encoder: one loose channel is seen after {_UNSEEN_COUNTS * abs(e.sensor.curve.lsb_rad):.2f} rad"
     if e.limits.is_endless:
         yield f"stopping {stopping_sum(e)}, wherever that is; a person must be able to reach the e-stop"
     else:
@@ -46,6 +51,8 @@ def plan(e: Experiment) -> Iterator[str]:
             "delay: the breakaway check bounds how late a drive shows in the reading; there is room for "
             f"{1e3 * room_s:.0f} ms beyond a drive's own tick"
         )
+    if words := watchdog_words(e):
+        yield words
     yield from backend.plan(e)
     yield backend.failsafe_words(e)
     for note in notes(e):
@@ -107,7 +114,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
     for stage in _stages(e):
         yield from stage.lines
     unknown = "" if _relay_tests_are_bounded(e) else ", and the relay tests"
-    clock = backend_of(e).seconds_words(e)
+    clock = " of virtual time" if backend_of(e).in_virtual_time(e) else ""
     total_s = sum(stage.longest_s for stage in _stages(e))
     yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"
 

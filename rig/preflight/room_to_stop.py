@@ -14,6 +14,10 @@ from rig.signals import BenchDelay
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
 _VELOCITY_LAG_S = 0.02  # by which it lags at least: half of its window
 _ONE_TURN_RAD = 2.0 * math.pi
+LONGEST_WATCHDOG_S = 0.5  # that is proposed: a longer silence is no stall of a host that lives
+_LEFT_FOR_DELAY_S = 0.02  # of the room, for a drive that acts later than its own tick
+_WHOLE_S = 0.01  # proposals are whole multiples
+_ROUNDING = 1e-9
 _BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older than a reply, by its length and its way
 
 
@@ -131,6 +135,34 @@ def room_for_delay_s(e: Experiment) -> float:
     share = room_rad(e) / amplitude_rad
     longest = 0.25 * target.period_s * (math.sqrt(max(share - 1.0, 0.0)) if share < 2.0 else 0.5 * share)
     return min(room_s, longest - distance / v)
+
+
+def longest_watchdog_s(e: Experiment) -> float | None:
+    """The longest watchdog time, up to ``LONGEST_WATCHDOG_S``, for which there is room to stop, s.
+
+    It leaves 20 ms of the room to a bench that acts late. None where arming sets no such time, or no room is left. A
+    config may take more: ``room_for_delay_s`` is what is left then.
+    """
+    watchdog = backend_of(e).watchdog(e)
+    if watchdog.unit_s is None or watchdog.time_s is None:
+        return None
+    room_s = math.inf if e.limits.is_endless else watchdog.time_s + room_for_delay_s(e) - _LEFT_FOR_DELAY_S
+    whole_s = math.ceil(_WHOLE_S / watchdog.unit_s - _ROUNDING) * watchdog.unit_s  # of the device's own unit, too
+    wholes = math.floor(min(room_s, LONGEST_WATCHDOG_S) / whole_s + _ROUNDING)
+    return round(wholes * whole_s, 6) if wholes > 0 else None
+
+
+def watchdog_words(e: Experiment) -> str:
+    """The watchdog's time, and the longest that the room to stop bears, with the sum; "" where arming sets none."""
+    longest_s, watchdog_s = longest_watchdog_s(e), e.daq.watchdog_s
+    if longest_s is None:
+        return ""
+    told = f"watchdog: {1e3 * watchdog_s:g} ms, through which a host that stands still does no harm"
+    if watchdog_s >= longest_s * (1.0 - _ROUNDING):
+        return told
+    longer = e.model_copy(update={"daq": e.daq.model_copy(update={"watchdog_s": longest_s})})
+    room = "" if e.limits.is_endless else f": {stopping_sum(longer)}, of {room_rad(e):.3f} rad"
+    return f"{told}; the room to stop bears daq.watchdog_s {longest_s:g}{room}"
 
 
 def stopping_sum(e: Experiment) -> str:

@@ -24,6 +24,7 @@ from rig.plug_ins import PlugInError
 from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
+    LONGEST_WATCHDOG_S,
     device_watchdog_s,
     limits_are_ordered,
     overshoot_terms,
@@ -39,7 +40,7 @@ from rig.signals import plain
 
 Rule = Callable[[Experiment], Iterator[Problem]]
 
-_WATCHDOG_PERIODS = (3, 10)
+_WATCHDOG_PERIODS = (3, 10)  # the least, and the most where that is longer than LONGEST_WATCHDOG_S
 _SHORTEST_CYCLE_PERIODS = 30  # docs/theory.md 4.3: a shorter cycle is delay hunting
 _SMALLEST_CYCLE_COUNTS = 20  # docs/theory.md 4.3
 _FEWEST_PAIRS = 8  # of strokes in the breakaway check
@@ -88,12 +89,13 @@ def _spin(e: Experiment) -> Iterator[Problem]:
 
 def _watchdog(e: Experiment) -> Iterator[Problem]:
     least_s, most_s = (n * e.period_s for n in _WATCHDOG_PERIODS)
+    most_s = max(most_s, LONGEST_WATCHDOG_S)
     watchdog_s = e.daq.watchdog_s
     if not least_s * (1 - _SLACK) <= watchdog_s <= most_s * (1 + _SLACK):
         yield wrong(
             "daq.watchdog_s",
-            f"must be {_WATCHDOG_PERIODS[0]} to {_WATCHDOG_PERIODS[1]} periods of {e.period_s:g} s, "
-            f"not {watchdog_s / e.period_s:.3g}",
+            f"must be {_WATCHDOG_PERIODS[0]} periods of {e.period_s:g} s at least, and {most_s:g} s at most, "
+            f"not {watchdog_s:g} s",
             f"between {least_s:g} and {most_s:g} seconds",
         )
     elif e.daq.timeout_s + e.period_s > watchdog_s * (1 + _SLACK):
@@ -495,7 +497,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 
 _NO_ENCODER_HAS = ("broken_low", "broken_high", "noisy")
-_ENCODERS_ALONE = ("still",)
+_ENCODERS_ALONE = ("still", "still_a")
 
 _RULES: tuple[Rule, ...] = (
     device_rules,

@@ -35,12 +35,12 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
     The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The reader skips blank
     lines, lines that begin with #, and Excel's ``sep=``. It reads decimal commas if no comma separates columns and no
     decimal point occurs. A last line without a line end is torn: the reader leaves it out and notes that.
-    own    whether the file is of a run folder: then it ends where its time stands still or goes back, with a note,
-           because the device's clock did so
+    own    whether the file is of a run folder: then it is no link; and it ends where its time stands still or goes
+           back, with a note, because the device's clock did so
     known  this file as read earlier, perhaps with fewer rows: these are not parsed again
     Raises RecordingError.
     """
-    text = CsvText.of(path)
+    text = CsvText.of(path, own=own)
     header_line, row_numbers = text.numbers[0], text.numbers[1:]
     header = _parse_header(text, header_line)
     if len(row_numbers) < MIN_ROWS:

@@ -17,7 +17,7 @@ import numpy as np
 from rig.recording.columns import COLUMNS, KINDS
 from rig.recording.errors import RecordingError
 from rig.recording.recording import Column, Columns
-from rig.recording.text_file import text_of, whole_content, without_torn_line
+from rig.recording.text_file import lines_of, whole_content, without_torn_line
 from rig.signals import plain
 
 MAX_STAGE_LENGTH: Final = 64
@@ -51,15 +51,16 @@ class CsvText:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, path: Path) -> CsvText:
+    def of(cls, path: Path, *, own: bool = False) -> CsvText:
         """The text of a file. A last line without a line end is torn: it is left out and noted.
 
+        own  whether the file is of a run folder
         Raises RecordingError.
         """
-        content, moved = whole_content(path)
+        content, moved = whole_content(path, own=own)
         _check_magic(path, content)
         whole, torn = without_torn_line(path, _with_line_feeds(content))
-        lines = text_of(path, whole).split("\n")
+        lines = lines_of(path, whole)
         numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith(("#", "sep="))]
         if not numbers:
             raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")

@@ -7,17 +7,18 @@ at the begin of each stage.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from rig import strict_json
+from rig.plain_file import open_plain
 from rig.recording.columns import COLUMNS
 from rig.recording.end_of_input import EndOfInput, end_of_input
 
@@ -69,9 +70,12 @@ class Tail:
         self._most_bytes = -1 if most_bytes is None else most_bytes
 
     def lines(self) -> list[str]:
-        """Lines completed since the last call; none while there is no file. Raises OSError for what is no file."""
+        """Lines completed since the last call; none while there is no file.
+
+        Raises OSError for a link, and for what is no file: a pipe that nobody writes would hold up whoever reads it.
+        """
         try:
-            with open(self.path, "rb", opener=_without_waiting) as file:
+            with os.fdopen(open_plain(self.path), "rb") as file:
                 torn = self._skip(file)
                 file.seek(self._offset)
                 data = file.read(self._most_bytes)
@@ -92,9 +96,12 @@ class Tail:
         return int(self._offset > 0)
 
 
-def _without_waiting(path: str, flags: int) -> int:
-    """Open a file; a pipe of its name, which nobody writes, would hold up an ordinary open."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+def event_of(line: str) -> dict[str, Any]:
+    """A line of events.jsonl. Raises ValueError for what is no event."""
+    event = strict_json.parse(line)
+    if not isinstance(event, dict):
+        raise ValueError("no JSON object")
+    return event
 
 
 class Progress:
@@ -113,7 +120,7 @@ class Progress:
         self.reach_rad = 0.2
 
     def take_event(self, event: dict[str, Any]) -> None:
-        """Take one line of events.jsonl."""
+        """Take an event. Raises KeyError, TypeError, ValueError for one that rig does not write."""
         kind = event.get("kind")
         if kind == "stage":
             if self.stage not in ("starting", "rest", event["name"]):  # a stage may have several laws
@@ -231,8 +238,11 @@ def print_stages(events: Tail, waiting: EndOfInput) -> None:
     while not over:
         over = waiting.wait(REFRESH_S)
         for line in events.lines():
-            event = json.loads(line)
-            text = stage_line(event)
+            try:
+                event = event_of(line)
+                text = stage_line(event)
+            except (ValueError, KeyError, TypeError):
+                continue  # whoever reads the run afterwards says what is wrong with its files
             goes_on = event.get("kind") == "stage" and event["name"] == stage
             stage = event["name"] if event.get("kind") == "stage" else stage
             if text is not None and not goes_on:
@@ -263,7 +273,8 @@ def main(arguments: list[str]) -> int:
             over = waiting.wait(REFRESH_S)
             happened, rows = events.lines(), samples.lines()
             for line in happened:
-                progress.take_event(json.loads(line))
+                with suppress(ValueError, KeyError, TypeError):
+                    progress.take_event(event_of(line))
             if rows:
                 progress.take_row(rows[-1])
             seen_s = time.monotonic() if happened or rows else seen_s

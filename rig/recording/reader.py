@@ -1,17 +1,19 @@
 """Reads a recording: a run folder, or any CSV file with at least the columns t_s, u_V and y_rad.
 
-``csv_file`` reads the rows. This file reads what stands beside them in a run folder.
+``csv_file`` reads the rows. This file reads what stands beside them in a run folder, and nothing else does: a plain
+file, no link, of a bounded size, in strict JSON (``strict_json``) of bounded depth.
 """
 
 from __future__ import annotations
 
-import json
+import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from pydantic import JsonValue
 
+from rig import strict_json
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
@@ -19,11 +21,22 @@ from rig.recording.log_file import read_log
 from rig.recording.log_format import LogFormat
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.recording import Recording
-from rig.recording.text_file import content_of, is_folder, text_of, whole_content, without_torn_line
+from rig.recording.text_file import (
+    MOST_LINES,
+    content_of,
+    is_folder,
+    line_of,
+    text_of,
+    whole_content,
+    without_torn_line,
+)
 from rig.recording.writer import EVENTS, SAMPLES
 from rig.results import JsonObject, Part, RunEvent, RunMeta, RunResult
 from rig.results.reading import remarks, salvaged
 from rig.signals import plain
+from rig.strict_json import JsonError
+
+_MOST_BYTES: Final = 20_000_000  # of a file beside the rows; ours have some thousands
 
 _P = TypeVar("_P", bound=Part)
 _File = TypeVar("_File", RunMeta, RunResult)
@@ -60,9 +73,8 @@ def read_run(folder: Path, known: Recording | None = None, *, strict: bool = Fal
         raise no_run(folder)
     recording = read_csv(folder / SAMPLES, own=True, known=known)
     meta, meta_notes = _read_part(folder / META, RunMeta, strict=strict)
-    config = folder / CONFIG
-    config_text = text_of(config, content_of(config)) if config.exists() else None
-    events, event_notes = _read_events(folder / EVENTS, strict=strict)
+    config_text = read_config_text(folder)
+    events, event_notes = read_events(folder, strict=strict)
     notes = (*recording.notes, *([f"{META} is missing"] if meta is None else meta_notes), *event_notes)
     return replace(
         recording, source=folder, meta=meta or RunMeta(), config_text=config_text, events=events, notes=notes
@@ -85,37 +97,75 @@ def read_meta(folder: Path) -> tuple[RunMeta | None, list[str]]:
     return _read_part(folder / META, RunMeta, strict=False)
 
 
-def _read_events(path: Path, *, strict: bool) -> tuple[tuple[RunEvent, ...], list[str]]:
-    """The events, none without the file; and notes on the file."""
-    content, notes = whole_content(path) if path.exists() else (b"", [])
+def read_config_text(folder: Path) -> str | None:
+    """The text of a run folder's config.yaml; None without that file. Raises RecordingError."""
+    path = folder / CONFIG
+    return text_of(path, content_of(path, _MOST_BYTES, own=True)) if _is_there(path) else None
+
+
+def read_events(
+    folder: Path, *, strict: bool = False, broken: list[RecordingError] | None = None
+) -> tuple[tuple[RunEvent, ...], list[str]]:
+    """The events of a run folder, none without events.jsonl; and notes on the file.
+
+    strict  whether a wrong value is an error
+    broken  takes the errors of lines that are no event, and the others are read; None: such a line is an error
+    Raises RecordingError.
+    """
+    path = folder / EVENTS
+    content, notes = whole_content(path, own=True) if _is_there(path) else (b"", [])
     if not content:
         return (), []
     whole, torn = without_torn_line(path, content)
     events: list[RunEvent] = []
     wrong: list[str] = []
-    for number, line in enumerate(text_of(path, whole).split("\n"), 1):
-        if line.strip():
-            event, left_out = _typed(path, RunEvent, line, number, strict=strict)
-            events.append(event)
-            wrong += [f"line {number}: {words}" for words in left_out]
+    if whole.count(b"\n") > MOST_LINES:
+        raise RecordingError(path, f"has more than {MOST_LINES} lines", "cut it, or delete it")
+    for number, line in enumerate(whole.split(b"\n"), 1):
+        if not line.strip():
+            continue
+        try:
+            event, left_out = _typed(path, RunEvent, line_of(path, line, number), number, strict=strict)
+        except RecordingError as error:
+            if broken is None:
+                raise
+            broken.append(error)
+            continue
+        events.append(event)
+        wrong += [f"line {number}: {words}" for words in left_out]
     if wrong:
         others = "" if len(wrong) == 1 else f", and {len(wrong) - 1} more"
         torn.append(f"{wrong[0]}; rig leaves it out{others}")
     return tuple(events), [f"{EVENTS}: {note}" for note in [*notes, *torn]]
 
 
+def read_object(path: Path) -> JsonObject:
+    """The object in a JSON file of a run folder, its texts safe for a terminal. Raises RecordingError."""
+    return _parse_object(path, text_of(path, content_of(path, _MOST_BYTES, own=True)), None)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether anything has this name: also a link that leads nowhere."""
+    return os.path.lexists(path)
+
+
 def _read_part(path: Path, kind: type[_File], *, strict: bool) -> tuple[_File | None, list[str]]:
     """The content of a JSON file, None without the file; and notes on it."""
-    if not path.exists():
+    if not _is_there(path):
         return None, []
-    part, left_out = _typed(path, kind, text_of(path, content_of(path)), None, strict=strict)
+    part, left_out = _salvaged(path, kind, read_object(path), None, strict=strict)
     notes = [f"{words}; rig leaves it out" for words in left_out] + remarks(part)
     return part, [f"{path.name}: {note}" for note in notes]
 
 
-def _typed(path: Path, kind: type[_P], text: str, line: int | None, *, strict: bool) -> tuple[_P, list[str]]:
+def _typed(path: Path, kind: type[_P], text: str, line: int, *, strict: bool) -> tuple[_P, list[str]]:
+    """A line with a JSON object as a part, and a sentence on each wrong value, which is left out."""
+    return _salvaged(path, kind, _parse_object(path, text, line), line, strict=strict)
+
+
+def _salvaged(path: Path, kind: type[_P], value: JsonObject, line: int | None, *, strict: bool) -> tuple[_P, list[str]]:
     """A JSON object as a part, and a sentence on each wrong value, which is left out. ``strict``: it is an error."""
-    part, left_out = salvaged(kind, _parse_object(path, text, line))
+    part, left_out = salvaged(kind, value)
     if strict and left_out:
         raise RecordingError(path, left_out[0], "correct it, or take that key out of the file", line)
     return part, left_out
@@ -123,24 +173,20 @@ def _typed(path: Path, kind: type[_P], text: str, line: int | None, *, strict: b
 
 def _parse_object(path: Path, text: str, line: int | None) -> JsonObject:
     try:
-        value = json.loads(text, parse_constant=_no_such_number)
-    except (ValueError, RecursionError) as error:
-        if line is None and isinstance(error, json.JSONDecodeError):
-            line = error.lineno
-        raise RecordingError(path, f"is broken JSON ({error})", "delete or correct it", line) from error
+        value = strict_json.parse(text)
+    except JsonError as error:
+        raise RecordingError(
+            path, f"is broken JSON ({error})", "delete or correct it", error.line if line is None else line
+        ) from error
     if not isinstance(value, dict):
         raise RecordingError(path, "is no JSON object", "delete or correct it", line)
-    return {plain(key): printable(item) for key, item in value.items()}
+    return {plain(key): _printable(item) for key, item in value.items()}
 
 
-def printable(value: JsonValue) -> JsonValue:
+def _printable(value: JsonValue) -> JsonValue:
     """A JSON value with its texts made safe for a terminal. A traceback keeps its lines."""
     if isinstance(value, str):
         return "\n".join(plain(line) for line in value.split("\n"))
     if isinstance(value, dict):
-        return {plain(key): printable(item) for key, item in value.items()}
-    return [printable(item) for item in value] if isinstance(value, list) else value
-
-
-def _no_such_number(text: str) -> float:
-    raise ValueError(f"{text} is no JSON number")
+        return {plain(key): _printable(item) for key, item in value.items()}
+    return [_printable(item) for item in value] if isinstance(value, list) else value

@@ -42,7 +42,8 @@ ROWS_AT_ONCE: Final = 1024
 KEPT_BYTES: Final = 1 << 20  # room for the rows and events until the loop has ended, and for result.json
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 _NAN: Final = float("nan")
-_APPEND: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)  # Windows: no carriage returns
+# no link: the folder may be one that others write in, too; and for Windows: no carriage returns
+_APPEND: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 class AppendOnlyFile:
@@ -64,7 +65,7 @@ class AppendOnlyFile:
         self._path = path
         self._name = path.name
         self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
-        self._descriptor = os.open(path, _APPEND, 0o666)
+        self._descriptor = _open_own(path)
         self._safe_bytes = 0  # bytes that are on the disk for sure
         self._since = bytearray()  # bytes written after them
 
@@ -336,6 +337,20 @@ def main(arguments: Sequence[str]) -> int:
         shared.fail(layout.CANNOT_WRITE, _in_words(error))
         return 1
     return 0
+
+
+def _open_own(path: Path) -> int:
+    """Open a file of the run. Raises OSError for what only has its name: bytes must not go elsewhere."""
+    try:
+        descriptor = os.open(path, _APPEND, 0o666)
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        raise OSError(errno.ELOOP, "it is a link, and rig follows none here", str(path)) from error
+    if os.fstat(descriptor).st_nlink > 1:
+        os.close(descriptor)
+        raise OSError(errno.EMLINK, "the file has another name, too, so it is not this run's", str(path))
+    return descriptor
 
 
 def _in_words(error: OSError) -> str:

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import math
+import os
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from rig.config.problems import ConfigError
+from rig.config.yaml12 import parse
 from rig.estimators import ESTIMATORS
 from rig.faults import FAULTS
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
-from rig.recording.reader import printable
+from rig.recording.folder import CONFIG, META, RESULT
+from rig.recording.reader import read_config_text, read_events, read_meta, read_result
 from rig.recording.recording import Recording
-from rig.recording.text_file import whole_content
+from rig.recording.writer import EVENTS, SAMPLES
 from rig.report.style import AbsentError, stage_kind
 from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, TrueLaw, known
 from rig.results.estimates import LARGEST
-from rig.results.reading import remarks, salvaged
+from rig.results.reading import salvaged
 
 Array = NDArray[np.float64]
 _P = TypeVar("_P", bound=Part)
@@ -119,7 +122,9 @@ class ReportedRun:
     @property
     def in_virtual_time(self) -> bool:
         """Whether the loop ran on a simulated clock: then its timing means nothing."""
-        return self.backend.startswith("simulated")
+        if self.meta.time is not None:
+            return self.meta.time.kind == "virtual"
+        return self.backend.startswith("simulated")  # before there was `time`
 
     @property
     def estimates(self) -> dict[str, EstimateResult]:
@@ -183,84 +188,89 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
         raise FileNotFoundError(f"{folder} is not a run folder; give the path that `rig run` printed")
     missing: list[str] = []
     notes: list[str] = []
-    meta = _part(folder / "meta.json", RunMeta, "backend, versions and host of this run are unknown", missing)
-    result = _part(folder / "result.json", RunResult, "the run ended before it had a result", missing)
-    notes.extend(f"meta.json: {remark}." for remark in remarks(meta))
-    notes.extend(f"result.json: {remark}." for remark in remarks(result))
-    events = _events(folder / "events.jsonl", missing)
-    config = _settings(folder / "config.yaml", missing)
+    meta = (
+        _part(read_meta, folder, META, "backend, versions and host of this run are unknown", missing, notes)
+        or RunMeta()
+    )
+    result = _part(read_result, folder, RESULT, "the run ended before it had a result", missing, notes) or RunResult()
+    events = _events(folder, missing)
+    config = _settings(folder, missing)
+    recording = None
     try:
-        recording = read_csv(folder / "samples.csv", known=known) if (folder / "samples.csv").is_file() else None
-        if recording is None:
-            missing.append("samples.csv is missing: nothing that was measured can be shown.")
+        if os.path.lexists(folder / SAMPLES):
+            recording = read_csv(folder / SAMPLES, own=True, known=known)
+            notes.extend(f"{SAMPLES}: {note}." for note in recording.notes)
         else:
-            notes.extend(f"samples.csv: {note}." for note in recording.notes)
+            missing.append(f"{SAMPLES} is missing: nothing that was measured can be shown.")
     except RecordingError as error:
-        recording = None
-        missing.append(f"samples.csv {error.cause}{_line(error)}: nothing that was measured can be shown.")
+        missing.append(f"{_said(error)}: nothing that was measured can be shown.")
     if any(event.kind == "loop_died" for event in events):
         notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
     if recording is not None:  # the estimators compare its clock with the period in meta.json
         recording = replace(recording, source=folder, meta=meta)
-    return ReportedRun(folder, recording, meta, result, config, tuple(events), missing, notes)
+    return ReportedRun(folder, recording, meta, result, config, events, missing, notes)
 
 
-def _line(error: RecordingError) -> str:
-    return "" if error.line is None else f" (line {error.line})"
+def _said(error: RecordingError) -> str:
+    """What is wrong with a file of the folder: its name, the line, the cause."""
+    return f"{error.path.name}{'' if error.line is None else f' (line {error.line})'} {error.cause}"
 
 
-def _part(path: Path, kind: type[_P], consequence: str, missing: list[str]) -> _P:
-    """What a JSON file holds, without what is wrong in it; a sentence about that goes into ``missing``."""
-    if not path.is_file():
-        missing.append(f"{path.name} is missing: {consequence}.")
-        return kind()
+def _part(
+    read: Callable[[Path], tuple[_P | None, list[str]]],
+    folder: Path,
+    name: str,
+    consequence: str,
+    missing: list[str],
+    notes: list[str],
+) -> _P | None:
+    """What a JSON file holds, without what is wrong in it; None without any. ``notes`` takes what is said about it."""
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        missing.append(f"{path.name} cannot be read ({error}): {consequence}.")
-        return kind()
-    if not isinstance(value, dict):
-        missing.append(f"{path.name} does not hold an object: {consequence}.")
-        return kind()
-    found, left_out = salvaged(kind, {str(key): printable(item) for key, item in value.items()})
-    missing.extend(f"{path.name}: {words}; rig leaves it out." for words in left_out)
+        found, said = read(folder)
+    except RecordingError as error:
+        missing.append(f"{_said(error)}: {consequence}.")
+        return None
+    if found is None:
+        missing.append(f"{name} is missing: {consequence}.")
+    notes.extend(f"{note}." for note in said)
     return found
 
 
-def _events(path: Path, missing: list[str]) -> list[RunEvent]:
+def _events(folder: Path, missing: list[str]) -> tuple[RunEvent, ...]:
     """The events, without torn or broken lines; a sentence about these goes into ``missing``."""
-    if not path.is_file():
-        missing.append(f"{path.name} is missing: events and faults come from the result only.")
-        return []
-    events: list[RunEvent] = []
-    broken = 0
-    for text in whole_content(path)[0].decode("utf-8", errors="replace").splitlines():
-        try:
-            value = json.loads(text) if text.strip() else None
-        except json.JSONDecodeError:
-            broken += 1
-            continue
-        if isinstance(value, dict):
-            events.append(salvaged(RunEvent, {str(key): printable(item) for key, item in value.items()})[0])
+    broken: list[RecordingError] = []
+    try:
+        events, notes = read_events(folder, broken=broken)
+    except RecordingError as error:
+        missing.append(f"{_said(error)}: events and faults come from the result only.")
+        return ()
+    if not os.path.lexists(folder / EVENTS):
+        missing.append(f"{EVENTS} is missing: events and faults come from the result only.")
+    missing.extend(f"{note}." for note in notes)
     if broken:
-        missing.append(f"{path.name}: {broken} line(s) are torn or broken; rig leaves them out.")
+        count = "1 line is" if len(broken) == 1 else f"{len(broken)} lines are"
+        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {_said(broken[0])}.")
     return events
 
 
-def _settings(path: Path, missing: list[str]) -> Settings:
+def _settings(folder: Path, missing: list[str]) -> Settings:
     """What the report shows of a config, whichever version wrote it."""
-    if not path.is_file():
-        missing.append(f"{path.name} is missing: limits and settings are unknown.")
-        return Settings()
-    text = path.read_text(encoding="utf-8", errors="replace")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        missing.append(f"{path.name} is no valid YAML: limits and settings are unknown.")
+        text = read_config_text(folder)
+    except RecordingError as error:
+        missing.append(f"{_said(error)}: limits and settings are unknown.")
+        return Settings()
+    if text is None:
+        missing.append(f"{CONFIG} is missing: limits and settings are unknown.")
+        return Settings()
+    try:
+        value = parse(text, CONFIG).data
+    except ConfigError as error:
+        missing.append(f"{error}: limits and settings are unknown.")
         return Settings(text=text)
 
     def at(*keys: str) -> Any:
-        found = value
+        found: Any = value
         for key in keys:
             found = found.get(key) if isinstance(found, dict) else None
         return found
@@ -273,7 +283,7 @@ def _settings(path: Path, missing: list[str]) -> Settings:
         wanted_period_s=_number(at("relay", "target", "period_s")),
         tolerance=_number(at("relay", "target", "tolerance")),
         tracks=bool(at("tracking")),
-        is_there=isinstance(value, dict) and bool(value),
+        is_there=bool(value),
         text=text,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue
 
@@ -60,6 +60,19 @@ class RealTimeReport(Part):
     refused: tuple[Text, ...] = Field((), description="each measure that it refused, and what helps")
 
 
+class RunTime(Part):
+    """In which time the loop ran."""
+
+    kind: Literal["real", "virtual"] = Field(description="real, or virtual: it passes only while the loop waits")
+    pace: Sometimes[Number] = Field(
+        None, description="of virtual time, its seconds in a second; null: as fast as the machine"
+    )
+    stalls: Sometimes[Count] = Field(
+        None, description="of a paced time: how often the machine, or rig's own sums, kept it waiting; at the run's end"
+    )
+    longest_stall_s: Sometimes[Number] = Field(None, description="the longest of them, s")
+
+
 class TrueLaw(Part):
     """What the emulated motor has beyond tau, K and Coulomb friction, named and measured as a law that is found."""
 
@@ -115,6 +128,7 @@ class RunMeta(Part):
     host: dict[str, JsonValue] = Field({}, description="the machine")
     command: Text | None = Field(None, description="the command line")
     truth: TrueMotor | None = Field(None, description="the emulated motor; null: the motor is real")
+    time: Sometimes[RunTime] = Field(None, description="in which time the loop ran; older versions write none")
     script: ScriptCall | None = Field(None, description="what ran")
     real_time: Sometimes[RealTimeReport] = Field(None, description="written once the loop has asked the machine")
     identify_without: Sometimes[tuple[Text, ...]] = Field(

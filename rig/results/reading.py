@@ -17,6 +17,8 @@ from rig.signals import plain
 _P = TypeVar("_P", bound=Part)
 _Path = tuple[int | str, ...]
 
+_MOST_SAID = 20
+
 _MUST_BE = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -52,12 +54,15 @@ def parsed(kind: type[_P], data: Mapping[str, Any]) -> _P:
 
 
 def salvaged(kind: type[_P], data: Mapping[str, Any]) -> tuple[_P, list[str]]:
-    """The part that a JSON object describes, without what is wrong; and a sentence for each piece left out."""
+    """The part that a JSON object describes, without what is wrong; and a sentence for each piece left out.
+
+    Of very many pieces the last sentence says how many more there are.
+    """
     kept: Any = data
     left_out: list[str] = []
     while True:
         try:
-            return kind.model_validate(kept), left_out
+            return kind.model_validate(kept), _first(left_out, "{} more values are wrong")
         except ValidationError as error:
             found = error.errors(include_url=False)
         if not left_out:
@@ -83,8 +88,16 @@ def remarks(file: RunMeta | RunResult) -> list[str]:
         notes.append(f"a newer version of rig wrote it (schema {file.version}; this one knows {VERSION})")
     keys = unknown_keys(file)
     if keys:
-        notes.append(f"not known to this version of rig, and not used: {', '.join(map(plain, keys))}")
+        notes.append(
+            f"not known to this version of rig, and not used: {', '.join(_first(list(map(plain, keys)), '{} more'))}"
+        )
     return notes
+
+
+def _first(words: list[str], rest: str) -> list[str]:
+    """At most ``_MOST_SAID`` of them, and how many more there are."""
+    more = len(words) - _MOST_SAID
+    return words if more <= 0 else [*words[:_MOST_SAID], rest.format(more)]
 
 
 def _unknown(value: object, at: str) -> Iterator[str]:

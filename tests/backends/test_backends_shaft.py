@@ -41,9 +41,10 @@ def test_a_bench_tells_the_shaft_only_where_it_is_emulated() -> None:
         assert bench.shaft() == ShaftPath(bench.shaft().t_s, bench.shaft().y_rad)
 
 
-@pytest.mark.realtime
-def test_an_emulated_board_tells_its_shaft_too() -> None:
-    with connect(config.load(ROOT / "config/demo.yaml")) as bench:
+@pytest.mark.parametrize("port", ["emulated", pytest.param("emulated-realtime", marks=pytest.mark.realtime)])
+def test_an_emulated_board_tells_its_shaft_too(port: str) -> None:
+    e = config.load(ROOT / "config/demo.yaml")
+    with connect(e.model_copy(update={"daq": e.daq.model_copy(update={"port": port})})) as bench:
         assert bench.shaft is not None
         bench.driver.read()
         path = bench.shaft()

@@ -80,8 +80,8 @@ def test_every_step_on_a_simulated_bench(tmp_path: Path) -> None:
     ("name", "port", "rpc"),
     [
         pytest.param("demo-pico", "emulated-pico", 0.25 * RPC, id="the Pico's chip"),
-        pytest.param("modbus-rtu", "emulated-virtual", -RPC, id="Modbus"),
-        pytest.param("demo", "emulated", RPC, id="a board in real time", marks=pytest.mark.realtime),
+        pytest.param("modbus-rtu", "emulated", -RPC, id="Modbus"),
+        pytest.param("demo", "emulated", RPC, id="the board"),
     ],
 )
 def test_angles_on_emulated_devices(tmp_path: Path, name: str, port: str, rpc: float) -> None:

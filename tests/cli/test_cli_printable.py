@@ -36,7 +36,7 @@ def test_a_vendor_string_is_shown_escaped_in_result_and_backend(
     assert identity_of(reply) == (SHOWN, r"block\r\n", "1.0")
     monkeypatch.setattr("rig.backends.modbus.driver.identity_of", lambda pdu: identity_of(reply))
     e = config.load(ROOT / "config/modbus-rtu.yaml")
-    e = e.model_copy(update={"daq": e.daq.model_copy(update={"port": "emulated-virtual"})})
+    e = e.model_copy(update={"daq": e.daq.model_copy(update={"port": "emulated"})})
     outcome = experiment.jog(e, 0.0, 0.05, tmp_path)
     assert SHOWN in outcome.result.backend and "\x1b" not in json.dumps(outcome.as_json(), ensure_ascii=False)
 

@@ -229,7 +229,7 @@ def test_deep_nesting_is_refused_at_its_place(tmp_path: Path) -> None:
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for path, message in (
         (tmp_path / "none.yaml", "none.yaml: no such file"),
-        (tmp_path, "is a directory"),
+        (tmp_path, "is a folder, not a file"),
         (Path("a\x00b"), "cannot be read"),
         (tmp_path / "x" / ".." / ("n" * 5000), "cannot be read"),
     ):

@@ -342,9 +342,20 @@ def test_a_relay_in_the_device_is_not_for_modbus() -> None:
     [
         ("/dev/ttyUSB0", "a REAL MOTOR behind /dev/ttyUSB0, Modbus RTU, unit 1, 115200 baud"),
         ("tcp://10.0.0.7", "a REAL MOTOR behind tcp://10.0.0.7, Modbus TCP, unit 1"),
-        ("emulated-virtual", "virtual time, nothing moves"),
-        ("emulated-tcp", "Modbus TCP on this machine, unit 1, real time, nothing moves"),
+        ("emulated", "an emulated I/O block, Modbus RTU, unit 1, 115200 baud, virtual time, nothing moves"),
+        (
+            "emulated-realtime",
+            "behind a pseudo-terminal, Modbus RTU, unit 1, 115200 baud, real time, nothing moves",
+        ),
+        ("emulated-tcp", "an emulated I/O block, Modbus TCP, unit 1, virtual time, nothing moves"),
+        ("emulated-tcp-realtime", "on a port of this machine, Modbus TCP, unit 1, real time, nothing moves"),
     ],
 )
 def test_check_says_what_is_behind_the_port(port: str, words: str) -> None:
     assert words in preflight(example(daq={"port": port})).lines[0]
+
+
+def test_a_word_for_no_device_is_refused_and_the_old_one_for_virtual_time_named() -> None:
+    assert "emulated-tcp-realtime" in str(preflight(example(daq={"port": "emulated-udp"})).problems[0])
+    (problem,) = preflight(example(daq={"port": "emulated-virtual"})).problems
+    assert (problem.key, problem.hint) == ("daq.port", "it is `emulated` now")

@@ -304,3 +304,39 @@ def test_jog_recovers_inward_from_beyond_the_hard_limit_and_not_outward(outside_
         bench.loop.run(Constant(-inward, 0.8), "jog")
     assert bench.driver.bench.state.y == pytest.approx(outside_rad, abs=1e-6)
     assert PERIOD_S == 0.01
+
+
+def test_after_a_gap_the_velocity_is_of_the_readings_after_it() -> None:
+    window = VelocityWindow()
+    for k in range(6):
+        window.step(0.01 * k, 0.02 * k)
+    assert window.step(0.25, 0.5) == pytest.approx(2.0)  # until they tell it: the mean over the gap
+    window.step(0.26, 0.45)
+    assert window.step(0.27, 0.4) == pytest.approx(-5.0)
+
+
+def test_a_shaft_that_a_gap_made_too_fast_is_braked_and_is_a_fault_only_if_it_stays_so() -> None:
+    def after_gap(left: float) -> Guard:
+        """A gap in which the shaft has come to 9 rad/s; it keeps ``left`` of that from tick to tick."""
+        guard = Guard(replace(GUARD, free_rad_s=20.0, reaction_s=0.0, coast_tau_s=0.02))
+        guard.sign_proven = True
+        for k in range(6):
+            guard.allow(reading(0.01 * k, -1.5), 0.0)
+        y_rad, v_rad_s = -0.5, 9.0
+        for k in range(12):
+            u_V, flags = guard.allow(reading(0.2 + 0.01 * k, y_rad), 3.0)
+            if k in (3, 4):
+                assert u_V == -LIMITS.max_u_V and flags & FLAG_GUARD_BRAKED
+            y_rad, v_rad_s = y_rad + 0.01 * v_rad_s, left * v_rad_s
+        return guard
+
+    assert after_gap(0.95).fault is None
+    with pytest.raises(Fault, match="OVERSPEED"):
+        after_gap(1.0)
+
+
+def test_what_is_too_fast_without_a_gap_is_a_fault_at_once() -> None:
+    guard = Guard(GUARD)
+    with pytest.raises(Fault, match="OVERSPEED"):
+        for k in range(6):
+            guard.allow(reading(0.01 * k, -0.5 + 0.075 * k), 0.0)

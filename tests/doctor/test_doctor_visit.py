@@ -33,15 +33,17 @@ def test_a_machine_by_itself() -> None:
     assert {"kernel", "real time", "governor", "disk", "wake-up"} <= {f["topic"] for f in found}
 
 
-def test_virtual_time_has_nothing_to_measure() -> None:
-    done = doctor(ROOT / "config" / "simulated.yaml")
-    assert done.exit_code == 0
-    assert "virtual time" in done.stdout
+def test_virtual_time_has_nothing_to_measure_and_names_what_has() -> None:
+    for name, other in (("simulated", ""), ("demo", "emulated-realtime"), ("modbus-tcp", "emulated-tcp-realtime")):
+        done = doctor(ROOT / "config" / f"{name}.yaml")
+        assert done.exit_code == 0
+        assert "virtual time" in done.stdout
+        assert ("daq.port" in done.stdout) == bool(other) and other in done.stdout
 
 
 @pytest.mark.realtime
 def test_a_device_is_met_and_timed_but_not_armed(tmp_path: Path) -> None:
-    done = doctor(ROOT / "config" / "demo.yaml", "--json")
+    done = doctor(config_with(tmp_path, "demo.yaml", port="emulated-realtime"), "--json")
     found = {f["topic"]: f for f in json.loads(done.stdout)["findings"]}
     assert "host board" in found["device"]["words"]
     assert "exchanges" in found["round trip"]["words"]

@@ -130,14 +130,14 @@ def pressed_while_watched(monkeypatch: pytest.MonkeyPatch, for_s: float) -> None
 
 def test_a_device_that_latches_no_e_stop_is_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pressed_while_watched(monkeypatch, for_s=0.05)
-    path = short(tmp_path, "modbus-rtu.yaml", "emulated-virtual")
+    path = short(tmp_path, "modbus-rtu.yaml", "emulated")
     assert_ended_in_the_pause(rig("run", path, "--out", tmp_path / "runs", "--json"), "DEVICE_ESTOP")
 
 
 def test_a_power_cycle_of_a_block_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its status is off before and after; what it was told at the first arming is gone."""
     devices = in_the_pause(monkeypatch, VirtualIoBlock.power_cycle)
-    path = short(tmp_path, "modbus-rtu.yaml", "emulated-virtual")
+    path = short(tmp_path, "modbus-rtu.yaml", "emulated")
     assert_ended_in_the_pause(rig("run", path, "--out", tmp_path / "runs", "--json"), "DEVICE_RESET")
     assert not devices[0].truth().armed and devices[0].block.drive == 0.0
 

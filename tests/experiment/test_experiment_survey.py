@@ -192,7 +192,7 @@ def test_an_e_stop_in_a_sweep_ends_the_run_without_drive(tmp_path: Path, monkeyp
     config = yaml.safe_load((ROOT / "config/modbus-rtu.yaml").read_text(encoding="utf-8"))
     config.pop("tracking", None)
     config |= {"relay": {"gains": [{"h1_V": 0.42, "h2_V": 0.84}], "cycles": 6}, "survey": {"longest_s": 60}}
-    config["daq"]["port"] = "emulated-virtual"
+    config["daq"]["port"] = "emulated"
     path = tmp_path / "survey.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     monkeypatch.setattr(VirtualIoBlock, "__init__", made)

@@ -18,9 +18,7 @@ from campaign_real.departing_bench import DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench
 from campaign_real.kinds import KINDS, departures_of
 from rig import config
-from rig.backends.emulated.bench import bench_parameters
 from rig.backends.registry import Bench as OpenBench
-from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.simulated.backend import SIMULATED
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.campaign.grid import Draw, draw
@@ -40,7 +38,6 @@ from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
 from rig.recording.reader import read_run
 from rig.session import Session
-from rig.testing.line import on_device
 from stopping.in_memory import driven
 from stopping.rows import Asked, checked, row
 
@@ -285,23 +282,14 @@ def test_a_relay_test_whose_first_cycle_never_comes_ends_with_a_stuck_sensor(
     if not flickers:  # as an encoder: a reading that stays the same says nothing by itself
         monkeypatch.setattr(stages, "FLICKERS_LSB", math.inf)
     e = config.load(ROOT / "config/device-relay.yaml")
-    assert e.emulated is not None
-
-    def board_of(experiment: Experiment) -> VirtualBoard:
-        assert experiment.emulated is not None
-        return VirtualBoard(bench_parameters(experiment.emulated), experiment.seed)
-
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.15, h2_V=0.5),), cycles=5)
     e = e.model_copy(update={"relay": relay})
-    assert e.emulated is not None
-    with on_device(board_of):
-        check = read_run(rig.experiment.run_breakaway(e, tmp_path).folder)
+    check = read_run(rig.experiment.run_breakaway(e, tmp_path).folder)
     fails_s = float(check.t_s[-1])
     assert e.emulated is not None
     wires = e.emulated.wiring.model_copy(update={"sensor": "stuck", "fault_after_s": fails_s})
     e = e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wires})})
-    with on_device(board_of):
-        outcome = rig.experiment.run_relay(e, tmp_path)
+    outcome = rig.experiment.run_relay(e, tmp_path)
     run = read_run(outcome.folder)
     assert outcome.failure.startswith("SENSOR_STUCK"), outcome.failure
     rows = run.stage_rows("relay-1")

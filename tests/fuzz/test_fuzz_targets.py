@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from fuzz.targets import TARGETS
 
-INPUTS = {"identify": 100, "config": 300, "campaign-config": 300, "run-folder": 300, "replay": 60}
+INPUTS = {"identify": 100, "config": 300, "campaign-config": 300, "run-folder": 300, "replay": 60, "hostile-run": 40}
+INPUTS |= {"hostile-config": 40, "strict-json": 200}
 
 
 @pytest.mark.parametrize("name", TARGETS)

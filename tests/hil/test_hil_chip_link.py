@@ -20,6 +20,7 @@ from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import (
     FEATURE_LOOPBACK,
+    FEATURE_PULSE,
     FEATURE_STROKES,
     STATUS_ARMED,
     Code,
@@ -48,7 +49,7 @@ def test_it_introduces_itself(options: Variant, bridge: int) -> None:
     hello = ChipHost(VirtualChip(BENCH, options=options)).hello()
     assert hello.bridge == bridge
     assert (hello.board, hello.reset_words, hello.counts_max, hello.drive_full) == (2, "power-on", 1023, FULL)
-    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_LOOPBACK | FEATURE_STROKES
+    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_LOOPBACK | FEATURE_PULSE | FEATURE_STROKES
 
 
 @pytest.mark.parametrize("ppm", [-5000, 0, 4000])

@@ -105,6 +105,13 @@ DEFECTS = {
         "    if (core->armed) {\n        refuse(out, RIG_ZERO",
         "    if (false) {\n        refuse(out, RIG_ZERO",
     ),
+    "P13 a homing keeps the zero": ("rig_core.c", "core->has_zero = false; /* P13: whatever", "/* P13: whatever"),
+    "P13 a zero worked out from wrong counts": ("rig_core.c", "trouble != RIG_OK", "false"),
+    "P13 a still channel is no fault while disarmed": (
+        "rig_core.c",
+        "if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u)",
+        "if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u && core->armed)",
+    ),
     "P13 counts lost are no fault": ("rig_core.c", "(troubles & (unsigned)RIG_ENCODER_LOST) != 0u", "false"),
     "P13 a still channel is no fault": ("rig_core.c", "(troubles & (unsigned)RIG_ENCODER_STILL) != 0u", "false"),
     "P14 an e-stop that nobody has tried": ("rig_core.c", "!core->estop_tried", "false"),

@@ -18,7 +18,6 @@ from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, Virt
 import rig.experiment
 import rig.session
 from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
-from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.firmware_laws import FirmwareRelay
@@ -35,7 +34,7 @@ from rig.backends.serial.frames import (
     encode,
 )
 from rig.config import load
-from rig.config.schema import Experiment, RelayGainsSection, RelaySection
+from rig.config.schema import RelayGainsSection, RelaySection
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Constant
@@ -48,7 +47,6 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.recording.reader import read_run
-from rig.testing.line import on_device
 
 GAINS_V = (0.4, 0.85)
 RELAY = RelaySetup((-80, 30, -30, 80), 512 * 16, 5_000_000, 1, 10)
@@ -519,19 +517,11 @@ def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
 # ---------------------------------------------------------------------- the whole experiment, by one key
 
 
-def board_of(experiment: Experiment) -> VirtualBoard:
-    """The emulated board of a config, in virtual time."""
-    assert experiment.emulated is not None
-    bench, error_ppm = bench_parameters(experiment.emulated), experiment.emulated.clock_error_ppm
-    return VirtualBoard(bench, experiment.seed, clock_error_ppm=error_ppm)
-
-
 @pytest.mark.parametrize("where", ["host", "device"])
 def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.4, h2_V=0.85),), cycles=5)
-    with on_device(board_of):
-        outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
+    outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""
     recording = read_run(outcome.folder)
     rows = recording.stage_rows("relay-1")

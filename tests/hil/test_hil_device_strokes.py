@@ -17,7 +17,6 @@ from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, Virt
 
 import rig.experiment
 from rig.backends.driver import RelayRow, StrokeDriver, StrokesCommand, StrokeTimes
-from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.firmware_laws import FirmwareStrokes
@@ -35,7 +34,7 @@ from rig.backends.serial.frames import (
     encode,
 )
 from rig.config import load
-from rig.config.schema import Experiment, RelaySection, UntilSection
+from rig.config.schema import RelaySection, UntilSection
 from rig.control.bounded import Bounded
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Law, Rest
@@ -55,7 +54,6 @@ from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.results import ScriptCall
 from rig.session import record
-from rig.testing.line import on_device
 
 STROKES = StrokesSetup(((80, 600), (-90, 420), (60, 560), (-70, 470)), 2000, 2000, 5, 10)
 LEVELS_V = ((0.9, 0.35), (-1.0, -0.35), (0.8, 0.2), (-0.7, -0.2))  # drive, V; turning point, rad
@@ -430,13 +428,6 @@ def test_however_it_ends_the_pin_is_at_zero(end: str) -> None:
 # ---------------------------------------------------------------------- tests until the motor is known
 
 
-def board_of(experiment: Experiment) -> VirtualBoard:
-    """The emulated board of a config, in virtual time."""
-    assert experiment.emulated is not None
-    bench, error_ppm = bench_parameters(experiment.emulated), experiment.emulated.clock_error_ppm
-    return VirtualBoard(bench, experiment.seed, clock_error_ppm=error_ppm)
-
-
 class Scripted:
     """An adviser that gives designs at fixed times of the tests, whatever the rows say."""
 
@@ -478,8 +469,7 @@ def test_tests_that_are_designed_on_the_way_run_in_the_device_and_replay_tick_fo
     experiment = config.model_copy(update={"relay": relay})
     who = Scripted(IN_TURN)
     what = ScriptCall(name="relay", breakaway=BREAKAWAY_LAW)
-    with on_device(board_of):
-        outcome = record(experiment, tmp_path, what, lambda session: drive_until(session, advisers=who), None)
+    outcome = record(experiment, tmp_path, what, lambda session: drive_until(session, advisers=who), None)
     assert outcome.fault is None
     run = read_run(outcome.folder)
     tests = [stage for stage in run.stages() if stage.startswith(("strokes", "relay"))]
@@ -504,7 +494,7 @@ def test_old_firmware_is_refused_before_anything_is_driven(tmp_path: Path, monke
     relay = RelaySection(where="device", until=UntilSection(interval_percent=1.0))
     unpack = Hello.unpack
     monkeypatch.setattr(Hello, "unpack", lambda body: unpack(body)._replace(features=0))
-    with on_device(board_of), pytest.raises(Fault) as caught:
+    with pytest.raises(Fault) as caught:
         rig.experiment.run_relay(config.model_copy(update={"relay": relay}), tmp_path)
     assert caught.value.code == "CONFIG_MISMATCH" and "rig flash" in str(caught.value)
     assert not list(tmp_path.iterdir())

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,9 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from rig.backends.backend import Line
 from rig.backends.registry import connect
+from rig.backends.serial import opening
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.cli import main
@@ -23,6 +28,7 @@ from rig.faults import Fault
 from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.signals import Sample
+from rig.testing.line import lines_opened_by
 
 pytestmark = pytest.mark.long
 
@@ -30,6 +36,18 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config/encoder.yaml"
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 HOME = {"end": "high", "at_rad": 1.5, "u_V": 0.9}
+
+
+@contextmanager
+def standing(chip: VirtualChip) -> Iterator[None]:
+    """Commands open this chip, as a board that has been on all the time, and no hand but `rig home` sets its zero."""
+    with (
+        lines_opened_by(lambda _, e: nullcontext(Line(chip, chip, "chip", emulated=True))),
+        pytest.MonkeyPatch.context() as m,
+    ):
+        m.setattr(opening, "_by_hand", lambda e, line: None)
+        m.setattr(chip, "close", lambda: None)
+        yield
 
 
 def changed(folder: Path, **sections: dict[str, Any] | None) -> Path:
@@ -184,9 +202,12 @@ def _opens(which: Contact, duration_s: float, chip: VirtualChip) -> None:
         (0.0, lambda chip: chip.reset(2), "DEVICE_RESET", ""),
         (0.0, lambda chip: chip.rewire(sensor="still"), "DEVICE_ENCODER_STILL", ""),
         (0.0, lambda chip: chip.rewire(sensor="jumped"), "DEVICE_ENCODER_LOST", ""),
+        (0.0, lambda _: os.kill(os.getpid(), signal.SIGTERM), "INTERRUPTED", ""),
+        (0.0, lambda _: os.kill(os.getpid(), signal.SIGINT), "INTERRUPTED", ""),
+        (0.0, lambda chip: chip.sleep_until(chip.now_s() + 0.3), "DEVICE_WATCHDOG", ""),  # as after kill -9
     ],
 )
-def test_a_homing_that_goes_wrong_sets_no_zero(
+def test_a_homing_that_goes_wrong_leaves_no_zero(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     at_rad: float,
@@ -194,6 +215,7 @@ def test_a_homing_that_goes_wrong_sets_no_zero(
     code: str,
     words: str,
 ) -> None:
+    """Not the one of before, either, which may be wrong: the next command is refused, and the drive stays at 0."""
     encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
     motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.7}
     path = changed(
@@ -203,6 +225,7 @@ def test_a_homing_that_goes_wrong_sets_no_zero(
     with connect(experiment) as bench:
         chip, driver = bench.clock, bench.driver
         assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
+        driver.set_zero(chip.truth().y_rad - 1.2)
         read, acts, zeros = driver.read, [act], list[float]()
 
         def read_and_act() -> Sample:
@@ -217,7 +240,78 @@ def test_a_homing_that_goes_wrong_sets_no_zero(
         chip.sleep_until(chip.now_s() + 0.2)
         assert not acts and not zeros
         assert chip.truth().pin_V == 0.0
+        chip.rewire()
+        with standing(chip), connect(experiment) as again, pytest.raises(Fault) as refused:
+            again.driver.arm(experiment.device_limits)
+        assert chip.truth().pin_V == 0.0
     assert failed.value.code == code and words in str(failed.value), failed.value
+    assert refused.value.code == "DEVICE_NO_ZERO"
+
+
+def test_a_homing_that_ends_before_it_arms_leaves_no_zero(tmp_path: Path) -> None:
+    """The e-stop is pressed, or the link dies, before anything moves."""
+    path = changed(tmp_path, sensor={"encoder": {"counts_per_turn": 64, "gear": 50, "home": HOME}})
+    experiment = load(path)
+    with connect(experiment) as bench:
+        chip, driver = bench.clock, bench.driver
+        assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
+        chip.contact("e_stop", is_open=True)
+        chip.sleep_until(chip.now_s() + 0.01)
+        with pytest.raises(Fault) as failed:
+            zero.find_by_switch(experiment, bench)
+        assert failed.value.code == "DEVICE_ESTOP"
+        chip.contact("e_stop", is_open=False)
+        with standing(chip), connect(experiment) as again, pytest.raises(Fault) as refused:
+            assert any("rig home" in remark for remark in again.info.remarks)
+            again.driver.arm(experiment.device_limits)
+    assert refused.value.code == "DEVICE_NO_ZERO"
+
+
+def test_by_hand_the_zero_is_forgotten_before_the_hand_turns_the_shaft(tmp_path: Path) -> None:
+    """Whoever is not sure and gives up at the prompt is left without a zero."""
+    experiment = load(CONFIG)
+    with connect(experiment) as bench:
+        chip = bench.clock
+        assert isinstance(chip, VirtualChip)
+        with standing(chip):
+            given_up = CliRunner().invoke(main, ["home", str(CONFIG)], input="")
+            assert given_up.exit_code == 1 and "press Enter" in given_up.output
+            outcome = CliRunner().invoke(main, ["run", str(CONFIG), "--out", str(tmp_path), "--json"])
+            assert json.loads(outcome.stdout)["faults"][0]["code"] == "DEVICE_NO_ZERO"
+            assert CliRunner().invoke(main, ["home", str(CONFIG), "--at-rad", "0.2"], input="\n").exit_code == 0
+            with connect(experiment) as again:
+                assert not again.info.remarks
+                again.driver.arm(experiment.device_limits)
+                assert again.driver.read().y_rad == pytest.approx(0.2, abs=math.tau / 3200)
+
+
+def test_a_zero_that_the_encoder_loses_at_once_is_none(tmp_path: Path) -> None:
+    """A wire is loose while `rig home` talks to the device: it says so, instead of "zero is set"."""
+    experiment = load(CONFIG)
+    with connect(experiment) as bench:
+        chip = bench.clock
+        assert isinstance(chip, VirtualChip)
+        with standing(chip), connect(experiment) as again:
+            driver = again.driver
+            assert isinstance(driver, SerialDriver)
+            driver.forget_zero()
+            chip.rewire(sensor="still")
+            chip.place(0.4)
+            chip.sleep_until(chip.now_s() + 0.1)
+            with pytest.raises(Fault) as failed:
+                driver.set_zero(0.4)
+        assert failed.value.code == "DEVICE_ENCODER_STILL"
+        chip.rewire()
+        with standing(chip):
+            result = CliRunner().invoke(main, ["run", str(CONFIG), "--out", str(tmp_path), "--json"])
+        assert json.loads(result.stdout)["faults"][0]["code"] == "DEVICE_NO_ZERO"
+        assert "trembled on an edge" in result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(("gear", "unseen"), [(50, "0.13 rad"), (20, "0.32 rad")])
+def test_rig_check_says_how_far_a_loose_channel_goes_unseen(tmp_path: Path, gear: int, unseen: str) -> None:
+    path = changed(tmp_path, sensor={"encoder": {"counts_per_turn": 64, "gear": gear}})
+    assert f"one loose channel is seen after {unseen}" in CliRunner().invoke(main, ["check", str(path)]).output
 
 
 def test_by_hand_the_shaft_stands_where_the_hand_says() -> None:

@@ -22,6 +22,7 @@ from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import (
     FEATURE_LOOPBACK,
+    FEATURE_PULSE,
     FEATURE_STROKES,
     STATUS_ARMED,
     STATUS_LAW,
@@ -62,7 +63,7 @@ def test_it_introduces_itself(options: Variant, bridge: int) -> None:
         assert (
             hello.drive_full == PICO_FULL
             and hello.build_text.startswith("pico ")
-            and hello.features == FEATURE_LOOPBACK | FEATURE_STROKES
+            and hello.features == FEATURE_LOOPBACK | FEATURE_PULSE | FEATURE_STROKES
         )
 
 

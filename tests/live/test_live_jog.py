@@ -1,7 +1,8 @@
-"""`rig jog --leased`, as a panel uses it: in real time on the emulated board, and its record replayed."""
+"""`rig jog --leased`, as a panel uses it: in real time, and paced, on the emulated board, and its record replayed."""
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 import time
@@ -28,8 +29,12 @@ def await_(view: LiveView, what: Callable[[Snapshot], bool], process: subprocess
 
 
 @pytest.mark.realtime
-def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_gone(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "rig", "jog", str(ROOT / "config/demo.yaml"), "--leased", "--out", str(tmp_path)]
+@pytest.mark.parametrize("port", ["emulated", "emulated-realtime"])
+def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_gone(tmp_path: Path, port: str) -> None:
+    config = tmp_path / "bench.yaml"
+    text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")
+    config.write_text(text.replace("port: emulated ", f"port: {port} "), encoding="utf-8")
+    command = [sys.executable, "-m", "rig", "jog", str(config), "--leased", "--pace", "1", "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not (found := list(tmp_path.glob(f"*/{NAME}"))):
             assert process.poll() is None, process.communicate()
@@ -44,7 +49,9 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
         # no more renewed: as from a panel that was killed, frozen or cut off
         seen = await_(view, lambda seen: seen.rows[-1].u_V == 0.0 and any(row.u_V for row in seen.rows), process)
         assert seen.runner is not None and seen.command == "jog"
-        assert max(row.t_s for row in seen.rows if row.u_V != 0.0) + seen.runner.zero_s <= 1e-9 * last.expires_ns
+        driven_s = max(row.t_s for row in seen.rows if row.u_V != 0.0)
+        assert (port == "emulated") == math.isnan(seen.runner.zero_s)
+        assert math.isnan(seen.runner.zero_s) or driven_s + seen.runner.zero_s <= 1e-9 * last.expires_ns
         leaser.drive(-0.6)
         await_(view, lambda seen: seen.rows[-1].u_V < 0.0, process)
         leaser.end()
@@ -61,6 +68,7 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
     ("config", "given", "words"),
     [
         ("simulated.yaml", ["--leased"], "a lease runs out in real time"),
+        ("demo.yaml", ["--leased"], "--pace 1"),
         ("simulated.yaml", ["--leased", "--u-V", "0.5"], "either --u-V or --leased"),
         ("simulated.yaml", [], "either --u-V or --leased"),
         ("simulated.yaml", ["--u-V", "0.5", "--seconds", "6"], "--seconds 6 is too long"),

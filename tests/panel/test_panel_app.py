@@ -20,11 +20,11 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
 from rig.live.born import born
+from rig.live.own_folder import NAME
 from rig.live.running import Running, Seen
 from rig.live.stop_flag import Runner, StopFlag
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
-from rig.panel.attendance import FOLDER
 from rig.panel.bench import StopAnswer
 from rig.panel.processes import StartedProcess
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
@@ -189,7 +189,7 @@ def test_what_others_wrote_into_the_folder_of_runs_hides_none_of_the_rest(tmp_pa
     with TestClient(app, base_url="http://127.0.0.1:8470", headers=ORIGIN) as client:
         rows = client.get("/api/runs").json()["runs"]
         assert [row["name"] for row in rows] == odd[::-1]
-        assert "too large" in rows[0]["notes"][0]
+        assert "larger than" in rows[0]["notes"][0]
         for name in (
             *unseen,
             "20260112T000000Z-" + "\u0416" * 180,
@@ -407,11 +407,11 @@ def test_each_page_knows_who_drives_and_only_that_one_jogs(watcher: TestClient, 
 
 def test_a_page_is_told_what_a_start_says_that_takes_long(tmp_path: Path) -> None:
     """As the first one after an installation, which compiles the motor's model."""
-    folder = tmp_path / FOLDER
+    folder = tmp_path / NAME
     folder.mkdir()
     note = {"command": "run", "pid": os.getpid(), "born": born(os.getpid())}
-    (folder / "one.json").write_text(json.dumps(note))
-    (folder / "one.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
+    (folder / f"{'1' * 16}.json").write_text(json.dumps(note))
+    (folder / f"{'1' * 16}.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
     watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch
     watch.look()
     (told,) = map(json.loads, Follower(0, _operator=True).due(watch.scene, operator=True, now_s=1.0))
@@ -424,7 +424,7 @@ def test_only_a_command_without_a_run_folder_did_not_start(tmp_path: Path, began
     panel = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path)
     child = subprocess.Popen(["false"])
     child.wait()
-    started = StartedProcess(tmp_path / "one.json", "run", child.pid, "", child)
+    started = StartedProcess(tmp_path, "one.json", "run", child.pid, "", child)
     started.has_folder = began
     panel.bench._started.append(started)
     panel.watch.look()

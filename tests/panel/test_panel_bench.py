@@ -19,13 +19,13 @@ import pytest
 from processes import PATIENCE_S
 
 from rig.live.born import born
+from rig.live.own_folder import NAME
 from rig.live.running import Running, running
 from rig.live.stop_flag import Runner, StopFlag
 from rig.panel import bench as module
 from rig.panel import processes
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel
-from rig.panel.attendance import FOLDER
 from rig.panel.bench import HOLD_ENDS_S, Bench, StopAnswer
 from rig.panel.errors import RefusedError
 from rig.panel.processes import StartedProcess
@@ -52,7 +52,7 @@ def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
 
     def start(out: Path, command: str, arguments: object) -> StartedProcess:
         started.append(command)
-        return StartedProcess(tmp_path / "note.json", command, 1, "", None)
+        return StartedProcess(tmp_path, "note.json", command, 1, "", None)
 
     monkeypatch.setattr(module, "answer_of", answer_of)
     monkeypatch.setattr("rig.panel.processes.start", start)
@@ -145,11 +145,11 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
 def test_what_another_panel_starts_is_known_here_stopped_here_and_cleaned_up_there(tmp_path: Path) -> None:
     """Else a Stop on a second panel would miss a run whose device is being opened, and a start would be another."""
     bench = Bench(None, tmp_path)
-    (tmp_path / FOLDER).mkdir()
-    note = tmp_path / FOLDER / "one.json"
+    (tmp_path / NAME).mkdir()
+    note = tmp_path / NAME / f"{'1' * 16}.json"
     with subprocess.Popen(["sleep", "60"]) as other:
         note.write_text(json.dumps({"command": "run", "pid": other.pid, "born": born(other.pid)}))
-        (tmp_path / FOLDER / "torn.json").write_text('{"command": "run", "p')
+        (tmp_path / NAME / f"{'2' * 16}.json").write_text('{"command": "run", "p')
         bench.look()
         bench.look()
         assert [one.pid for one in bench.opening] == [other.pid]
@@ -278,6 +278,40 @@ def test_one_of_two_runs_that_never_confirms_0_V_is_not_outdone_by_the_other(tmp
         assert [at_zero for _, at_zero, _ in bench.look()] == [False]
 
 
+@pytest.mark.parametrize("file", ["samples.csv", "events.jsonl"])
+def test_a_run_that_cannot_be_read_hides_no_other_one_and_its_stop_is_still_watched(tmp_path: Path, file: str) -> None:
+    """Whatever stands in place of its files: the pages hear of it once, and of the Stop of the other one as ever."""
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "a", "b")
+        watch = bench.panel.watch
+        watch.look()
+        assert watch.scene.run is not None and watch.scene.run.endswith("b")
+        broken = tmp_path / watch.scene.run / file
+        broken.unlink(missing_ok=True)
+        os.mkfifo(broken)
+        bench.stop()
+        bench.event("a", kind="stop", confirmed=True)
+        for _ in range(3):
+            watch.look()
+        told = [news["what"] for _, news in watch.scene.news if news["type"] == "trouble"]
+        assert len(told) == 1 and file in told[0] and "is a pipe" in told[0]
+        assert not any("run-a" in str(asked) for asked in watch._asked), "the other one's Stop was watched to its end"
+
+
+def test_a_view_that_fails_says_so_and_ends_no_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A defect of ours in reading one run: the last wall before all pages go blind."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise OverflowError("cannot convert")
+
+    with ExitStack() as stack:
+        bench = Stopped(tmp_path, stack, "a")
+        monkeypatch.setattr("rig.live.view.LiveView.read", fails)
+        bench.panel.watch.look()
+        [(_, told)] = bench.panel.watch.scene.news
+        assert "cannot be shown (OverflowError: cannot convert)" in told["what"]
+
+
 def test_a_stop_of_a_run_that_is_not_there_says_so(tmp_path: Path) -> None:
     with ExitStack() as stack:
         bench = Stopped(tmp_path, stack, "goes")
@@ -293,9 +327,9 @@ def test_two_panels_of_one_folder_do_not_both_start(tmp_path: Path, monkeypatch:
         time.sleep(0.2)  # the other one looks now, if it may
         child = subprocess.Popen(["sleep", "60"])
         begun.append(child)
-        note = out / FOLDER / f"{child.pid}.json"
-        note.write_text(json.dumps({"command": command, "pid": child.pid, "born": born(child.pid)}))
-        return StartedProcess(note, command, child.pid, born(child.pid), child)
+        note = f"{child.pid:016x}.json"
+        (out / NAME / note).write_text(json.dumps({"command": command, "pid": child.pid, "born": born(child.pid)}))
+        return StartedProcess(out, note, command, child.pid, born(child.pid), child)
 
     monkeypatch.setattr("rig.panel.bench.processes.start", start)
     benches = [Bench(None, tmp_path), Bench(None, tmp_path)]

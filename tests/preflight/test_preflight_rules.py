@@ -173,9 +173,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "watchdog too short": (
         {"daq__watchdog_s": 0.025, "daq__timeout_s": 0.01},
         "daq.watchdog_s",
-        "must be 3 to 10 periods of 0.01 s, not 2.5",
+        "must be 3 periods of 0.01 s at least, and 0.5 s at most, not 0.025 s",
     ),
-    "watchdog too long": ({"daq__watchdog_s": 0.105}, "daq.watchdog_s", "not 10.5"),
+    "watchdog too long": ({"daq__watchdog_s": 0.505}, "daq.watchdog_s", "not 0.505 s"),
     "time-out beyond the watchdog": (
         {"daq__timeout_s": 0.05, "daq__watchdog_s": 0.05},
         "daq.timeout_s",
@@ -572,8 +572,10 @@ def test_the_bridge_is_for_real_serial_ports_alone() -> None:
     (problem,) = preflight(experiment(daq__port="/dev/ttyACM0", daq__adapter="none")).problems
     for words in ("pwm-dir", "in1-in2", "label", "rig doctor"):
         assert words in problem.hint
-    for port in ("emulated", "emulated-chip", "emulated-chip-realtime"):
+    for port in ("emulated", "emulated-realtime", "emulated-chip", "emulated-chip-realtime"):
         assert preflight(experiment(daq__port=port)).problems == ()
+    (problem,) = preflight(experiment(daq__port="emulated-real-time")).problems
+    assert problem.key == "daq.port" and "emulated-realtime" in problem.hint
     assert [p.key for p in preflight(experiment(daq__port="tcp://10.0.0.1")).problems if "bridge" in p.key] == []
 
 

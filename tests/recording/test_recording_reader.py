@@ -266,7 +266,7 @@ def test_a_broken_file_is_an_error_with_line_and_cure(
 def test_things_that_are_no_file(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="is not there"):
         read(tmp_path / "gone.csv")
-    with pytest.raises(RecordingError, match="is not a file"):
+    with pytest.raises(RecordingError, match="not a file"):
         read(Path("/dev/zero"))
     with pytest.raises(RecordingError, match="is not there"):
         read(Path("a\0b"))
@@ -290,7 +290,7 @@ def test_a_huge_file_is_refused_without_being_parsed(tmp_path: Path) -> None:
     ("name", "text", "line"),
     [
         ("meta.json", '{\n"a": nan}', 2),
-        ("meta.json", '{"a": NaN}', None),
+        ("meta.json", '{"a": NaN}', 1),
         ("meta.json", "[1]", None),
         ("meta.json", "[" * 100_000, None),
         ("events.jsonl", '{"a": 1}\nbroken\n', 2),

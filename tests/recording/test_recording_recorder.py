@@ -30,7 +30,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.sink import JsonScalar
-from rig.recording.writer import KeptRoom, Writer
+from rig.recording.writer import AppendOnlyFile, KeptRoom, Writer
 from rig.signals import Sample
 
 STAGES = ("breakaway", "relay-1", "track:sampled-data")
@@ -325,10 +325,37 @@ def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path
     assert "torn" in run.notes[0]
 
 
-def test_a_disk_full_from_the_start_is_reported_before_anything_moves(tmp_path: Path) -> None:
-    (tmp_path / "samples.csv").symlink_to("/dev/full")
-    with pytest.raises(Fault, match=r"RECORDER_DEAD.*No space left on device"):
-        Recorder(tmp_path, STAGES)
+def test_a_disk_full_from_the_start_is_reported_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The writer itself: its words are what the recorder's fault quotes."""
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    descriptor = layout.create_file(layout.size_of(64, 4096))
+    shared = layout.SharedMemory(descriptor, 64, 4096)
+    writer = Writer(shared, tmp_path, ["relay-1"])
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match=r"No space left on device.*samples\.csv"):
+        writer.resume()
+    shared.close()
+    os.close(descriptor)
+
+
+@pytest.mark.parametrize(("put", "said"), [(Path.symlink_to, "is a link"), (Path.hardlink_to, "has another name")])
+def test_nothing_is_recorded_into_what_only_has_the_name(
+    tmp_path: Path, put: Callable[[Path, Path], None], said: str
+) -> None:
+    """A folder of runs may be one that others write in, too: the writer itself looks, when it opens."""
+    victim = tmp_path / "victim"
+    victim.write_text("precious, and no line end")
+    for name in ("samples.csv", "events.jsonl"):
+        put(tmp_path / name, victim)
+        with pytest.raises(OSError, match=said) as told:
+            AppendOnlyFile(tmp_path / name)
+        assert told.value.filename == str(tmp_path / name)
+    assert victim.read_text() == "precious, and no line end"
 
 
 def test_what_comes_until_the_loop_has_ended_fits_on_a_full_disk(tmp_path: Path) -> None:

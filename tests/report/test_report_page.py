@@ -288,10 +288,10 @@ def test_broken_small_files_are_said(run: Path) -> None:
     (run / "config.yaml").write_text("a: [")
     (run / "events.jsonl").write_text('{"t_s": 0.1, "kind": "stage"}\n{"t_s"')
     words = page_of(run).words
-    assert "result.json cannot be read" in words
-    assert "meta.json does not hold an object" in words
-    assert "config.yaml is no valid YAML" in words
-    assert "events.jsonl: 1 line(s) are torn or broken" in words
+    assert "result.json (line 1) is broken JSON" in words
+    assert "meta.json is no JSON object" in words
+    assert "config.yaml:1:5: not valid YAML" in words
+    assert "events.jsonl: line 2, the last, is torn and was left out" in words
 
 
 def test_a_fault_is_on_top_with_cause_and_cure(run: Path) -> None:

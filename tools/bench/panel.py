@@ -69,7 +69,8 @@ class Panel:
     def __init__(self, folder: Path) -> None:
         self.out = folder / "runs"
         config = folder / "bench.yaml"
-        config.write_text((CONFIG / "demo.yaml").read_text(encoding="utf-8").replace(UNTIL, GAINS), encoding="utf-8")
+        text = (CONFIG / "demo.yaml").read_text(encoding="utf-8").replace("port: emulated ", "port: emulated-realtime ")
+        config.write_text(text.replace(UNTIL, GAINS), encoding="utf-8")
         command = [sys.executable, "-m", "rig", "panel", str(config), "--out", str(self.out), "--port", "0"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
         assert self.process.stdout is not None

@@ -24,6 +24,7 @@ from bench.benchmark import options, tell
 from bench.wake_up import cores, fifo_is_allowed
 from rig.backends.backend import truth_of
 from rig.backends.clock import MonotonicClock
+from rig.backends.emulated import words
 from rig.backends.registry import Bench, connect
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config import Experiment, load
@@ -106,9 +107,10 @@ class NoGuard(Guard):
 
 @contextmanager
 def in_real_time(experiment: Experiment) -> Iterator[Bench]:
-    """The bench of the config; a simulated one in real time, too."""
+    """The bench of the config in real time, a simulated one, too."""
     if experiment.daq.driver != "simulated":
-        with connect(experiment) as bench:
+        daq = experiment.daq.model_copy(update={"port": words.in_real_time(experiment.daq.port or "")})
+        with connect(experiment.model_copy(update={"daq": daq})) as bench:
             yield bench
         return
     truth = truth_of(experiment)

@@ -9,7 +9,7 @@ import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from faults import damage, host
+from faults import damage, host, strangers
 from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
@@ -25,6 +25,8 @@ _SHORTEST_ROW = 60  # bytes, in samples.csv
 _TICK_S = 0.005  # less than any period
 THROWN_RAD_S = 5.0
 PUSH_RAD_S = 1.0
+HAND_RAD = 1.2  # that a hand turns the shaft before the run
+HAND_RAD_S = 5.0
 OFF_RAD = 0.03  # that the sensor may be off
 MOMENT_S = 0.1  # what is shorter may pass unseen on a device that has to be looked at (``rig.session``)
 
@@ -35,6 +37,7 @@ NUMBERS: Mapping[str, float] = {
     "moment_ms": 1e3 * MOMENT_S,
     "thrown_rad_s": THROWN_RAD_S,
     "push_rad_s": PUSH_RAD_S,
+    "hand_rad": HAND_RAD,
 }
 
 
@@ -159,6 +162,24 @@ def _moment(act: Act, undo: Act) -> Act:
     return both
 
 
+def _turned_while(wiring: str) -> Act:
+    """Before the run a hand turns the shaft while the encoder is wired so; then it makes contact again."""
+
+    def act(injector: FaultInjector) -> None:
+        device = injector.device
+        from_rad = device.truth().y_rad
+        device.rewire(sensor=wiring)
+        side = -1.0 if from_rad > 0.0 else 1.0
+        device.place(from_rad, side * HAND_RAD_S)
+        injector.watch(HAND_RAD / HAND_RAD_S)
+        device.place(from_rad + side * HAND_RAD, 0.0)
+        injector.watch(0.1)
+        device.rewire()
+        injector.watch(0.1)
+
+    return act
+
+
 def _too_fast(injector: FaultInjector) -> None:
     """What no shaft does, but a wire that picks up the motor's noise: more edges than the chip counts."""
     injector.device.place(injector.device.truth().y_rad, injector.rng.choice((-1, 1)) * injector.too_fast_rad_s)
@@ -248,6 +269,9 @@ ACTS: Mapping[str, Act] = {
     "encoder: both channels at once": _rewire(sensor="jumped"),
     "encoder: one channel stands still": _rewire(sensor="still"),
     "encoder: edges too fast": _too_fast,
+    "encoder: one channel loose before the run": _turned_while("still"),
+    "encoder: plug out before the run": _turned_while("stuck"),
+    "encoder: a homing that failed": lambda injector: injector.home_in_vain(),
     "drive stuck on": _rewire(drive="stuck_on"),
     "drive reversed": _rewire(drive="reversed"),
     "drive dead": _rewire(drive="dead"),
@@ -267,6 +291,7 @@ ACTS: Mapping[str, Act] = {
     "folder unwritable, in the run": _close_folder,
     "recorder killed": host.kill_recorder,
     "config changed in the run": _change_config,
+    **strangers.ACTS,
     "network dead": _network(to_host=math.inf, to_device=math.inf),
 }
 

@@ -386,13 +386,13 @@ def _modbus_daq(name: str, port: str) -> dict[str, Any]:
 
 
 def _separate() -> dict[str, Any]:
-    daq = _modbus_daq("modbus-rtu.yaml", "emulated-virtual")
+    daq = _modbus_daq("modbus-rtu.yaml", "emulated")
     return daq | {"modbus": daq["modbus"] | {"requests": "separate"}}
 
 
 def _bare() -> dict[str, Any]:
     """The block's registers without limits, rails, largest drive, status and control of its own."""
-    daq = _modbus_daq("modbus-rtu.yaml", "emulated-virtual")
+    daq = _modbus_daq("modbus-rtu.yaml", "emulated")
     kept = {name: daq["modbus"]["registers"][name] for name in ("drive", "sequence", "watchdog", "position")}
     return daq | {"modbus": daq["modbus"] | {"registers": kept}}
 
@@ -456,12 +456,12 @@ MODBUS = Backend(
     "modbus",
     "the Modbus I/O block",
     ("modbus", "rtu", "fc23"),
-    {"daq": _modbus_daq("modbus-rtu.yaml", "emulated-virtual")},
+    {"daq": _modbus_daq("modbus-rtu.yaml", "emulated")},
     _modbus_stop_s,
     math.nan,
     lambda e: InjectableBlock(emulated_io_block(e)),
     _block_language,
-    _through_injector("emulated-virtual"),
+    _through_injector("emulated"),
 )
 _IN_DEVICE = (
     "`relay.where: device`, 115200 baud, largest speed 4.6 rad/s ([device-relay.md](device-relay.md)). The rows come\n"

@@ -36,11 +36,11 @@ from faults.fork import fork
 from faults.injector import FaultInjector
 from faults.language import ASKED
 from faults.patient import PatientRecorder
-from faults.rows import Row
+from faults.rows import RUNS_ON, Row
 from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, Course, Stage
 from rig import experiment as script
 from rig.cli import main
-from rig.config.schema import Experiment
+from rig.config.schema import Experiment, HomeSwitch
 from rig.experiment import zero
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
@@ -55,6 +55,8 @@ SETTLE_S = 1.5  # after the run: the watchdog acts, the shaft stops
 PAUSE_S = 0.5  # that a pause takes where nothing happens in it, and virtual time would stand still
 UNJUDGED_S = 1.5  # of the end of tracking: what goes wrong then need not show any more
 TOO_FAST_EDGES_S = 60e3  # half as many again as an Uno counts
+WRONG_RAD = 1.2  # an encoder's zero, of before a homing that fails
+_HOMING_V = 0.9
 START_RAD = 0.5  # farthest from the centre that a run starts at where there is no cycle yet
 
 
@@ -175,6 +177,29 @@ def home(injector: FaultInjector, backend: Backend, experiment: Experiment) -> N
     injector.forget()
 
 
+def _home_in_vain(injector: FaultInjector, backend: Backend, experiment: Experiment) -> None:
+    """`rig home` to an end switch, where there is none: it fails. The zero of before is wrong."""
+    encoder = experiment.sensor.encoder
+    if encoder is None:
+        raise ValueError("no encoder")
+    end = HomeSwitch(end="high", at_rad=experiment.limits.soft_rad[1], u_V=_HOMING_V)
+    driven = experiment.model_copy(
+        update={"sensor": experiment.sensor.model_copy(update={"encoder": encoder.model_copy(update={"home": end})})}
+    )
+    with _opened(injector, backend):
+        zero.by_hand(experiment, injector.device.truth().y_rad - WRONG_RAD)
+        try:
+            zero.by_switch(driven)
+        except Fault as fault:
+            if fault.code not in ("NO_MOTION", "NOT_HOME"):
+                raise
+        else:
+            raise RuntimeError("a homing without a switch ended well")
+    injector.device.place(START_RAD)
+    injector.watch(0.1)
+    injector.forget()
+
+
 def merged(config: dict[str, Any], emulated: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """The config with changes of its section ``emulated``."""
     new = copy.deepcopy(config)
@@ -195,6 +220,7 @@ def new_injector(backend: Backend, config: dict[str, Any], folder: Path, seed: i
     if backend.has_encoder:
         injector.too_fast_rad_s = TOO_FAST_EDGES_S * abs(experiment.sensor.curve.lsb_rad)
         home(injector, backend, experiment)
+        injector.home_in_vain = partial(_home_in_vain, injector, backend, experiment)
     return injector, experiment
 
 
@@ -415,7 +441,7 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
         yield f"{shown} ({'' if run.fault is None else run.fault['detail']})"
     if found.status not in (row.status or (int(found.code != ""),)):
         yield f"exit status {found.status} with {shown}: {run.output[-300:]}"
-    if row.early and any(kind_of(name) is StageKind.RELAY for name in run.stages):
+    if row.early and row.codes != (RUNS_ON,) and any(kind_of(name) is StageKind.RELAY for name in run.stages):
         yield "a relay ran"
     if row.same and _decided(run.rows) != _decided(undisturbed(backend, stage.course).rows):
         yield "the recording differs"

@@ -68,6 +68,7 @@ class FaultInjector:
         self.spare_s = 0.0  # of the time-out, beside the exchange
         self.hangs: tuple[str, ...] = ()  # what of the device's program may stand still, by name
         self.too_fast_rad_s = math.nan  # of a shaft whose encoder makes more edges than the chip counts
+        self.home_in_vain: Callable[[], None] = lambda: None  # a `rig home` that fails
         self.to_undo: list[Callable[[], None]] = []
         self.written: Callable[[], None] = lambda: None  # waits until the recorder has written everything
         self.push: Callable[[], None] | None = None  # on the shaft, from the fault on

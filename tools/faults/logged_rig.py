@@ -19,6 +19,7 @@ from unittest.mock import patch
 
 import rig.session
 from rig.backends.backend import Line, LineBackend
+from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Transport
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
@@ -114,6 +115,9 @@ def run(log: str, word: str, arguments: list[str]) -> None:
     @contextmanager
     def opened(backend: LineBackend, experiment: Experiment) -> Iterator[Line]:
         with backend.line(experiment) as line:
+            if not isinstance(line.clock, MonotonicClock):  # in virtual time: no wire of this machine
+                yield line
+                return
             yield line._replace(transport=FaultyLink(line.transport, fault))
 
     with lines_opened_by(opened), patch.object(rig.session, "write_report", lambda *_: None):

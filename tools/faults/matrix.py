@@ -54,7 +54,8 @@ def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
     all that may happen while it is disarmed or armed again, since its requests differ then from those of a tick.
     """
     is_own = any(trait in ("encoder", "pico") for trait in (*row.only, *row.other))
-    if (backend in (CHIP_STROKES, PICO, PICO_ENCODER) and is_alike(row)) or (backend is PICO_ENCODER and not is_own):
+    is_for_one = is_alike(row) and "encoder" not in row.only
+    if (backend in (CHIP_STROKES, PICO, PICO_ENCODER) and is_for_one) or (backend is PICO_ENCODER and not is_own):
         stages: tuple[Stage, ...] = ()
     elif row.early:
         stages = (START,)

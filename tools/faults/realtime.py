@@ -1,5 +1,7 @@
 """What may happen to host and link, in real time: `rig relay` as a process of its own, each device as another.
 
+And to the whole machine: there the device in virtual time, which is no process, is tried too, at the pace of the clock.
+
 The drive is that of the device's own trace. A shared machine is late now and then: by as much as the device missed its
 ticks, and the loop its, in that run, a bound is longer. The chip and the I/O block catch up with ticks that they
 missed, in their own time; of these it is by how much the longest exchange took more than it should.
@@ -57,6 +59,8 @@ class RealDevice:
     told     keys of the samples in what its host has received; ``apart``: least distance between two of them
     between  of these, how many fall between the breakaway check and the relay test, and are no rows
     is_bare  it holds its last drive for ever: what only a watchdog stops is not tried on it
+    name     in the table; "": that of its backend
+    options  of the command
     """
 
     backend: Backend
@@ -68,11 +72,18 @@ class RealDevice:
     between: int
     is_kept: bool = False
     is_bare: bool = False
+    name: str = ""
+    options: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
-        """Of its backend."""
-        return self.backend.key
+        """Its name in the table."""
+        return self.name or self.backend.key
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether it is no process: it has no trace but the rows, and no link on which a sample could be lost."""
+        return bool(self.options)
 
 
 @dataclass(frozen=True)
@@ -80,7 +91,7 @@ class Case:
     """What an act gets: the host's process, the device's, and the file that says what happens to the link."""
 
     host: subprocess.Popen[str]
-    device: BoardProcess
+    device: BoardProcess | None
     link_fault: Path
 
 
@@ -135,10 +146,38 @@ def _send(number: signal.Signals) -> Callable[[Case], None]:
     return lambda case: case.host.send_signal(number)
 
 
+def _reset(case: Case) -> None:
+    assert case.device is not None
+    case.device.reset()
+
+
 def _freeze(case: Case) -> None:
     case.host.send_signal(signal.SIGSTOP)
     time.sleep(FREEZE_S)
     case.host.send_signal(signal.SIGCONT)
+
+
+def _stand_still(for_s: float) -> Callable[[Case], None]:
+    """The whole machine: all processes of host and device, together."""
+
+    def act(case: Case) -> None:
+        stopped = [case.host.pid, *_children(case.host.pid), *([] if case.device is None else [case.device.pid])]
+        for pid in stopped:
+            os.kill(pid, signal.SIGSTOP)
+        time.sleep(for_s)
+        for pid in stopped:
+            os.kill(pid, signal.SIGCONT)
+
+    return act
+
+
+def _children(pid: int) -> list[int]:
+    """Of all generations; none of a process that has just ended."""
+    try:
+        text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii")
+    except OSError:
+        return []
+    return [one for child in map(int, text.split()) for one in (child, *_children(child))]
 
 
 def say(word: str) -> Callable[[Case], None]:
@@ -228,7 +267,14 @@ DEVICES = (
     RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies, 1, 2),
     RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies, 1, 2),
     NO_WATCHDOG,
-)
+    RealDevice(
+        BOARD, contextlib.nullcontext, lambda *_: "emulated", _PATIENT, lambda log: [], 2, 0,
+        name="virtual, paced", options=("--pace", "1"),
+    ),
+)  # fmt: skip
+_PROCESSES = tuple(device.key for device in DEVICES if not device.is_virtual and not device.is_bare)
+_FROZEN_S = (0.04, 0.08, 0.15, 1.0)
+_STALLED = bound("no drive is older than the watchdog allows", watchdog=1, tick=2)
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
 
 _LAW_DEVICES = ("board", NO_WATCHDOG.key)
@@ -281,7 +327,7 @@ _LAW_ROWS = (
 )
 
 REAL_ROWS = (
-    RealRow("cable out", "nothing passes", say("cut"), SILENCE, {"": ("LINK_TIMEOUT",)}, (1,)),
+    RealRow("cable out", "nothing passes", say("cut"), SILENCE, {"": ("LINK_TIMEOUT",)}, (1,), only=_PROCESSES),
     RealRow(
         "port gone",
         "the port's other end is closed; of TCP the connection is reset",
@@ -289,27 +335,45 @@ REAL_ROWS = (
         SILENCE,
         {"": ("LINK_LOST",)},
         (1,),
+        only=_PROCESSES,
     ),
     RealRow(
         "device reset",
         "by its reset input",
-        lambda case: case.device.reset(),
+        _reset,
         AT_ONCE,
         {"": ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED"), "tcp": ("LINK_LOST",)},
         (1,),
+        only=_PROCESSES,
     ),
     RealRow("host SIGINT", "Ctrl-C", _send(signal.SIGINT), SEEN, {"": ("INTERRUPTED",)}, (1,), only=("board",)),
     RealRow("host SIGTERM", "kill", _send(signal.SIGTERM), SEEN, {"": ("INTERRUPTED",)}, (1,), only=("board",)),
-    RealRow("host SIGKILL", "kill -9", _send(signal.SIGKILL), SILENCE, {"": ("",)}, (-9,)),
-    RealRow("host SIGSTOP, 1 s", "and SIGCONT", _freeze, SILENCE, {"": ("DEVICE_WATCHDOG",)}, (1,)),
+    RealRow("host SIGKILL", "kill -9", _send(signal.SIGKILL), SILENCE, {"": ("",)}, (-9,), only=_PROCESSES),
+    RealRow("host SIGSTOP, 1 s", "and SIGCONT", _freeze, SILENCE, {"": ("DEVICE_WATCHDOG",)}, (1,), only=_PROCESSES),
     RealRow(
         "host overloaded",
         "two busy processes for each core",
         _overload,
-        bound("no drive is older than the watchdog allows", watchdog=1, tick=2),
+        _STALLED,
         {"": ("",), "chip": ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG"), "modbus": _DROPPED, "tcp": _DROPPED},
         (0, 1),
         alone=True,
+        only=_PROCESSES,
+    ),
+    *(
+        RealRow(
+            f"whole machine frozen, {1e3 * for_s:.0f} ms",
+            "all processes of host and device stop together",
+            _stand_still(for_s),
+            _STALLED,
+            {
+                "virtual, paced": ("",),
+                "": ("DEVICE_WATCHDOG", "LINK_TIMEOUT", *(("",) if for_s < 0.1 else ())),
+            },
+            (0, 1),
+            only=("board", "virtual, paced"),
+        )
+        for for_s in _FROZEN_S
     ),
     *_LAW_ROWS,
 )
@@ -349,7 +413,7 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             config["daq"]["port"] = device.start(board, check(path)[0], folder)
             path.write_text(yaml.safe_dump(config), encoding="utf-8")
             experiment = check(path)[0]
-            with _rig(folder, "run" if row.law else "relay") as host, _before(row):
+            with _rig(folder, "run" if row.law else "relay", *device.options) as host, _before(row):
                 if row.law:
                     hung_s = _await_mark(mark, host)
                 else:
@@ -358,7 +422,7 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
                 row.act(Case(host, board, folder / "link-fault"))
                 output = host.communicate(timeout=_WAIT_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
-            trace = _trace(folder)
+            trace = _rows_as_trace(folder) if device.is_virtual else _trace(folder)
             (folder / "link-fault").unlink(missing_ok=True)
             restart = _restart(folder) if restarts else ""
         run = _Ended(
@@ -467,6 +531,10 @@ def _trace(folder: Path) -> list[tuple[float, float, float]]:
     return [(float(r["t_s"]), float(r["drive_V"]), float(r["y_rad"])) for r in csv.DictReader(lines)]
 
 
+def _rows_as_trace(folder: Path) -> list[tuple[float, float, float]]:
+    return [(float(row["t_s"]), float(row["u_V"]), float(row["y_rad"])) for row in _rows(folder)]
+
+
 @dataclass(frozen=True)
 class _Ended:
     """What one run has left behind.
@@ -506,7 +574,7 @@ def _judged(row: RealRow, device: RealDevice, phase: float, experiment: Experime
     off_s, late_s = _off_s(row, run), _late_s(device, run, times.exchange)
     bound_s = row.bound.seconds(times) + late_s
     lost = 0
-    if not row.law:  # in the rows before a hang none is lost, and the reading of the hang is no row
+    if not row.law and not device.is_virtual:  # the reading of a hang is no row, and none before it is lost
         lost = _lost(run.told, device.apart, run.rows, run.fault, killed=run.killed) - device.between
     low, high = experiment.limits.hard_rad
     trouble = []

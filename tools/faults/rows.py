@@ -30,7 +30,7 @@ class Row:
     either   why there are two codes
     lasting  it stays until somebody mends it
     refused  codes that the next run may end with meanwhile, before any relay runs
-    early    it is so from before the run: the breakaway check has to find it, no relay may run
+    early    it is so from before the run: the breakaway check has to find it, no relay may run, unless RUNS_ON
     emulated changes of the config's section, in force from the beginning
     prepare  done before the run, in a process of its own; gets the folder that holds the config and `runs`
     alone    runs in a process of its own

@@ -6,6 +6,7 @@ Each swallows only the errors that its room declares, and asserts what must hold
 from __future__ import annotations
 
 import itertools
+import json
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,20 +16,25 @@ from pathlib import Path
 import numpy as np
 from pymodbus.framer import FramerRTU
 
-from rig import config
+from fuzz import structured
+from rig import config, strict_json
 from rig.backends.driver import Driver, Timeouts
 from rig.backends.modbus.opening import modbus_driver
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver
 from rig.calibration import Calibration, DriveMap, Scaling
+from rig.catalogue.index import catalogue
 from rig.faults import Fault
 from rig.identify import IdentifyError, identify
+from rig.live.view import LiveView
+from rig.panel.runs import Runs
+from rig.panel.watch import Follower, Scene
 from rig.preflight import check
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
 from rig.recording.log_file import read_log
 from rig.recording.log_format import LogColumn, LogFormat
-from rig.recording.reader import read_run
+from rig.recording.reader import read_result, read_run
 from rig.recording.recording import Recording
 from rig.replay import replay
 from rig.report.source import load as load_report
@@ -321,6 +327,68 @@ def run_folder(data: bytes) -> None:
             assert error.cure
 
 
+def hostile_run(data: bytes) -> None:
+    """A run folder with a file of deep, wide or strange values: each reader tells of it, and the pages' JSON is sound.
+
+    The first byte names the file; the others make its text (``structured``). One of the events stands before good ones.
+    """
+    which = data[0] % 4 if data else 0
+    name = ("events.jsonl", "meta.json", "result.json", "config.yaml")[which]
+    text = (structured.yaml_text if which == 3 else structured.json_text)(data[1:])
+    good = _good_run()
+    folder = _folder() / "hostile" / "20260101T000000Z-run"
+    folder.mkdir(parents=True, exist_ok=True)
+    for other, content in good.items():
+        (folder / other).write_bytes(content)
+    after = good[name] if which == 0 else b""
+    (folder / name).write_bytes(text.encode("utf-8", "replace") + b"\n" + after)
+    for read in (read_run, load_report, read_result):
+        try:
+            read(folder)
+        except RecordingError as error:
+            assert error.cause
+            assert error.cure
+    view = LiveView(folder)
+    snapshot = view.read()
+    while (again := view.read()).rows != snapshot.rows or again.is_over != snapshot.is_over:
+        snapshot = again
+    assert which != 0 or snapshot.is_over, "the good events behind the hostile ones were not seen"
+    told = Follower(0).due(Scene(run=folder.name, snapshot=snapshot), operator=False, now_s=1.0)
+    listed = [run.as_json() for run in catalogue(folder.parent).runs]
+    for message in (*told, json.dumps([listed, Runs(folder.parent).row(folder)], allow_nan=False)):
+        json.loads(message, parse_constant=_no_page_takes)
+    assert sum(map(len, told)) < 200_000
+
+
+def _no_page_takes(name: str) -> None:
+    raise AssertionError(f"{name} for a page")
+
+
+def _hostile_seeds() -> Iterator[bytes]:
+    for which in range(3):
+        for seed in structured.json_seeds():
+            yield bytes([which]) + seed
+    for seed in structured.yaml_seeds():
+        yield bytes([3]) + seed
+
+
+def structured_config(data: bytes) -> None:
+    """As ``experiment_config``, of deep, wide and strange YAML."""
+    experiment_config(structured.yaml_text(data).encode("utf-8", "replace"))
+
+
+def strict(data: bytes) -> None:
+    """Any text as JSON: what the standard library reads, too, or JsonError."""
+    for text in (data.decode("utf-8", "replace"), structured.json_text(data)):
+        try:
+            value = strict_json.parse(text)
+        except strict_json.JsonError as error:
+            assert str(error)
+            continue
+        assert json.dumps(value, allow_nan=False) == json.dumps(json.loads(text))
+        json.dumps(value, ensure_ascii=False).encode("utf-8")
+
+
 def _damaged_run(data: bytes) -> Path:
     """The good run with the file that the first byte names replaced by the others, or removed where the next is 255."""
     folder = _folder() / "run"
@@ -385,6 +453,9 @@ TARGETS = {
     "csv": Target(csv_file, _csv_seeds),
     "log": Target(log_file, _log_seeds),
     "run-folder": Target(run_folder, _run_seeds),
+    "hostile-run": Target(hostile_run, _hostile_seeds),
+    "hostile-config": Target(structured_config, structured.yaml_seeds),
+    "strict-json": Target(strict, structured.json_seeds),
     "replay": Target(replayed, _run_seeds),
     "identify": Target(identification, _csv_seeds),
 }

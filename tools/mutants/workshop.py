@@ -23,7 +23,7 @@ _LEFT_OUT = (
     ".git", ".venv", "build", "runs", "dist", "node_modules", "__pycache__", ".pytest_cache", ".mypy_cache",
     ".ruff_cache", ".hypothesis", ".import_linter_cache",
 )  # fmt: skip
-_NODE_MODULES = Path("tests/hil/avr8js/node_modules")
+_NODE_MODULES = (Path("tests/hil/avr8js/node_modules"), Path("firmware/emulator/pico/node_modules"))
 _NO_CLOCK = ("-m", "not (realtime or alone)")
 _FILE_BYTES = 2 << 30
 _NICE = 10
@@ -90,13 +90,10 @@ class Workshop:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 copy.write_bytes(content)
             shutil.copymode(self.source / name, copy)
-        modules = self.source / _NODE_MODULES
-        if (
-            modules.is_dir()
-            and (self.tree / _NODE_MODULES).parent.is_dir()
-            and not (self.tree / _NODE_MODULES).exists()
-        ):
-            (self.tree / _NODE_MODULES).symlink_to(modules)
+        for modules in _NODE_MODULES:
+            link = self.tree / modules
+            if (self.source / modules).is_dir() and link.parent.is_dir() and not link.exists():
+                link.symlink_to(self.source / modules)
 
     @staticmethod
     def _files(root: Path) -> Iterator[Path]:
@@ -258,13 +255,17 @@ def compilers(path: str) -> list[list[str]]:
     sources = [inside] if inside.suffix == ".c" else [Path("core/rig_core.c")]
     commands = []
     for source in map(str, sources):
-        if not source.startswith("boards/uno"):
+        if not source.startswith(("boards/uno", "boards/pico")):
             commands.append(["cc", *options, "-Iboards/host", "-D_XOPEN_SOURCE=700", source])
         if source.startswith(("boards/uno", "core")):
             uno = "-mmcu=atmega328p -Iboards/uno -DF_CPU=16000000UL -DRIG_BAUD=115200UL -DRIG_TACHOMETER=1"
             options = [*options, *uno.split(), "-DRIG_SUPPLY=1", "-DRIG_END_SWITCHES=1"]
             for bridge, encoder in (("BRIDGE_PWM_DIR", 0), ("BRIDGE_IN1_IN2", 1)):
                 commands.append(["avr-gcc", *options, f"-DRIG_BRIDGE={bridge}", f"-DRIG_ENCODER={encoder}", source])
+        if source.startswith("boards/pico"):
+            pico = "-mcpu=cortex-m0plus -mthumb -ffreestanding -Iboards/pico -DRIG_BAUD=1000000u -DRIG_TACHOMETER=1"
+            wired = "-DRIG_SUPPLY=1 -DRIG_END_SWITCHES=1 -DRIG_BRIDGE=BRIDGE_IN1_IN2 -DRIG_ENCODER=1"
+            commands.append(["arm-none-eabi-gcc", *options, *pico.split(), *wired.split(), source])
     return commands
 
 

@@ -340,15 +340,18 @@ unsigned bench_encoder_levels(bench *b, int64_t steps)
     const int32_t wiring = bench_is_faulty(b) ? b->p.sensor_wiring : BENCH_SENSOR_OK;
     const unsigned phase = (unsigned)((steps + (wiring == BENCH_SENSOR_JUMPED ? 2 : 0)) & 3);
     const unsigned levels = (phase == 1u || phase == 2u ? 1u : 0u) | (phase >= 2u ? 2u : 0u);
-    if (wiring != BENCH_SENSOR_STUCK && wiring != BENCH_SENSOR_STILL) {
+    const unsigned still = wiring == BENCH_SENSOR_STUCK     ? 3u
+                           : wiring == BENCH_SENSOR_STILL   ? 2u
+                           : wiring == BENCH_SENSOR_STILL_A ? 1u
+                                                            : 0u;
+    if (still == 0u) {
         b->held_levels = -1;
         return levels;
     }
     if (b->held_levels < 0) {
         b->held_levels = (int32_t)levels;
     }
-    const unsigned held = (unsigned)b->held_levels;
-    return wiring == BENCH_SENSOR_STUCK ? held : (levels & 1u) | (held & 2u);
+    return (levels & ~still) | ((unsigned)b->held_levels & still);
 }
 
 bool bench_estop_is_open(const bench *b)
@@ -542,7 +545,7 @@ static const struct {
 enum { OPTION_COUNT = sizeof OPTIONS / sizeof OPTIONS[0] };
 
 static const char *const DRIVE_NAMES[] = {"ok", "reversed", "dead", "stuck_on", NULL};
-static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", NULL};
+static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", "still_a", NULL};
 
 const char *bench_option_name(unsigned i)
 {

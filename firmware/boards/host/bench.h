@@ -26,7 +26,8 @@ enum bench_sensor_wiring {
     BENCH_SENSOR_STUCK,
     BENCH_SENSOR_JUMPED, /* across its dead zone: a quarter of the range farther, round and round; an encoder: two edges */
     BENCH_SENSOR_NOISY,  /* 25 counts */
-    BENCH_SENSOR_STILL   /* channel B of an encoder stands still */
+    BENCH_SENSOR_STILL,  /* channel B of an encoder stands still */
+    BENCH_SENSOR_STILL_A /* channel A does */
 };
 
 typedef struct {

@@ -47,9 +47,10 @@ static void count_edge(device *d, unsigned levels)
     }
     const bool differ = levels == 1u || levels == 2u;
     d->encoder.counts += (changed == 1u) == differ ? 1 : -1;
-    d->encoder.alone = changed == 1u ? d->encoder.alone + 1u : 0u;
+    d->encoder.alone = changed == d->encoder.last ? d->encoder.alone + 1u : 0u;
+    d->encoder.last = changed;
     d->encoder.edges++;
-    if (d->encoder.alone > ALONE_MAX) {
+    if (d->encoder.alone >= ALONE_MAX) {
         d->encoder.troubles |= (uint8_t)RIG_ENCODER_STILL;
         d->encoder.alone = 0;
     }

@@ -15,7 +15,7 @@ typedef struct {
         int64_t steps;  /* of the shaft, at the last look */
         int32_t counts;
         unsigned levels, edges; /* of its channels; since the tick began */
-        unsigned alone; /* edges of channel A in a row */
+        unsigned last, alone; /* channel of the last edge; further edges of it in a row */
         uint8_t troubles;
     } encoder;
     double reset_t_s;  /* where the device's clock began */

@@ -117,7 +117,7 @@ static void begin_counting(void)
 /* Of the millisecond that is over. */
 static bool count_edges(void)
 {
-    static uint32_t alone[2]; /* edges of a channel since the other one's last, to a tick */
+    static uint32_t alone[2]; /* edges of a channel beyond the other one's, since that one's last, to a tick */
     uint32_t edges[2];
     for (uint32_t i = 0; i < 2u; i++) {
         uint32_t left = 0;
@@ -131,7 +131,8 @@ static bool count_edges(void)
         troubles |= (uint8_t)RIG_ENCODER_RATE;
     }
     for (uint32_t i = 0; i < 2u; i++) {
-        alone[i] = edges[1u - i] == 0u ? alone[i] + edges[i] : 0u;
+        const uint32_t others = edges[1u - i]; /* a shaft that turns makes as many, but for one at each reversal */
+        alone[i] = (others == 0u ? alone[i] : 0u) + (edges[i] > others ? edges[i] - others : 0u);
         if (alone[i] >= ENCODER_ALONE_MAX) {
             alone[i] = 0;
             troubles |= (uint8_t)RIG_ENCODER_STILL;

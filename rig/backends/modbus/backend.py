@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from rig.backends.backend import Line, LineBackend, Watchdog
 from rig.backends.driver import Driver
+from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus import link_budget
 from rig.backends.modbus.rules import modbus_notes, modbus_rules
@@ -45,7 +46,7 @@ class ModbusBackend(LineBackend):
 
     @override
     def owns_port(self, port: str) -> bool:
-        return is_tcp(port) or (port in EMULATED_PORTS and port != "emulated")
+        return is_tcp(port)
 
     @override
     def watchdog(self, e: Experiment) -> Watchdog:
@@ -81,19 +82,22 @@ class ModbusBackend(LineBackend):
     @override
     def words(self, e: Experiment) -> str:
         unit = 1 if e.daq.modbus is None else e.daq.modbus.unit
-        if e.daq.port == "emulated-tcp":
-            return f"an emulated I/O block, Modbus TCP on this machine, unit {unit}, real time, nothing moves"
-        rtu = f"Modbus RTU, unit {unit}, {e.daq.baud} baud"
-        if e.daq.port == "emulated-virtual":
-            return f"an emulated I/O block, {rtu}, virtual time, nothing moves"
-        if e.daq.port == "emulated":
-            return f"an emulated I/O block behind a pseudo-terminal, {rtu}, real time, nothing moves"
-        link = f"Modbus TCP, unit {unit}" if is_tcp(e.daq.port) else rtu
-        return f"a REAL MOTOR behind {e.daq.port}, {link}"
+        tcp = is_tcp(e.daq.port)
+        link = f"Modbus TCP, unit {unit}" if tcp else f"Modbus RTU, unit {unit}, {e.daq.baud} baud"
+        if not self.is_emulated(e):
+            return f"a REAL MOTOR behind {e.daq.port}, {link}"
+        if self.in_virtual_time(e):
+            return f"an emulated I/O block, {link}, virtual time, nothing moves"
+        place = "on a port of this machine" if tcp else "behind a pseudo-terminal"
+        return f"an emulated I/O block {place}, {link}, real time, nothing moves"
 
     @override
     def is_emulated(self, e: Experiment) -> bool:
         return e.daq.port in EMULATED_PORTS
+
+    @override
+    def in_virtual_time(self, e: Experiment) -> bool:
+        return self.is_emulated(e) and in_virtual_time(e.daq.port)
 
     @override
     def plan(self, e: Experiment) -> Iterator[str]:

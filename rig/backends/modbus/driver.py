@@ -91,6 +91,7 @@ class ModbusDriver:
         self._units = 0  # drive as last commanded
         self._fresh = False  # it has not gone out yet
         self._t_u_s = math.nan
+        self._driven_s = -math.inf  # when the device last executed a drive
 
     @property
     def order(self) -> Order:
@@ -160,7 +161,7 @@ class ModbusDriver:
         if self._map.watchdog is not None:
             self.failsafe = DeviceWatchdog(limits.watchdog_s)
         self._units, self._fresh, self._t_u_s = 0, False, math.nan
-        self._client.patiently(self._writing_drive(0), self._unhurried_s)
+        self._driven_s = self._client.patiently(self._writing_drive(0), self._unhurried_s).executed_s
         if self._map.control is not None:
             self._client.patiently(_setting(self._map.control, self._map.arm), self._unhurried_s)
         self._await_armed()
@@ -177,6 +178,7 @@ class ModbusDriver:
             reply = self._exchange(
                 reading_and_writing(self._read_span, self._written_span, self._drive_words(self._units))
             )
+            self._driven_s = reply.executed_s
             if self._fresh:
                 self._t_u_s, self._fresh = reply.executed_s, False
         else:
@@ -216,7 +218,7 @@ class ModbusDriver:
         if self._line.requests == "read-write":
             self._fresh = True
         else:
-            self._t_u_s = self._exchange(self._writing_drive(units)).executed_s
+            self._t_u_s = self._driven_s = self._exchange(self._writing_drive(units)).executed_s
 
     def safe_stop(self) -> bool:
         """Drive 0, control to stop, up to three times. True once replies and registers confirm it.
@@ -455,8 +457,15 @@ class ModbusDriver:
         return self._client.patiently(reading(self._read_span), self._unhurried_s)
 
     def _exchange(self, request: Request) -> Reply:
-        """The exchange of a tick."""
-        return self._client.in_tick(request, self._timeout_s, after_silence=self._armed)
+        """The exchange of a tick. While armed it waits for as long as the device's watchdog lets the last drive act.
+
+        One request is under way at a time, so what comes late can only be its reply.
+        """
+        wait_s = self._timeout_s
+        if self._armed and self.failsafe is not None:
+            held_s = self._transport.now_s() - self._driven_s
+            wait_s = max(wait_s, min(self.failsafe.time_s, _LONGEST_WATCHDOG_S) - held_s)
+        return self._client.in_tick(request, wait_s, after_silence=self._armed)
 
     def _writing_drive(self, units: int) -> Request:
         return writing(self._written_span, self._drive_words(units))

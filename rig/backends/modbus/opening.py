@@ -10,12 +10,14 @@ from urllib.parse import urlsplit
 from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts, Transport
 from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.emulated.words import in_virtual_time
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
 from rig.backends.modbus.client import ModbusLine
 from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
 from rig.backends.modbus.link_budget import bits_per_byte, silence_s
 from rig.backends.modbus.registers import RegisterMap
 from rig.backends.modbus.section import EMULATED_PORTS, Modbus, is_tcp, tcp_address
@@ -29,8 +31,8 @@ def modbus_line(e: Experiment) -> Iterator[Line]:
     port = e.daq.port
     if port is None:
         raise ValueError("daq.port is missing")
-    if port == "emulated-virtual":
-        block = emulated_io_block(e)
+    if in_virtual_time(port):
+        block = emulated_tcp_block(e) if is_tcp(port) else emulated_io_block(e)
         yield Line(block, block, port, emulated=True)
     elif port in EMULATED_PORTS:
         with emulated_board(e) as board:
@@ -81,6 +83,13 @@ def emulated_io_block(e: Experiment) -> VirtualIoBlock:
     return VirtualIoBlock(modbus, emulated, e.seed, baud=e.daq.baud, polarity=_register_polarity(e))
 
 
+def emulated_tcp_block(e: Experiment) -> VirtualTcpBlock:
+    """The same block on Modbus TCP in virtual time: a connection and clock in one. Raises as ``emulated_io_block``."""
+    block = VirtualTcpBlock(_modbus_of(e), emulated_of(e), e.seed, polarity=_register_polarity(e))
+    block.connect(e.daq.open_timeout_s)
+    return block
+
+
 @contextmanager
 def emulated_board(e: Experiment, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
     """The emulated I/O block, running in real time for the block; its ``port`` is as daq.port takes it.
@@ -109,8 +118,8 @@ def _register_polarity(e: Experiment) -> int:
 
 def _tcp_port(port: str | None) -> int | None:
     """Number of the TCP port on this machine that the emulated device is to serve: 0 for any; None for RTU."""
-    if port == "emulated-tcp":
-        return 0
+    if port in EMULATED_PORTS:
+        return 0 if is_tcp(port) else None
     url = urlsplit(port or "")
     if url.scheme != "tcp":
         return None

@@ -13,6 +13,7 @@ from rig.backends.link_budget import BAUD_RATES
 from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
 from rig.backends.modbus.section import (
     EMULATED_PORTS,
+    OLD_VIRTUAL_PORT,
     KeySpan,
     Modbus,
     as_in_a_manual,
@@ -86,7 +87,8 @@ def _port(e: Experiment) -> Iterator[Problem]:
         if e.emulated is None:
             yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
     elif port.startswith("emulated"):
-        yield wrong("daq.port", f"no {port} for `driver: modbus`", f"one of {', '.join(EMULATED_PORTS)}")
+        hint = "it is `emulated` now" if port == OLD_VIRTUAL_PORT else f"one of {', '.join(EMULATED_PORTS)}"
+        yield wrong("daq.port", f"no {port} for `driver: modbus`", hint)
     elif "://" in port or port.startswith("tcp"):
         try:
             tcp_address(port)

@@ -19,9 +19,10 @@ Word = Annotated[int, Field(ge=0, le=65535)]
 SignedType = Literal["int16", "int32", "float32"]
 RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
 
-EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-virtual")
+EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-realtime", "emulated-tcp-realtime")
+OLD_VIRTUAL_PORT = "emulated-virtual"  # in older run folders; it is `emulated` now
 TCP_PORT = 502  # unless the address names another
-_TCP = "tcp://"
+_TCP, _EMULATED_TCP = "tcp://", "emulated-tcp"
 
 WORDS: dict[str, int] = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2}
 _LARGEST = {"int16": 32767, "int32": 2**31 - 1}
@@ -248,7 +249,7 @@ def as_in_a_manual(spans: Iterable[KeySpan]) -> str:
 
 def is_tcp(port: str | None) -> bool:
     """Whether a port speaks Modbus TCP; else RTU."""
-    return port is not None and (port == "emulated-tcp" or port.startswith(_TCP))
+    return port is not None and port.startswith((_TCP, _EMULATED_TCP))
 
 
 def tcp_address(port: str) -> tuple[str, int]:

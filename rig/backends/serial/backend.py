@@ -14,7 +14,7 @@ from rig.backends.driver import Driver, RelayRules
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
-from rig.backends.serial.ports import adapter_of, is_emulated
+from rig.backends.serial.ports import adapter_of, is_emulated, is_virtual
 from rig.backends.serial.rules import serial_rules
 from rig.backends.serial.section import SerialKeys
 from rig.config.problems import Problem
@@ -73,7 +73,8 @@ class SerialBackend(LineBackend):
             "emulated-chip-realtime": "the Uno's emulated chip with its firmware, {} baud, real time, nothing moves",
             "emulated-pico": "the Pico's emulated chip with its firmware, {} baud, virtual time, nothing moves",
             "emulated-pico-realtime": "the Pico's emulated chip with its firmware, {} baud, real time, nothing moves",
-            "emulated": "an emulated device behind a pseudo-terminal, {} baud, real time, nothing moves",
+            "emulated": "an emulated device, {} baud, virtual time, nothing moves",
+            "emulated-realtime": "an emulated device behind a pseudo-terminal, {} baud, real time, nothing moves",
         }
         found = emulated.get(e.daq.port or "")
         if found is not None:
@@ -83,6 +84,10 @@ class SerialBackend(LineBackend):
     @override
     def is_emulated(self, e: Experiment) -> bool:
         return is_emulated(e)
+
+    @override
+    def in_virtual_time(self, e: Experiment) -> bool:
+        return is_virtual(e)
 
     @override
     def plan(self, e: Experiment) -> Iterator[str]:

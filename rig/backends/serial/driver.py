@@ -11,6 +11,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import NamedTuple
 
 from rig.backends.driver import (
     DeviceInfo,
@@ -53,8 +54,10 @@ _STEADY_S = 0.0005  # from the fastest exchange to the median; USB frames make i
 _SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
 _LONGEST_PAUSE_S = 0.020  # meets every phase of an FTDI's 16 ms timer
 _GOLDEN = 0.618034  # its multiples, modulo 1, spread evenly over 0 to 1
-_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: end of the wait for each of a tick's requests for the state
+_ASK_AGAIN = 2 / 3  # of the time-out, after which a tick asks for the state again; from then on once in a time-out
+_READS_AT_ONCE = 3  # a damaged frame lets a tick ask again at once, at most so often
 _READ_AGAIN = 3  # repeated readings in a row: the link is not fit for the period
+_LONGEST_PULSE_MS = 0xFFFF
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -114,6 +117,15 @@ def setup_for(
     )
 
 
+class _Pulse(NamedTuple):
+    """A drive that the device ends by itself: when it was sent, s, and how long after the first one, s."""
+
+    u_V: float
+    sent_s: float
+    longest_s: float
+    is_first: bool
+
+
 @dataclass(frozen=True)
 class ByHand:
     """What a hand has done to the shaft of an encoder before the device is opened.
@@ -168,15 +180,19 @@ class SerialDriver:
         self._name = name
         self._by_hand = by_hand
         self.homing = False
+        self.pulses = False
         self.stopped: Stopped | None = None
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
+        self._heard_s = -math.inf  # when the device was last told a drive, at the earliest
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
         self._t_u_s = math.nan
+        self._pulse: _Pulse | None = None  # sent last, if no other drive was
+        self._pulse_ended_s = math.nan  # by the device itself, not reported yet
         self._asked_again = 0
         self._again_in_a_row = 0
         self._drives_lost = 0
@@ -215,6 +231,7 @@ class SerialDriver:
         """
         hello = self._meet()
         check_fit(hello, self._expected)
+        self.pulses = bool(hello.features & frames.FEATURE_PULSE)
         acknowledged = self._acknowledge(hello)
         if self._by_hand is not None and self._expected.scaling.is_encoder:
             self.set_zero(self._by_hand.here_rad)
@@ -226,6 +243,13 @@ class SerialDriver:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
         supply_V, supply_at_least = self._measured_supply_V(hello)
         version = other_version(hello, self._expected.board)
+        remarks = [] if version is None else [version]
+        if (
+            self._by_hand is None
+            and self._expected.scaling.is_encoder
+            and not self._state().status & frames.STATUS_ZERO
+        ):
+            remarks.append("the device does not know where its encoder stands: it arms after `rig home CONFIG`")
         told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
         self.backend = f"{self._name} ({'emulated ' if emulated else ''}{told_board} board, build {hello.build_text})"
@@ -240,24 +264,42 @@ class SerialDriver:
             supply_at_least=supply_at_least,
             drive_units=hello.drive_full,
             acknowledged=acknowledged,
-            remarks=() if version is None else (version,),
+            remarks=tuple(remarks),
         )
+
+    def forget_zero(self) -> None:
+        """Forget the zero of a disarmed device with an encoder: nothing but a homing arms it until ``set_zero``.
+
+        The set-up of a homing does that. This one nobody arms with. Raises Fault LINK_TIMEOUT, or the
+        refusal of the device; LINK_VERSION where its firmware keeps the zero.
+        """
+        self._setup = None
+        self._store(Setup(self._session, -1, 1, 0, 0, 0, max_drive=1, watchdog_ms=1, polarity=1, homing=1))
+        if self._state().status & frames.STATUS_ZERO:
+            flashing = self._expected.board.flashing
+            raise Fault("LINK_VERSION", f"this firmware keeps an old zero where a homing fails; {flashing}")
 
     def set_zero(self, here_rad: float) -> None:
         """Tell a disarmed device with an encoder that its shaft stands at ``here_rad``, until its next reset.
 
-        Raises Fault LINK_TIMEOUT, or the refusal of the device.
+        Raises Fault LINK_TIMEOUT, the refusal of the device, or the fault of the encoder that it has latched.
         """
         counts = round(self.calibration.to_counts(here_rad))
-        self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
+        try:
+            packet = self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
+        except Fault as fault:
+            if fault.code == "LINK_REJECTED":
+                self._check_latched()
+            raise
+        state = DeviceState.unpack(packet.body)
+        if not state.status & frames.STATUS_ZERO:
+            raise self._device_fault(state)
 
     def leave_switch(self) -> None:
         """Acknowledge the end switch that a homing has reached. Raises the fault that is latched besides."""
         if not self._is_cleared(Code.END_SWITCH):
             raise Fault("DEVICE_END_SWITCH", "both end switches are open")
-        state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
-        if state.status & frames.STATUS_FAULT:
-            raise self._device_fault(state)
+        self._check_latched()
 
     def arm(self, limits: Limits) -> None:
         """Stop, send the limits if the device does not have them yet, read them back, arm.
@@ -271,21 +313,26 @@ class SerialDriver:
         state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
         if setup != self._setup:
-            stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
-            if stored != setup:
-                raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
+            self._store(setup)
             self._setup = setup
+        self._heard_s = self._exchange.now_s()
         code = self._exchange.request(Kind.ARM, frames.pack_arm(self._session), Kind.ARM_REPLY).body[0]
         if code != Code.NONE:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
+        self._pulse, self._pulse_ended_s = None, math.nan
         self._lost_in_a_row = 0
         self._again_in_a_row = 0
         self._driven = False
         self._law = None
         self._exchange.blocks()  # of an earlier run
         self._armed = True
+
+    def _store(self, setup: Setup) -> None:
+        stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
+        if stored != setup:
+            raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
 
     def read(self) -> Sample:
         """Ask for the state and wait for it; ask again if a reply is damaged or missing, within one time-out.
@@ -324,9 +371,12 @@ class SerialDriver:
                     )
             self._unconfirmed = None
         now_s = self._exchange.now_s()
+        u_V = self.drive_map.to_volts(state.drive)
         if self._driven and state.t_drive_us != self._t_drive_us:
             self._t_drive_us = state.t_drive_us
-            self._t_u_s = self._clock.to_host_s(state.t_drive_us, now_s)
+            u_V = self._drive_since(self._clock.to_host_s(state.t_drive_us, now_s), u_V)
+        elif self._pulse is None and not math.isnan(self._pulse_ended_s):
+            self._t_u_s, self._pulse_ended_s = self._pulse_ended_s, math.nan
         tachometer = self.tachometer
         return Sample(
             self._clock.to_host_s(state.t_sample_us, now_s),
@@ -336,22 +386,37 @@ class SerialDriver:
             if tachometer is None or state.tach == frames.NO_TACHOMETER
             else tachometer.to_rad_per_s(state.tach),
             self._t_u_s if self._driven else math.nan,
-            self.drive_map.to_volts(state.drive),
+            u_V,
             packet.seq,
         )
 
-    def _ask_state(self) -> Packet:
-        """READ, up to three times within one time-out: again at once after a damaged frame, or when most time is over.
+    def _drive_since(self, t_u_s: float, u_V: float) -> float:
+        """Take a new time of effect, and the drive since then, V. Returns the drive to report, with ``_t_u_s``.
 
-        A late answer to an earlier READ is good too, since a state carries the time of its sample. Raises Fault
-        LINK_TIMEOUT without an answer, and when three readings in a row had to be repeated.
+        A pulse that the device has ended is reported as it acted; its end follows with the next drive, which is 0 V.
         """
-        start_s = self._exchange.now_s()
-        seqs: list[int] = []
-        for share in _READ_SHARES:
-            seqs.append(self._exchange.send(Kind.READ))
-            last = len(seqs) == len(_READ_SHARES)
-            packet = self._exchange.wait(seqs, Kind.STATE, start_s + share * self._timeout_s, damage_ends=not last)
+        pulse, self._pulse_ended_s = self._pulse, math.nan
+        if u_V == 0.0 and pulse is not None and pulse.sent_s < t_u_s:
+            self._t_u_s = t_u_s - pulse.longest_s if pulse.is_first else max(pulse.sent_s, self._t_u_s)
+            self._pulse_ended_s = t_u_s
+            return pulse.u_V
+        self._t_u_s = t_u_s
+        return u_V
+
+    def _ask_state(self) -> Packet:
+        """READ, until the device answers: again at once after a damaged frame, or when most of the time-out is over.
+
+        A late answer to an earlier READ is good too, since a state carries the time of its sample. While armed this
+        waits for as long as the device's watchdog lets the last drive act. Raises Fault LINK_TIMEOUT without an answer,
+        and when three readings in a row had to be repeated.
+        """
+        seqs = [self._exchange.send(Kind.READ)]
+        sent_s = self._exchange.now_s()  # a host that stood still may have sent it late
+        ends_s = self._ends_s(sent_s)
+        until_s = sent_s + _ASK_AGAIN * self._timeout_s
+        while True:
+            damage_ends = len(seqs) < _READS_AT_ONCE and until_s < ends_s
+            packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
                 if self._again_in_a_row < _READ_AGAIN:
@@ -360,18 +425,46 @@ class SerialDriver:
                 raise self._exchange.silence(
                     Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}"
                 )
-            if self._exchange.now_s() - start_s >= self._timeout_s:
+            now_s = self._exchange.now_s()
+            if now_s >= ends_s:
                 break
             self._asked_again += len(seqs) == 1  # however often
+            seqs.append(self._exchange.send(Kind.READ))
+            until_s = max(sent_s, now_s) + self._timeout_s
         self._exchange.timeouts += 1
-        raise self._exchange.silence(Kind.READ)
+        raise self._exchange.silence(Kind.READ, f"no reply to {len(seqs)} READ within {1e3 * (ends_s - sent_s):.0f} ms")
+
+    def _ends_s(self, sent_s: float) -> float:
+        """Until when a tick waits for the answer to what it sent then, s: the watchdog bounds the drive meanwhile."""
+        if not self._armed or self._setup is None:
+            return sent_s + self._timeout_s
+        return max(sent_s + self._timeout_s, self._heard_s + 1e-3 * self._setup.watchdog_ms)
 
     def write(self, u_V: float) -> None:
         """Send the drive; there is no reply. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
 
         Beyond the drive that it is armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
         """
+        self._pulse = None
+        self._heard_s = self._exchange.now_s()
         self._unconfirmed = self._exchange.send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
+
+    def write_pulse(self, u_V: float, longest_s: float) -> None:
+        """As ``write``; the device ends the drive ``longest_s`` after the first of them, in whole ms, rounded up.
+
+        Raises ValueError where the device has no pulses, and for a time that is not 0 to 65 s.
+        """
+        if not self.pulses:
+            raise ValueError(f"no pulses behind {self.backend}")
+        longest_ms = math.ceil(1e3 * longest_s - 1e-6)
+        if not 0 <= longest_ms <= _LONGEST_PULSE_MS:
+            raise ValueError(f"a pulse lasts 0 to {_LONGEST_PULSE_MS} ms, not {longest_ms}")
+        units = self.drive_map.to_units(u_V)
+        self._heard_s = self._exchange.now_s()
+        self._unconfirmed = self._exchange.send(Kind.PULSE, frames.pack_pulse(units, longest_ms))
+        self._pulse = _Pulse(
+            self.drive_map.to_volts(units), self._exchange.now_s(), 1e-3 * longest_ms, is_first=self._pulse is None
+        )
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
@@ -520,7 +613,7 @@ class SerialDriver:
         was_reset_now = 1e-6 * hello.now_us < known_s
         cleared: list[int] = []
         for _ in range(_MOST_LATCHED):
-            state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+            state = self._state()
             code = state.fault
             if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
@@ -575,6 +668,14 @@ class SerialDriver:
 
     def _where(self, state: DeviceState) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
+
+    def _state(self) -> DeviceState:
+        return DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+
+    def _check_latched(self) -> None:
+        state = self._state()
+        if state.status & frames.STATUS_FAULT:
+            raise self._device_fault(state)
 
     def _check_pause(self, state: DeviceState) -> None:
         """Raise the fault that a disarmed device has latched since it was opened."""

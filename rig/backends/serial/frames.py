@@ -34,6 +34,7 @@ STATUS_LOOPBACK = 64
 FEATURE_TACHOMETER = 1
 FEATURE_SUPPLY = 2
 FEATURE_ENCODER = 4
+FEATURE_PULSE = 32
 FEATURE_LOOPBACK = 64
 FEATURE_STROKES = 128
 SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
@@ -65,6 +66,7 @@ class Kind(IntEnum):
     STROKES = 0x0B
     ZERO = 0x0C
     LOOPBACK = 0x0D
+    PULSE = 0x0E
     HELLO_REPLY = 0x81
     SETUP_REPLY = 0x82
     ARM_REPLY = 0x83
@@ -142,8 +144,8 @@ class Hello(NamedTuple):
     board        key of BOARDS
     reset_cause  bits of RESET_CAUSES
     bridge       key of BRIDGES; 0: none
-    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, can look at
-                 its own outputs, runs strokes
+    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, counts an encoder, ends a drive
+                 by itself, can look at its own outputs, runs strokes
     counts_max   largest reading of the position sensor, counts; 0: an encoder, which has none
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32
@@ -223,7 +225,7 @@ class DeviceState(NamedTuple):
     tach         tachometer reading, NO_TACHOMETER where there is none
     t_drive_us   device time at which the drive now acting took effect, us
     drive        drive now at the pin, units
-    drive_seq    seq of the DRIVE frame last accepted
+    drive_seq    seq of the DRIVE or PULSE frame last accepted
     status       STATUS_* bits
     fault        the first latched Code, or the code of the last refusal
     session      that SETUP has begun; 0: none since the device's reset
@@ -409,6 +411,7 @@ _ZERO = struct.Struct("<i")
 _LOOPBACK = struct.Struct("<IIIHBHHHIHHHI")
 _NACK = struct.Struct("<BB")
 _DRIVE = struct.Struct("<h")
+_PULSE = struct.Struct("<hH")
 _RELAY = struct.Struct("<hhhhiIbB")
 _STROKES = struct.Struct("<BBHHH")
 _STROKE = struct.Struct("<hi")
@@ -432,6 +435,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.STROKES: _STROKES_LENGTH,
     Kind.ZERO: _ZERO.size,
     Kind.LOOPBACK: 1,
+    Kind.PULSE: _PULSE.size,
     Kind.HELLO_REPLY: _HELLO.size,
     Kind.SETUP_REPLY: _SETUP.size,
     Kind.ARM_REPLY: 1,
@@ -449,6 +453,11 @@ BODY_LENGTH: dict[int, int] = {
 def pack_drive(units: int) -> bytes:
     """Body of DRIVE: signed drive units, -32768 to 32767 (struct.error outside)."""
     return _DRIVE.pack(units)
+
+
+def pack_pulse(units: int, longest_ms: int) -> bytes:
+    """Body of PULSE: drive units, and the longest time from the first PULSE on, ms (struct.error outside 16 bits)."""
+    return _PULSE.pack(units, longest_ms)
 
 
 def pack_arm(session: int) -> bytes:

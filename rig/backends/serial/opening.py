@@ -1,4 +1,4 @@
-"""How a serial device opens: a port of this machine, an emulated board in real time, or a chip in virtual time."""
+"""How a serial device opens: a port of this machine, or an emulated device in virtual or in real time."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.emulated.pico_board import PicoBoard
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.usb_board import UsbBoard
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip, variant_of
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
-from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of
+from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of, is_virtual
 from rig.config.schema import Experiment
 from rig.faults import Fault
 
@@ -37,11 +38,8 @@ from rig.faults import Fault
 def serial_line(e: Experiment) -> Iterator[Line]:
     """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
     port = e.daq.port
-    if port in ("emulated-chip", "emulated-pico"):
-        device = emulated_chip(e) if port == "emulated-chip" else emulated_pico(e)
-        adapter = adapter_of(e)
-        chip = device if adapter == "none" else BehindUsb(device, adapter)
-        yield Line(chip, chip, port, emulated=True)
+    if port is not None and is_virtual(e):
+        yield _virtual_line(e, port)
     elif port in EMULATED_PORTS:
         with TemporaryDirectory(prefix="rig-") as folder:
             trace = Path(folder) / "truth.csv"
@@ -52,6 +50,21 @@ def serial_line(e: Experiment) -> Iterator[Line]:
         yield _line_of_port(e, port)
     else:
         raise ValueError("daq.port is missing")
+
+
+def _virtual_line(e: Experiment, port: str) -> Line:
+    device: VirtualBoard | VirtualChip | VirtualPico
+    shaft = None
+    if port in PICO_PORTS:
+        device = emulated_pico(e)
+    elif port in CHIP_PORTS:
+        device = emulated_chip(e)
+    else:
+        device = emulated_host_board(e)
+        shaft = device.shaft
+    adapter = adapter_of(e)
+    line = device if adapter == "none" else BehindUsb(device, adapter)
+    return Line(line, line, port, emulated=True, shaft=shaft)
 
 
 def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
@@ -94,6 +107,15 @@ def _by_hand(e: Experiment, line: Line) -> ByHand | None:
     if e.limits.is_endless:
         return ByHand(0.0, tried_estop=line.emulated)
     return ByHand(emulated_of(e).motor.start_rad) if line.emulated else None
+
+
+def emulated_host_board(e: Experiment) -> VirtualBoard:
+    """The firmware's core on this machine with the config's bench behind it, as ``emulated_chip``."""
+    emulated = emulated_of(e)
+    bench = bench_parameters(emulated, e.tachometer)
+    board = VirtualBoard(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, baud=e.daq.baud)
+    board.keeps_shaft = True
+    return board
 
 
 def emulated_chip(e: Experiment) -> VirtualChip:

@@ -40,6 +40,8 @@ def _keys(e: Experiment) -> Iterator[Problem]:
     d = e.daq
     if d.port is None:
         yield wrong("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
+    elif d.port.startswith("emulated") and d.port not in EMULATED_PORTS:
+        yield wrong("daq.port", f"no {d.port} for `driver: serial`", f"one of {', '.join(EMULATED_PORTS)}")
     if e.emulated is None and d.port in EMULATED_PORTS:
         yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
     if e.emulated is not None and e.emulated.motor.delay_s is not None and d.port in EMULATED_PORTS:

@@ -58,8 +58,8 @@ class SimulatedBackend(Backend):
         return True
 
     @override
-    def seconds_words(self, e: Experiment) -> str:
-        return " of virtual time"
+    def in_virtual_time(self, e: Experiment) -> bool:
+        return True
 
     @override
     @contextmanager

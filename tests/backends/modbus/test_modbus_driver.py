@@ -34,7 +34,7 @@ STYLES = ["read-write", "separate"]
 def experiment_with(requests: str = "read-write", registers: dict[str, Any] | None = None, **modbus: Any) -> Experiment:
     """The RTU example in virtual time; ``registers`` with None are left out. Separate requests take 20 ms a tick."""
     data = load(CONFIG).model_dump(mode="json", exclude_none=True)
-    data["daq"] |= {"port": "emulated-virtual"}
+    data["daq"] |= {"port": "emulated"}
     if requests == "separate":
         data["period_s"] = 0.02
         data["daq"]["watchdog_s"] = 0.2
@@ -387,7 +387,7 @@ def signed(body: bytes) -> bytes:
 
 
 FORGED: dict[str, tuple[Any, str, str]] = {
-    "late": (lambda d: [(0.012, d)], "LINK_TIMEOUT", "no reply from unit 1"),
+    "late": (lambda d: [(0.25, d)], "LINK_TIMEOUT", "no reply from unit 1"),
     "none": (lambda d: [], "LINK_TIMEOUT", "position, holding register 16"),
     "cut short": (lambda d: [(0.0, d[:-3])], "LINK_REPLY", "no whole reply"),
     "first byte lost": (lambda d: [(0.0, d[1:])], "LINK_REPLY", ""),
@@ -432,7 +432,7 @@ def test_a_device_that_goes_on_misbehaving_ends_at_0_V(style: str, kind: Any) ->
     rig = Rig(experiment_with(style))
     for _ in range(10):
         rig.tick(0.6)
-    rig.block.inject(ReplyFault(kind))
+    rig.block.inject(ReplyFault(kind, by_s=0.25))
     fault = rig.fault_while_driving(2)
     expected = {
         "late": "LINK_TIMEOUT", "wrong": "LINK_REPLY", "exception": "MODBUS_EXCEPTION", "unit": "LINK_UNIT",
@@ -444,6 +444,21 @@ def test_a_device_that_goes_on_misbehaving_ends_at_0_V(style: str, kind: Any) ->
     rig.block.sleep_until(stopped_s + rig.experiment.daq.watchdog_s)
     assert rig.block.truth().output_V == 0.0
     assert rig.driven == rig.commanded
+
+
+@pytest.mark.parametrize("by_s", [0.012, 0.05, 0.085])
+def test_a_late_reply_is_waited_for_as_long_as_the_watchdog_lets_the_drive_act(rig: Rig, by_s: float) -> None:
+    """It is taken with the time at which the block executed the request, and the next request gets its own reply."""
+    for k in range(10):
+        rig.tick(0.6 if k % 2 else -0.6)
+    rig.block.inject(ReplyFault("late", times=1, by_s=by_s))
+    sent_s = rig.block.now_s()
+    late = rig.tick(0.3)
+    assert rig.block.now_s() - sent_s > by_s and late.t_s - sent_s < rig.experiment.period_s + 0.01
+    for k in range(10):
+        sample = rig.tick(0.6 if k % 2 else -0.6)
+        assert rig.block.now_s() - sample.t_s < rig.experiment.period_s
+    assert rig.driver.link_statistics["timeouts"] == 0 and rig.block.truth().output_V != 0.0
 
 
 @pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])
@@ -471,7 +486,7 @@ def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
     }  # fmt: skip
     rig = Rig(experiment_with("separate", registers))
     rig.tick(0.6)
-    # the write of the tick is answered 15 ms late; after that the block hears nothing any more
+    # the write of the tick is answered when its tick has given up; after that the block hears nothing any more
     deaf = False
 
     def late_then_deaf(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
@@ -480,7 +495,7 @@ def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
             return () if deaf else ((0.0, data),)
         if data[1] == 16:
             deaf = True
-            return ((0.015, data),)
+            return ((rig.experiment.daq.watchdog_s, data),)
         return ((0.0, data),)
 
     rig.block.disturb(late_then_deaf)

@@ -138,7 +138,7 @@ def test_driver_and_device_agree_on_every_type_and_word_order(
 ) -> None:
     """The device packs by itself: neither side has the other's mistakes."""
     data = load(CONFIG).model_dump(mode="json", exclude_none=True)
-    data["daq"]["port"] = "emulated-virtual"
+    data["daq"]["port"] = "emulated"
     data["emulated"]["potentiometer"] |= {"noise_rad": 0.0, "offset_rad": 0.0}
     modbus = data["daq"]["modbus"] | {"word_order": word_order, "requests": requests}
     modbus["registers"] |= {

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+from array import array
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from typing_extensions import override
+
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
 from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
@@ -73,6 +77,20 @@ class VirtualBoard(VirtualDevice):
     ) -> None:
         options = device_options(bench, seed, clock_error_ppm, clock_start_us)
         super().__init__(_load(build_folder), options, round(1e9 * bits_per_byte / baud))
+        self.keeps_shaft = False  # the path, for ``shaft``
+        self._shaft_t_s, self._shaft_rad = array("d"), array("d")
+
+    @override
+    def _run(self, until_ns: int, *, to_byte: bool) -> None:
+        super()._run(until_ns, to_byte=to_byte)
+        if self.keeps_shaft:
+            truth = self.truth()
+            self._shaft_t_s.append(truth.t_s)
+            self._shaft_rad.append(truth.y_rad)
+
+    def shaft(self) -> ShaftPath:
+        """Where the shaft really was each time that the host had waited, in virtual time, while it was kept."""
+        return ShaftPath(self._shaft_t_s, self._shaft_rad)
 
     def truth(self) -> Truth:
         """What is really the case now."""

@@ -58,7 +58,7 @@ class VirtualDevice(Plug):
         """
         self._check_plug()
         until_ns = self._now_ns() + math.ceil(1e9 * max(timeout_s, 0.0))
-        self._library.virtual_run(self._board, until_ns, True)
+        self._run(until_ns, to_byte=True)
         n = self._library.virtual_read(self._board, self._buffer, _READ_BYTES)
         return self._buffer.raw[:n]
 
@@ -77,8 +77,12 @@ class VirtualDevice(Plug):
         until_ns = math.ceil(1e9 * t_s)
         if until_ns / 1e9 < t_s:  # rounding
             until_ns += 1
-        self._library.virtual_run(self._board, until_ns, False)
+        self._run(until_ns, to_byte=False)
         return self.now_s()
+
+    def _run(self, until_ns: int, *, to_byte: bool) -> None:
+        """Let time pass to ``until_ns``, or to the next byte for the host."""
+        self._library.virtual_run(self._board, until_ns, to_byte)
 
     # ------------------------------------------------------------------ what may happen to a bench
 

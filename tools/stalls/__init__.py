@@ -1,0 +1,1 @@
+"""`make stalls`: a host that stands still at random, against random motors, in virtual time."""
