@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -23,16 +23,19 @@ from rig.recording.recording import Recording
 from rig.report import source
 from rig.report.fitted import forest_figure, residual_figure
 from rig.report.measured import whole_run_figure
+from rig.report.simulated import figure_of, simulated
 from rig.report.style import AbsentError, laid_out, style
 from rig.report.tables import estimates as estimate_rows
 from rig.report.words import PARAMETERS, quantity
-from rig.results import RunMeta, RunResult
+from rig.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult
+from rig.results.answer_words import answer_lines
 from rig.terminal import (
     BUDGET_HEADINGS,
     LAW_HEADINGS,
     MOTOR_LAW_HEADINGS,
     budget_rows,
     comparison_words,
+    law_causes,
     law_rows,
     motor_law_rows,
     plain_table,
@@ -176,18 +179,41 @@ class FoundEstimate(Estimate):
         rows = self._rows()
         return _html_table(None, facts) + (_html_table(_PARAMETER_HEADINGS, rows) if rows else "")
 
+    def _result(self) -> EstimateResult:
+        return self.as_result()
+
     def _rows(self) -> list[list[str]]:
         """The parameters that it has, a row each: meaning and unit, value, interval."""
         if self.verdict == "refused":
             return []
-        all_of_them = [quantity(parameter, self.as_result(), {}) for parameter in PARAMETERS]
+        all_of_them = [quantity(parameter, self._result(), {}) for parameter in PARAMETERS]
         known = [one for one in all_of_them if one.exact is not None]
         return [[f"{one.parameter.meaning}, {one.parameter.unit}", one.text, one.interval] for one in known]
 
 
+@dataclass(frozen=True, repr=False)
+class FoundAnswer(FoundEstimate):
+    """The answer: an estimate with the laws that the tests show, and with ``answer``, which is as in result.json."""
+
+    answer: Answer = field(default_factory=Answer)
+
+    @property
+    def law(self) -> tuple[FoundLawResult, ...] | None:
+        """What the motor has beyond tau, K and friction; (): nothing; None: nobody looked."""
+        return self.answer.law
+
+    @property
+    def u95(self) -> Mapping[str, float | None]:
+        """Half widths at 95 % by parameter, in its unit, of all that the tests do not exclude; empty: not known."""
+        return self.answer.u95 or {}
+
+    def _result(self) -> EstimateResult:
+        return self.answer
+
+
 @dataclass(repr=False)
 class Found(Identification):
-    """What was identified: ``best``, ``found["sampled-data"]``, ``estimates``, ``notes``: see ``Identification``."""
+    """What was identified: ``answer``, ``best``, ``found["sampled-data"]``, ``notes``: see ``Identification``."""
 
     @classmethod
     def of(cls, identification: Identification) -> Self:
@@ -202,46 +228,55 @@ class Found(Identification):
         return cast(FoundEstimate, self.estimates[method])  # as ``of`` made it
 
     @property
-    def best(self) -> FoundEstimate | None:
-        """The first estimate that is not refused and has tau and K; None without one."""
-        best = super().best
-        return None if best is None else self[best.method]
+    def best(self) -> FoundAnswer | None:
+        """The answer: its estimate, with laws and u95; None where it is refused, or has no tau and K."""
+        best, answer = super().best, self.answer
+        return None if best is None or answer is None else replace(FoundAnswer.of(best), answer=answer)
 
     def to_control(self) -> Any:
-        """The linear part of the best estimate, as a transfer function of python-control: see ``Estimate.to_control``.
+        """The linear part of the answer, as a transfer function of python-control: see ``Estimate.to_control``.
 
         Raises ValueError where no estimate gives a motor; ImportError where the package control is not installed.
         """
         if self.best is None:
-            raise ValueError("no estimate gives a motor; summary() says why")
+            raise ValueError("the answer is no motor; summary() says why")
         return self.best.to_control()
 
     def summary(self) -> str:
-        """Tables of the estimates and of what the friction law adds, then the reasons of the verdicts and the notes."""
+        """The answer; then each method, what the friction law adds, the laws, the uncertainty, reasons and notes."""
         reasons = [f"{name}: {reason}" for name, e in self.estimates.items() for reason in e.reasons]
         result = self.as_result()
         tables = (
+            (_HEADINGS, _table(self._result())),
             (LAW_HEADINGS, law_rows(result.friction_law)),
             (MOTOR_LAW_HEADINGS, motor_law_rows(result)),
             (BUDGET_HEADINGS, budget_rows(result)),
         )
         added = [line for headings, rows in tables if rows for line in plain_table(headings, rows)]
-        return "\n".join([*plain_table(_HEADINGS, _table(self._result())), *added, *reasons, *self.notes])
+        return "\n".join([repr(self), *added, *reasons, *self.notes])
 
     def plot(self) -> Figure:
-        """The estimates side by side with their 95 % intervals; a figure of matplotlib, which is not shown.
+        """Measured against simulated position, residual and fit of each test; a figure of matplotlib, not shown.
 
-        A hollow mark is an estimate whose verdict is not ok. Raises ValueError where there is no estimate.
+        Raises ValueError where the answer is no motor.
+        """
+        with _drawing():
+            return laid_out(figure_of(self, simulated(self)))
+
+    def plot_methods(self) -> Figure:
+        """The answer and each method side by side with their 95 % intervals; a figure of matplotlib, not shown.
+
+        A hollow mark: its verdict is not ok. Raises ValueError where there is no estimate.
         """
         run = source.ReportedRun(Path(), None, RunMeta(), self._result())
         with _drawing():
             return laid_out(forest_figure(run))
 
     def _result(self) -> RunResult:
-        return RunResult(estimates=self.as_result().estimates)
+        return RunResult(answer=self.answer, estimates=self.as_result().estimates)
 
     def __repr__(self) -> str:
-        return "\n".join(plain_table(_HEADINGS, _table(self._result())))
+        return "\n".join(answer_lines(self.answer, law_causes()))
 
     def _repr_html_(self) -> str:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)

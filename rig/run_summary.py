@@ -30,6 +30,7 @@ from rig.preflight import notes
 from rig.preflight.room_to_stop import device_watchdog_s
 from rig.recording.stage import Stage
 from rig.results import (
+    Answer,
     BreakawayResult,
     DeviceSeen,
     EstimateResult,
@@ -155,8 +156,9 @@ def run_result(
     return RunResult(
         version=VERSION,
         backend=bench.driver.backend,
-        relays=() if own is None else tuple(own.relays),
+        answer=_answer(found),
         estimates=_estimates(found),
+        relays=() if own is None else tuple(own.relays),
         tracking=dict(found.tracking),
         loop=_loop(statistics, found.real_time),
         link=link,
@@ -168,7 +170,7 @@ def run_result(
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
         friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
         friction_map=None if own is None or own.friction_map is None else own.friction_map.as_result(),
-        **({} if own is None or own.motor_law is None else own.motor_law.as_result().law_keys()),
+        **({} if own is None else own.evidence),
         jog=found.jog,
         search=None if found.search is None else _search(found.search),
         stopped=found.stopped,
@@ -181,8 +183,9 @@ def least_result(bench: Bench, statistics: LoopStatistics, notes: list[str], fau
     return RunResult(
         version=VERSION,
         backend=bench.driver.backend,
-        relays=(),
+        answer=None,
         estimates={},
+        relays=(),
         tracking={},
         loop=statistics.summary(),
         link={},
@@ -243,6 +246,14 @@ def _estimates(found: Findings) -> dict[str, EstimateResult]:
     if found.models_from is None:
         return estimates
     return {method: estimate.model_copy(update={"rows": None}) for method, estimate in estimates.items()}
+
+
+def _answer(found: Findings) -> Answer | None:
+    """The answer; that of another run has no rows in this one."""
+    answer = None if found.identification is None else found.identification.answer
+    if answer is None or found.models_from is None:
+        return answer
+    return answer.model_copy(update={"rows": None})
 
 
 def _loop(statistics: LoopStatistics, real_time: RealTimeReport | None) -> LoopResult:

@@ -128,7 +128,7 @@ def tune_run(folder: Path, asked: Asked, draws: int, bench: Experiment | None = 
             folder / CONFIG, "is missing: nothing says the bench's period, sensor and limits", "give --try CONFIG"
         )
     e = config.load(folder / CONFIG) if bench is None else bench
-    motor = motor_of(result)
+    motor = motor_of(result.answer)
     sensing = _sensing(e, result if bench is None or _same_sensor(folder, bench) else None)
     tuned, trial = _that_fits(e, asked, motor, sensing)
     latency_s = min(_latency_s(read_run(folder)), motor.delay_s)

@@ -19,7 +19,7 @@ from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
-from rig.estimators import ESTIMATORS, LEADING
+from rig.estimators import ESTIMATORS
 from rig.faults import Fault, since_the_last_run
 from rig.identify import Identification, IdentifyError, identify
 from rig.live.stop_flag import StopFlag
@@ -71,11 +71,10 @@ class Outcome:
         why = ([] if self.fault is None else [str(self.fault)]) + self.failures
         # without another relay test the run was for friction alone
         friction_alone = () if self.result.relays else [e.name for e in ESTIMATORS if not e.finds_motor]
-        for method in (LEADING, *friction_alone):
-            estimate = self.result.estimates.get(method)
-            with_law = self.result.with_law if method == LEADING else None
-            found = with_law is not None and not with_law.is_refused  # the plain motor alone is refused
-            if not why and estimate is not None and estimate.is_refused and not found:
+        answer = self.result.answer
+        of_friction = {name: one for name, one in self.result.estimates.items() if name in friction_alone}
+        for method, estimate in ({} if answer is None else {answer.method: answer} | of_friction).items():
+            if not why and estimate.is_refused:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate.reasons))
         return "; ".join(why)
 
@@ -314,7 +313,7 @@ def beside_data_sheet(e: Experiment, identification: Identification) -> list[str
     By a bridge that lets the motor run free while PWM is low, K and tau come out several times too large, because its
     drive brakes for its share of the time only (docs/real-bench.md).
     """
-    best = identification.best or identification.estimates.get(LEADING)
+    best = identification.leading
     if e.motor is None or best is None or not best.is_motor:
         return []
     expected_rad_s = e.motor.no_load_speed_rad_s

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rig.estimators import LEADING
 from rig.results import (
+    Answer,
     EstimateResult,
     FrictionLawResult,
     FrictionMapResult,
@@ -27,6 +28,7 @@ from rig.results import (
     TrueMotor,
     known,
 )
+from rig.results.answer_words import answer_lines
 from rig.results.budget_lines import budget_lines, that_matter
 from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
@@ -46,7 +48,7 @@ SHORT = ("tau", "K", "f_c")
 LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
-BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V", "only in")
+BUDGET_HEADINGS = ("from", "tau, %", "K, %", "f_c, %", "only in")
 SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
 LIST_HEADINGS = ("run", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", "laws", "ended")
 RECORD_AGAIN = (
@@ -104,7 +106,7 @@ def patience(what: str) -> Iterator[None]:
 
 
 def show_run(outcome: Outcome) -> None:
-    """Show a run: relay tests, estimates, loop, where the files are; on stderr why it failed."""
+    """Show a run: relay tests, answer, each method, loop, where the files are; on stderr why it failed."""
     result = outcome.result
     click.echo(f"backend: {result.backend}")
     for test in result.relays:
@@ -122,10 +124,9 @@ def show_run(outcome: Outcome) -> None:
             f"{run.stage}: d {run.d_V:+.3f} V, eps {known(run.eps_rad):.3f} rad -> {switched}, "
             f"from {1e3 * known(run.start_rad):+.1f} mrad"
         )
-    if result.estimates:
+    if result.answer is not None:
+        show_answer(result.answer, result.truth)
         show_estimates(result.estimates, result.truth, result.tracking)
-        show_friction_law(result.friction_law, of_plain=bool(result.law))
-        show_motor_law(result, result.truth)
         show_friction_map(result.friction_map)
     if result.loop is not None:
         _show_loop(result.loop)
@@ -133,6 +134,8 @@ def show_run(outcome: Outcome) -> None:
         click.echo(f"note: {note}")
     if outcome.paced:
         click.echo(f"time: {outcome.paced}")
+    if result.answer is not None and result.models_from is None:
+        click.echo(f"more:   rig identify {quote(str(outcome.folder))} --verbose")
     click.echo(f"run:    {outcome.folder}")
     if (outcome.folder / "report.html").is_file():  # if it is missing, the failure says why
         click.echo(f"report: {outcome.folder / 'report.html'}")
@@ -274,7 +277,7 @@ def show_runs(runs: Sequence[ListedRun], of: int) -> None:
     rows = []
     for run in runs:
         numbers = [
-            "" if value is None else f"{value:.4f}" + ("" if percent is None else f" ±{percent:.2g} %")
+            "" if value is None else _listed(value, percent)
             for value, percent in (
                 (run.tau_s, run.tau_percent), (run.K_rad_s_V, run.K_percent), (run.fc_V, run.fc_percent)
             )
@@ -289,6 +292,12 @@ def show_runs(runs: Sequence[ListedRun], of: int) -> None:
     for run in runs:
         if run.problem is not None:
             click.echo(f"{plain(run.name)}: {run.problem}")
+
+
+def _listed(value: float, percent: float | None) -> str:
+    if percent is None:
+        return f"{value:.4f}"
+    return f"{value:.4f} ±{percent:.2g} %" if percent <= 100.0 else "unknown"
 
 
 def show_comparison(found: ComparisonResult) -> None:
@@ -343,12 +352,40 @@ def _off_others(percent: float, interval: tuple[float | None, float | None]) -> 
     return f"{percent:+.2f} ±{0.5 * (known(interval[1]) - known(interval[0])):.2f}"
 
 
+def show_answer(answer: Answer | None, truth: TrueMotor | None = None) -> None:
+    """Show the answer in a few lines; ``truth``: the emulated motor, if there is one."""
+    for line in answer_lines(answer, law_causes() if answer is not None and answer.law else {}, truth):
+        click.echo(line)
+
+
+def law_causes() -> dict[str, tuple[str, str]]:
+    """For each law of a motor by its name: its title, and what it may come from."""
+    from rig.identify.departures import DEPARTURES
+
+    return {law.name: (law.title, law.cause) for law in DEPARTURES}
+
+
+def show_details(result: IdentificationResult) -> None:
+    """Show what the answer is made of: notes, each method, friction law, laws, uncertainty, friction map."""
+    for note in result.notes:
+        click.echo(note)
+    show_estimates(result.estimates, None)
+    reasons = [(method, reason) for method, one in result.estimates.items() for reason in one.reasons]
+    for method, reason in reasons:
+        click.echo(f"{method}: {reason}")
+    if any("record" in reason for _, reason in reasons):
+        click.echo(RECORD_AGAIN)
+    show_friction_law(result.friction_law, of_plain=bool(result.answer and result.answer.law))
+    show_motor_law(result)
+    show_friction_map(result.friction_map)
+
+
 def show_estimates(
     estimates: Mapping[str, EstimateResult],
     truth: TrueMotor | None,
     tracking: Mapping[str, TrackingResult] | None = None,
 ) -> None:
-    """Show the estimates as a table, then their reasons; ``truth``: the emulated motor, if there is one."""
+    """Show the plain motor by each method as a table; ``truth``: the emulated motor, if there is one."""
     headings = ["method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", *(["tracking RMS, rad"] if tracking else [])]
     rows: list[list[str]] = []
     for method, estimate in estimates.items():
@@ -361,12 +398,8 @@ def show_estimates(
     if truth is not None:
         row = ["truth", *(f"{value:.4f}" for value in (truth.tau_s, truth.K_rad_s_V, truth.fc_V))]
         rows.append([*row, *[""] * (len(headings) - len(row))])
-    show_table("estimates" + (" (in brackets: error against the emulated motor)" if truth else ""), headings, rows)
-    for method, estimate in estimates.items():
-        for reason in estimate.reasons:
-            click.echo(f"{method}: {reason}")
-    if any("record" in reason for estimate in estimates.values() for reason in estimate.reasons):
-        click.echo(RECORD_AGAIN)
+    off = " (in brackets: error against the emulated motor)" if truth else ""
+    show_table(f"the plain motor by each method{off}", headings, rows)
     for method, check_run in (tracking or {}).items():
         if check_run.not_run is not None:
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
@@ -395,30 +428,16 @@ def show_friction_law(found: FrictionLawResult | None, *, of_plain: bool) -> Non
         )
 
 
-def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | None = None) -> None:
-    """Show the laws that the motor has beyond the plain one, and what the uncertainty of the estimate is made of."""
-    if result.law:
-        show_table(
-            "law of the motor: what it has beyond tau, K and friction",
-            MOTOR_LAW_HEADINGS,
-            motor_law_rows(result, truth),
-        )
-        if result.with_law is not None:
-            numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
-            with_it = "with it" if len(result.law) == 1 else "with them"
-            click.echo(f"{with_it} ({result.with_law.verdict}): {', '.join(numbers)}")
-            for reason in result.with_law.reasons:
-                click.echo(f"{with_it}: {reason}")
-    elif result.with_law is not None:
-        numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
-        click.echo(f"from all records ({result.with_law.verdict}): {', '.join(numbers)}")
-        for reason in result.with_law.reasons:
-            click.echo(f"from all records: {reason}")
+def show_motor_law(result: IdentificationResult) -> None:
+    """Show the laws that the motor has beyond the plain one, and what the uncertainty of the answer is made of."""
+    rows = motor_law_rows(result)
+    if rows:
+        show_table("what the motor has beyond tau, K and friction", MOTOR_LAW_HEADINGS, rows)
     if words := records_in_words(result):
-        click.echo(f"fitted to {words}")
+        click.echo(f"the answer is fitted to {words}")
     rows = budget_rows(result)
     if rows:
-        show_table("uncertainty at 95 %, in % of the estimate, and what it is made of", BUDGET_HEADINGS, rows)
+        show_table("uncertainty at 95 % (u95), in % of the answer, and what it is made of", BUDGET_HEADINGS, rows)
 
 
 def show_friction_map(found: FrictionMapResult | None) -> None:
@@ -445,30 +464,25 @@ def map_rows(found: FrictionMapResult) -> list[list[str]]:
     return rows
 
 
-def records_in_words(result: RunResult | IdentificationResult) -> str:
-    """What the law was fitted to, as in ``relay-1 (13.7 s), search (18.2 s)``; empty where the plain estimate holds."""
-    if result.with_law is None:
-        return ""
+def records_in_words(result: IdentificationResult) -> str:
+    """What the answer was fitted to, as in ``relay-1 (13.7 s), search (18.2 s)``."""
     return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in result.law_records or ())
 
 
-def motor_law_rows(result: RunResult | IdentificationResult, truth: TrueMotor | None = None) -> list[list[str]]:
-    """The laws beyond the plain one, a row of ``MOTOR_LAW_HEADINGS`` each; ``truth``: the emulated motor."""
+def motor_law_rows(result: IdentificationResult) -> list[list[str]]:
+    """The laws of the answer beyond the plain motor, a row of ``MOTOR_LAW_HEADINGS`` each."""
     rows = []
-    true = {law.name: law.value for law in (truth.law or () if truth else ())}
-    for law in result.law or ():
+    for law in (result.answer.law if result.answer is not None else None) or ():
         text = "-" if law.value is None else f"{law.value:.3g}"
         if law.ci95 is not None and law.ci95[0] is not None and law.ci95[1] is not None:
             text += f" ±{0.5 * (law.ci95[1] - law.ci95[0]):.2g}"
-        if true.get(law.name) is not None:
-            text += f" (true {true[law.name]:.3g})"
         alike = next((group[1:] for group in result.not_told_apart or () if group and group[0] == law.name), ())
         or_else = ", ".join(name.replace("_", " ") for name in alike)
         rows.append([law.name.replace("_", " "), text, "" if law.unit == "1" else law.unit, or_else])
     return rows
 
 
-def budget_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
+def budget_rows(result: IdentificationResult) -> list[list[str]]:
     """The lines of the budget that matter, a row of ``BUDGET_HEADINGS`` each; the sums first; empty without one."""
     rows = []
     for line in that_matter(budget_lines(result), SMALL_SHARE):
@@ -518,9 +532,9 @@ def show_campaign(found: Summary, folder: Path) -> None:
 
 def show_scatter(results: Sequence[RunResult]) -> None:
     """Show the scatter between runs beside the intervals that each run gave; ``results``: the result.json of each."""
-    estimates = [r.estimates[LEADING] for r in results if LEADING in r.estimates]
+    estimates = [run.answer for run in results if run.answer is not None and not run.answer.is_refused]
     if len(estimates) < 2:
-        click.echo(f"no scatter: it takes two {LEADING} estimates, and {len(results)} runs gave {len(estimates)}")
+        click.echo(f"no scatter: it takes two answers, not refused, and {len(results)} runs gave {len(estimates)}")
         return
     headings = ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals")
     rows: list[list[str]] = []
@@ -529,4 +543,4 @@ def show_scatter(results: Sequence[RunResult]) -> None:
         widths = [0.5 * (b[1] - b[0]) for e in estimates if (b := e.interval(name)) is not None]
         if len(values) >= 2 and widths:
             rows.append([name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}"])
-    show_table(f"{LEADING} estimates of {len(estimates)} of {len(results)} runs", headings, rows)
+    show_table(f"answers of {len(estimates)} of {len(results)} runs", headings, rows)

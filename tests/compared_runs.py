@@ -57,9 +57,10 @@ def result_of(told: Told) -> dict[str, Any]:
         },
         {"source": "dead_band", "tau_s": 0.0, "K_rad_s_V": 0.0, "fc_V": told.dead_band_V},
     ]
+    u95 = {key: 1.96 * e for key, e in zip(values, ERRORS, strict=True)}
     return {
         "schema": 1, "backend": "bench", "relays": [], "estimates": {METHOD: estimate}, "tracking": {}, "faults": [],
-        "law": list(told.laws), "u95": values, "budget": budget, "notes": [], "link": {}, "config_notes": [],
+        "law": list(told.laws), "u95": u95, "budget": budget, "notes": [], "link": {}, "config_notes": [],
         "loop": {"period_s": 0.01, "ticks": 1000},
     }  # fmt: skip
 

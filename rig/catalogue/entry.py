@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from rig.estimators import LEADING
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_meta, read_result
-from rig.results import EstimateResult, RunMeta, RunResult, known
+from rig.results import RunMeta, RunResult, known
 from rig.results.listed import ListedRun
 
 DONE, FAULT, NO_RESULT, DAMAGED = "done", "fault", "no result", "damaged"
-WITH_LAW = "with_law"
 
 
 def read_entry(folder: Path) -> ListedRun:
@@ -43,34 +41,24 @@ def of_files(name: str, meta: RunMeta, result: RunResult | None, problem: str = 
 
 
 def _found(result: RunResult) -> dict[str, object]:
-    method, estimate = _estimate(result)
-    tracked = result.tracking.get(LEADING)
+    answer = result.answer
+    tracked = None if answer is None else result.tracking.get(answer.method)
     loop = result.loop
     found: dict[str, object] = {
-        "laws": ", ".join(law.name for law in result.law or ()),
+        "laws": ", ".join(law.name for law in (answer.law if answer else None) or ()),
         "tracking_rms_rad": None if tracked is None else tracked.rms_rad,
         "duration_s": None
         if loop is None or loop.ticks is None or loop.period_s is None
         else round(loop.ticks * loop.period_s, 6),
     }
-    if estimate is None:
+    if answer is None:
         return found
-    found |= {"method": method, "verdict": estimate.verdict}
-    if estimate.is_refused:
+    found |= {"method": answer.method, "verdict": answer.verdict}
+    if answer.is_refused:
         return found  # a refusal gives no number
     for key, percent in (("tau_s", "tau_percent"), ("K_rad_s_V", "K_percent"), ("fc_V", "fc_percent")):
-        value, interval = known(estimate.value(key)), estimate.interval(key)
+        value, interval = known(answer.value(key)), answer.at_95(key)
         found[key] = value if math.isfinite(value) else None
         if interval is not None and value > 0.0:
             found[percent] = 50.0 * (interval[1] - interval[0]) / value
     return found
-
-
-def _estimate(result: RunResult) -> tuple[str | None, EstimateResult | None]:
-    """The estimate that the run stands for: with its laws, the leading one, or the first."""
-    if result.with_law is not None:
-        return WITH_LAW, result.with_law
-    return next(
-        ((name, found) for name, found in sorted(result.estimates.items(), key=lambda one: one[0] != LEADING)),
-        (None, None),
-    )

@@ -23,7 +23,7 @@ from rig.results.listed import ListedRun
 from rig.results.reading import DamagedError, parsed
 
 INDEX = ".rig-index.jsonl"
-FORM = 1  # of the index
+FORM = 2  # of the index
 _MOST_BYTES = 64 * 2**20  # a hundred thousand runs
 FROM = (META, RESULT)  # files that a line is made from
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,7 +17,13 @@ from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.recording.log_format import LogFormat
-from rig.terminal import patience, show_estimates, show_friction_law, show_friction_map, show_motor_law
+from rig.terminal import patience, show_answer, show_details
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.identify import Identification
+
+MOST_NOTES = 2  # on what was read; the others are among the details
+Wanted = tuple[Path | None, tuple[str, ...]]
 
 
 @click.command()
@@ -35,6 +43,20 @@ from rig.terminal import patience, show_estimates, show_friction_law, show_frict
     help="A stage of the run that is not read: breakaway, search, relay-1, relay-2, ... Repeat for several.",
 )
 @ROWS
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="Draw measured against simulated position, the residual, and the fit in %.",
+)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.html",
+    help="Write a page with the answer, that picture, each method and the uncertainty.",
+)
+@click.option("--force", is_flag=True, help="Replace these files if they are there already.")
+@click.option("--verbose", is_flag=True, help="Show notes, each method, and what the uncertainty is made of, too.")
 @log_options
 @JSON
 def identify(
@@ -42,6 +64,10 @@ def identify(
     methods: Sequence[str],
     without: Sequence[str],
     rows: tuple[int | None, int | None] | None,
+    picture: Path | None,
+    report: Path | None,
+    force: bool,
+    verbose: bool,
     log: LogFormat | None,
     as_json: bool,
 ) -> None:
@@ -54,6 +80,7 @@ def identify(
     --position counts --counts-per-turn 1440. A unit alone takes the column with a usual name; pos:counts names it, and
     3:counts numbers it. A log without a line of names has time, drive and position, in this order.
     """
+    _require_new((picture, (".png",)), (report, (".html", ".htm")), force)
     from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
     from rig.recording.path_kind import require_distinct
@@ -68,17 +95,59 @@ def identify(
             if rows is not None:
                 recordings = [recording.only_rows(*rows) for recording in recordings]
             found = identify_recordings(recordings, tuple(methods) or None, without=without)
+        records = [str(path) for path in paths]
+        undrawn = "" if picture is None else _draw(found, picture)
+        if report is not None:
+            from rig.report.identified import write_identified
+
+            with patience("drawing the report"):
+                write_identified(found, records, report)
     except (RecordingError, IdentifyError) as error:
         fail_input(error)
     result = found.as_result()
-    ok = any(not estimate.is_refused for estimate in result.estimates.values())
+    ok = result.answer is not None and not result.answer.is_refused
     if as_json:
-        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
-    else:
-        for note in result.notes:
+        files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
+        click.echo(json_text({"ok": ok, "records": records, **files, **result.as_json()}), nl=False)
+        sys.exit(0 if ok else EXIT_FAILED)
+    if not verbose:
+        notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
+        for note in notes[:MOST_NOTES]:
             click.echo(note)
-        show_estimates(result.estimates, None)
-        show_friction_law(result.friction_law, of_plain=bool(result.law))
-        show_motor_law(result)
-        show_friction_map(result.friction_map)
+        if len(notes) > MOST_NOTES:
+            click.echo(f"{len(notes) - MOST_NOTES} more notes on what was read")
+    show_answer(result.answer)
+    if verbose:
+        show_details(result)
+    if picture is not None:
+        click.echo(f"picture: {undrawn or picture}")
+    if report is not None:
+        click.echo(f"report: {report}")
+    if not verbose:
+        click.echo("more: the same command with --verbose")
     sys.exit(0 if ok else EXIT_FAILED)
+
+
+def _require_new(picture: Wanted, report: Wanted, force: bool) -> None:
+    """Refuse a file of another kind, one that is there already, and one that no folder holds, before the work."""
+    for path, endings in (picture, report):
+        if path is None:
+            continue
+        if path.suffix.lower() not in endings:
+            fail(EXIT_BAD_INPUT, f"{path}: this file is of another kind", f"give a name that ends in {endings[0]}")
+        if not path.parent.is_dir():
+            fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
+        if path.exists() and not force:
+            fail(EXIT_BAD_INPUT, f"{path} is there already", "give another name, or --force")
+
+
+def _draw(found: Identification, path: Path) -> str:
+    """Write the picture; why there is none, in words, else empty. Raises CannotWriteError."""
+    from rig.report.simulated import write_picture
+    from rig.report.style import AbsentError
+
+    try:
+        write_picture(found, path)
+    except AbsentError as absent:
+        return f"none: {absent}"
+    return ""

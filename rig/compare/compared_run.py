@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from rig.estimators import LEADING
 from rig.recording.errors import RecordingError
 from rig.recording.path_kind import no_run
 from rig.recording.reader import read_meta, read_result
@@ -38,7 +37,6 @@ class ComparedRun:
     covariance   (3, 3) of these by the noise (Type A)
     lines        what else may be wrong, by the budget's sources: (3,) standard deviations of these; None: no budget
     bench        what the run says of its bench: parts by name; a part may be missing
-    with_law     whether the estimate is the one with laws
     laws         that the run shows
     """
 
@@ -50,7 +48,6 @@ class ComparedRun:
     bench: Mapping[str, object]
     meta: RunMeta
     verdict: str
-    with_law: bool
     laws: tuple[FoundLawResult, ...] = ()
     notes: tuple[str, ...] = ()
     temperature_C: float | None = field(default=None)
@@ -107,17 +104,17 @@ def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: 
         raise NotComparableError(
             f"it was driven by the models of {result.models_from}, and measured no motor of its own"
         )
-    estimate = result.with_law or result.estimates.get(LEADING)
-    if estimate is None:
+    answer = result.answer
+    if answer is None:
         fault = f": {result.faults[0].code} ended it" if result.faults else ""
-        raise NotComparableError(f"it has no {LEADING} estimate{fault}")
-    if estimate.is_refused:
-        why = f": {estimate.reasons[0]}" if estimate.reasons else ""
-        raise NotComparableError(f"its estimate is refused{why}")
-    values, covariance = _values(estimate)
+        raise NotComparableError(f"it identified no motor{fault}")
+    if answer.is_refused:
+        why = f": {answer.reasons[0]}" if answer.reasons else ""
+        raise NotComparableError(f"its answer is refused{why}")
+    values, covariance = _values(answer)
     numbers = in_units(values)
     lines = None
-    if result.budget and result.u95:
+    if result.budget and answer.u95:
         scale = np.array([1.0 / numbers[0], 1.0 / numbers[1], 1.0]) / COVERAGE
         lines = {
             entry.source: np.array([known(getattr(entry, key)) for key in PARAMETERS]) * scale
@@ -126,8 +123,8 @@ def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: 
         }
         lines = {source: np.where(np.isfinite(line), line, 0.0) for source, line in lines.items()}
     return ComparedRun(
-        name, folder, values, covariance, lines, bench_of(meta), meta, estimate.verdict,
-        result.with_law is not None, result.law or (), tuple(notes),
+        name, folder, values, covariance, lines, bench_of(meta), meta, answer.verdict,
+        answer.law or (), tuple(notes),
     )  # fmt: skip
 
 

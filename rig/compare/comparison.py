@@ -35,9 +35,9 @@ from rig.compare.statistics import (
 )
 from rig.errors import RigError
 from rig.results.comparison import (
-    Answer,
     ComparedRunResult,
     ComparisonResult,
+    Difference,
     LeftOutResult,
     ScatterResult,
     TrendResult,
@@ -231,7 +231,6 @@ def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: 
         temperature_C=run.temperature_C,
         bench=bench,
         verdict=run.verdict,
-        with_law=run.with_law,
         tau_s=float(numbers[0]),
         K_rad_s_V=float(numbers[1]),
         fc_V=float(numbers[2]),
@@ -254,10 +253,10 @@ def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: 
     )
 
 
-def _measurably(runs: Sequence[ComparedRun], values: Array, odd: Sequence[int] | None, chance: float) -> Answer:
+def _measurably(runs: Sequence[ComparedRun], values: Array, odd: Sequence[int] | None, chance: float) -> Difference:
     if chance >= LEVEL:
         words = f"No: their noise explains how they differ (chance {_chance(chance)})."
-        return Answer(differs=False, chance=chance, odd=() if len(runs) > 2 else None, words=words)
+        return Difference(differs=False, chance=chance, odd=() if len(runs) > 2 else None, words=words)
     names = None if odd is None else tuple(runs[k].name for k in odd)
     if len(runs) == 2:
         words = f"Yes: their noise does not explain how they differ (chance {_chance(chance)})."
@@ -265,7 +264,7 @@ def _measurably(runs: Sequence[ComparedRun], values: Array, odd: Sequence[int] |
         words = f"Yes: {_listed(names)} {_differ(names)} from the others, which agree (chance {_chance(chance)})."
     else:
         words = f"Yes (chance {_chance(chance)}), and no majority of them agrees: rig cannot say which one is odd."
-    return Answer(differs=True, chance=chance, odd=names, words=f"{words}{_unless(runs, values)}")
+    return Difference(differs=True, chance=chance, odd=names, words=f"{words}{_unless(runs, values)}")
 
 
 def _unless(runs: Sequence[ComparedRun], values: Array) -> str:
@@ -286,7 +285,7 @@ def _unless(runs: Sequence[ComparedRun], values: Array) -> str:
     )
 
 
-def _beyond(runs: Sequence[ComparedRun], off: Sequence[Sequence[Off]], scatter: Scatter | None) -> Answer:
+def _beyond(runs: Sequence[ComparedRun], off: Sequence[Sequence[Off]], scatter: Scatter | None) -> Difference:
     looked = off[-1:] if len(runs) == 2 else off  # of two runs each is off the other by the same
     corrected = holm([one.chance for run in looked for one in run])
     chance = min(corrected)
@@ -304,7 +303,7 @@ def _beyond(runs: Sequence[ComparedRun], off: Sequence[Sequence[Off]], scatter: 
     else:
         words = f"Yes (chance {_chance(chance)}), and not in one or two runs only: rig cannot say which one is odd."
         names = None
-    return Answer(differs=chance < LEVEL, chance=chance, odd=names, words=words)
+    return Difference(differs=chance < LEVEL, chance=chance, odd=names, words=words)
 
 
 def _scatter(used: Scatter | None, relative: Array, variances: Array) -> ScatterResult:

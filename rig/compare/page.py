@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import jinja2
@@ -12,9 +11,9 @@ from rig.compare.comparison import Comparison
 from rig.compare.pictures import LaidOver, chosen, cycles, drawn_as, residuals, tracking, trends, values
 from rig.package import VERSION
 from rig.recording.folder import write_whole
-from rig.report.page import Figure
+from rig.report.page import Figure, drawn
 from rig.report.source import load
-from rig.report.style import AbsentError, Picture, style
+from rig.report.style import style
 
 TEMPLATE = "page.html.j2"
 SYMBOLS = {"tau_s": "τ", "K_rad_s_V": "K", "fc_V": "f_c"}
@@ -59,17 +58,10 @@ def _figures(found: Comparison, names: list[str]) -> dict[str, Figure]:
     ]
     with style():
         return {
-            "values": _figure(lambda: values(result, backend)),
-            "time": _figure(lambda: trends(result, "time", hours, backend)),
-            "temperature": _figure(lambda: trends(result, "temperature", degrees, backend)),
-            "cycles": _figure(lambda: cycles(runs, backend)),
-            "residuals": _figure(lambda: residuals(runs, backend)),
-            "tracking": _figure(lambda: tracking(runs, backend)),
+            "values": drawn(lambda: values(result, backend)),
+            "time": drawn(lambda: trends(result, "time", hours, backend)),
+            "temperature": drawn(lambda: trends(result, "temperature", degrees, backend)),
+            "cycles": drawn(lambda: cycles(runs, backend)),
+            "residuals": drawn(lambda: residuals(runs, backend)),
+            "tracking": drawn(lambda: tracking(runs, backend)),
         }
-
-
-def _figure(make: Callable[[], Picture]) -> Figure:
-    try:
-        return Figure(make())
-    except AbsentError as absent:
-        return Figure(None, str(absent))

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from rig.estimators import LEADING
 from rig.identify import Estimate, IdentifyError, identify
 from rig.recording.errors import RecordingError
-from rig.report.fit import average, cycles_of, law_motor
+from rig.report.fit import average, cycles_of
 from rig.report.fitted import LABELS, autocorrelation
 from rig.report.source import Array, ReportedRun
 from rig.report.style import COLOURS, INK, LINES, MUTED, AbsentError, Picture, new_figure, plain, render
@@ -191,15 +191,13 @@ def residuals(runs: Sequence[LaidOver], backend: str) -> Picture:
 
 
 def _fit(run: ReportedRun) -> Estimate | None:
-    """The leading estimate of a run with its residual, with the laws that the run shows."""
+    """The answer's estimate of a run, with its residual."""
     if run.recording is None:
         return None
     try:
-        found = identify([run.recording], (LEADING,), choose_law=law_motor(run) is not None)
+        return identify([run.recording], (LEADING,), choose_law=bool(run.laws)).leading
     except (IdentifyError, RecordingError):
         return None
-    with_laws = None if found.real_motor is None or found.motor_law is None else found.motor_law.estimate
-    return with_laws or found.estimates.get(LEADING)
 
 
 def tracking(runs: Sequence[LaidOver], backend: str) -> Picture:

@@ -33,7 +33,7 @@ from rig.experiment.free_running import free_running
 from rig.experiment.in_device import relay_in_device
 from rig.experiment.which_way import strokes_move_against
 from rig.faults import Fault
-from rig.identify import Identification, identify
+from rig.identify import identify
 from rig.identify.preprocessing import from_recording
 from rig.identify.stroke_delay import strokes_delay
 from rig.live.lease import NAME as LEASE
@@ -562,21 +562,21 @@ def verify_models(session: Session) -> None:
     e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
         return
-    real = identification.real_motor if e.tracking.with_law else None
-    plain = _trusted(identification)
+    trusted, first = identification.real_motor, identification.estimates.get(LEADING)
     safe: dict[Method, Motor | FramedMotor] = {}
     further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
         model: Motor | FramedMotor | None
-        if method == LEADING and real is not None:
-            model, reason = real, _why_not(session, real, real)
-        elif plain is None:
+        if method == LEADING and trusted is not None and trusted.parts and e.tracking.with_law:
+            model, reason = trusted, _why_not(session, trusted, trusted)
+        elif trusted is None or (first is not None and first.verdict == "refused"):
+            # if the best estimator refuses the recording, a reference method's model must not drive the bench either
             model, reason = None, "no estimate is good enough for the simulation before the run"
         elif estimate is None or estimate.verdict == "refused":
             model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
         else:
-            model, reason = estimate.motor(), _why_not(session, estimate.motor(), real or plain)
+            model, reason = estimate.motor(), _why_not(session, estimate.motor(), trusted)
         if model is not None and not reason:
             safe[method] = model
         else:
@@ -588,15 +588,6 @@ def verify_models(session: Session) -> None:
         session.note("model", method=method, **_numbers(model), **further)
     if safe:
         track(session, safe, further_delay_s)
-
-
-def _trusted(identification: Identification) -> Motor | None:
-    """The plain motor of the simulation before the run; None if no estimate is good enough for it."""
-    best, first_choice = identification.best, identification.estimates.get(LEADING)
-    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
-        # if the best estimator refuses the recording, a reference method's model must not drive the bench either
-        return None
-    return best.motor()
 
 
 def _numbers(model: Motor | FramedMotor) -> dict[str, float]:

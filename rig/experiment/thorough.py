@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from rig.control.law import Rest
-from rig.estimators import LEADING
 from rig.experiment.stages import REST_S, driving, identify_recorded, test_further
 from rig.experiment.survey import survey
 from rig.faults import Fault
@@ -49,8 +48,7 @@ def test_once_more(session: Session, pair_V: tuple[float, float]) -> None:
 
 def what_is_open(found: Identification) -> str | None:
     """What the tests leave open, as the begin of a sentence; None if nothing."""
-    law = found.motor_law
-    estimate = None if law is None else law.estimate or found.estimates.get(LEADING)
+    law, estimate = found.motor_law, found.leading
     if law is None or estimate is None:
         return None
     if law.not_told_apart:

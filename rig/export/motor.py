@@ -7,19 +7,15 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import Final
 
-from rig.estimators import LEADING
 from rig.export.whole_run import ExportedRun
 from rig.identify.known_model import known_model
 from rig.model.real_motor import PARTS, FramedMotor
 from rig.package import VERSION
-from rig.recording.errors import RecordingError
-from rig.recording.folder import RESULT
 from rig.recording.text_file import content_of
 from rig.recording.writer import SAMPLES
-from rig.results import EstimateResult, JsonObject, RunResult
+from rig.results import Answer, EstimateResult, JsonObject
 
 # (unit, meaning) of every number that an export may write, in the order of the equation.
 NUMBERS: Final[dict[str, tuple[str, str]]] = {
@@ -232,12 +228,10 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
 
     Raises RecordingError if it holds no model that was not refused.
     """
-    framed = known_model(run_folder, math.inf)
-    estimate = _estimate_of(run_folder, run.result, bool(framed.parts))
+    framed, answer = known_model(run_folder, math.inf), run.result.answer
+    assert answer is not None  # it is where the model comes from
     laws = tuple(
-        LawInWords(law.name, law.value, law.unit, _whole(law.ci95))
-        for law in run.result.law or ()
-        if law.value is not None and framed.parts
+        LawInWords(law.name, law.value, law.unit, _whole(law.ci95)) for law in answer.law or () if law.value is not None
     )
     meta, samples = run.recording.meta, run_folder / SAMPLES
     provenance = Provenance(
@@ -245,31 +239,21 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
         hashlib.sha256(content_of(samples, own=True)).hexdigest() if samples.exists() else None,
         meta.backend,
         meta.emulated,
-        LEADING,
-        estimate.verdict,
-        estimate.reasons,
+        answer.method,
+        answer.verdict,
+        answer.reasons,
     )
-    delay_s = max(estimate.delay_s or 0.0, 0.0)
-    numbers = tuple(_numbers(framed, delay_s, estimate, run.result))
-    return IdentifiedMotor(framed, delay_s, numbers, laws, provenance, _correlation(estimate), {})
+    delay_s = max(answer.delay_s or 0.0, 0.0)
+    numbers = tuple(_numbers(framed, delay_s, answer))
+    return IdentifiedMotor(framed, delay_s, numbers, laws, provenance, _correlation(answer), {})
 
 
-def _estimate_of(run_folder: Path, result: RunResult, has_laws: bool) -> EstimateResult:
-    """The estimate that ``known_model`` took."""
-    estimate = result.with_law if has_laws else result.estimates.get(LEADING)
-    if estimate is None:
-        raise RecordingError(
-            run_folder / RESULT, f"holds no {LEADING} estimate", f"make one: `rig identify {quote(str(run_folder))}`"
-        )
-    return estimate
-
-
-def _numbers(framed: FramedMotor, delay_s: float, estimate: EstimateResult, result: RunResult) -> Iterable[KnownNumber]:
+def _numbers(framed: FramedMotor, delay_s: float, answer: Answer) -> Iterable[KnownNumber]:
     """Every number that the motor has, in the order of ``NUMBERS``."""
     has = framed.numbers | {"delay_s": delay_s}
-    u95, absolute = result.u95 or {}, result.u95_absolute or {}
+    u95, absolute = answer.u95 or {}, answer.u95_absolute or {}
     sizes = {}
-    for law in result.law or ():
+    for law in answer.law or ():
         if len(law.numbers) == 1:  # then the size of the law is the number itself
             sizes[next(iter(law.numbers))] = _whole(law.ci95)
     of_places = any(has.get(name) for name in _OVER_POSITION)
@@ -277,7 +261,7 @@ def _numbers(framed: FramedMotor, delay_s: float, estimate: EstimateResult, resu
         if name not in has or (name in _OF_PLACES and not of_places):
             continue
         of_estimate = _OF_ESTIMATE.get(name, name)
-        interval = estimate.interval(of_estimate) or sizes.get(name)
+        interval = answer.interval(of_estimate) or sizes.get(name)
         yield KnownNumber(name, has[name], interval, u95.get(of_estimate), absolute.get(of_estimate))
 
 

@@ -39,17 +39,22 @@ class MeasuredGains:
     note: str
 
 
+class NoRelayError(IdentifyError):
+    """The drive is none of a dual-channel relay, so there is no limit cycle to look for."""
+
+
 def relay_gains(series: TimeSeries) -> MeasuredGains:
     """Gains h1, h2 from the levels of u = -h1 sgn(y) - h2 sgn(z).
 
     Levels are clusters, so they need not be exact, and a quantised or saturated drive is accepted. (A saturated drive
-    gives the levels that the motor has got.) Raises IdentifyError if the drive does not come from a dual-channel relay.
+    gives the levels that the motor has got.) Raises NoRelayError if the drive does not come from a dual-channel relay,
+    and IdentifyError if it never takes one of the levels.
     """
     u = series.u_V
     largest = float(np.abs(u).max())
     cure = "give a relay test, or use the method sampled-data, which takes any drive"
     if largest == 0.0:
-        raise IdentifyError(f"{series.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
+        raise NoRelayError(f"{series.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
     order = np.sort(u)
     # An averaged relay signal has steps between its levels (Remark 3.2); they are rare.
     near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)
@@ -60,7 +65,7 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
     levels = [float(np.median(g)) for g in groups]
     listed = ", ".join(f"{level:.3g}" for level in levels)
     if not 3 <= len(groups) <= 4 or covered < 0.9 or any(np.ptp(g) > 0.12 * largest for g in groups):
-        raise IdentifyError(
+        raise NoRelayError(
             f"{series.name}: the drive is not a dual-channel relay's (levels: {listed or 'none'} V)", cure
         )
     top, bottom = levels[-1], levels[0]
@@ -69,7 +74,7 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
         or abs(top + bottom) > 0.25 * largest
         or any(abs(x) > 0.94 * largest for x in levels[1:-1])
     ):
-        raise IdentifyError(f"{series.name}: the drive's levels are not symmetric ({listed} V)", cure)
+        raise NoRelayError(f"{series.name}: the drive's levels are not symmetric ({listed} V)", cure)
     width = 0.06 * largest
     side = np.full(u.size, np.nan)
     side[u >= groups[-1].min() - 0.1 * width] = 1.0

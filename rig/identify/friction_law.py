@@ -140,7 +140,7 @@ class FrictionLawChoice:
             return None
         return (
             f"{law.title}: it predicts {self.held_out} {better:.1f} times better than asymmetric Coulomb friction; "
-            "use tau, K and fc only for motion like the recorded one"
+            "use tau, K and f_c only for motion like the recorded one"
         )
 
     def as_result(self) -> FrictionLawResult:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.friction_map import FrictionMap, friction_map
+from rig.identify.known_model import model_of
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
@@ -28,12 +29,20 @@ from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
 from rig.identify.verdict import largest_drive_V
-from rig.model.real_motor import Frame, FramedMotor, RealMotor
+from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import LATENCY_S, TimeSeries
 from rig.recording.stage import StageKind, kind_of
-from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
+from rig.results import (
+    Answer,
+    HystereticResult,
+    IdentificationResult,
+    RelayTestResult,
+    StaticFrictionResult,
+    answer_of,
+    chosen,
+)
 
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
@@ -49,6 +58,7 @@ class Identification:
     relays      the accepted relay tests
     hysteretic  the runs of hysteretic relays
     cycles      stage -> averaged cycle
+    tests       the series that the estimators read
     breakaway   drives at break-away in both directions; None without breakaway ramps
     friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
     friction_map    the drive over speed and over position; None without a survey, or without a motor
@@ -60,6 +70,7 @@ class Identification:
     relays: list[RelayTestResult] = field(default_factory=list)
     hysteretic: list[HystereticResult] = field(default_factory=list)
     cycles: dict[str, Cycle] = field(default_factory=dict)
+    tests: list[TimeSeries] = field(default_factory=list, repr=False)
     breakaway: StaticFrictionResult | None = None
     friction_law: FrictionLawChoice | None = None
     friction_map: FrictionMap | None = None
@@ -69,29 +80,52 @@ class Identification:
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
         return IdentificationResult(
-            relays=tuple(self.relays),
+            answer=self.answer,
             estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
+            relays=tuple(self.relays),
             notes=tuple(self.notes),
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
             friction_map=None if self.friction_map is None else self.friction_map.as_result(),
-            **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
+            **self.evidence,
         )
 
     @property
-    def real_motor(self) -> FramedMotor | None:
-        """The motor with the laws that the tests show; None without any, or if its estimate is refused."""
+    def answer(self) -> Answer | None:
+        """The numbers to use, with their laws, u95 and verdict, as in result.json; None without an estimate."""
         law = self.motor_law
-        if law is None or law.estimate is None or law.estimate.verdict == "refused":
-            return None
-        return law.motor
+        return answer_of(
+            {method: estimate.as_result() for method, estimate in self.estimates.items()},
+            **({} if law is None else law.of_answer()),
+        )
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """The keys of a result that say what the answer was fitted to, and what its uncertainty is made of."""
+        return {} if self.motor_law is None else dict(self.motor_law.as_result())
+
+    @property
+    def leading(self) -> Estimate | None:
+        """The estimate of the answer, whatever its verdict; None without an estimate."""
+        found = chosen(self.estimates, None if self.motor_law is None else self.motor_law.estimate)
+        return None if found is None else found[1]
+
+    @property
+    def by_method(self) -> dict[str, Estimate]:
+        """The estimates by method; that of the answer in the place of its method's own."""
+        return self.estimates if self.leading is None else self.estimates | {self.leading.method: self.leading}
 
     @property
     def best(self) -> Estimate | None:
-        """The first estimate of the list that is not refused and has tau and K; None without one."""
-        usable = (estimate for estimate in self.estimates.values() if estimate.verdict != "refused")
-        return next((estimate for estimate in usable if estimate.is_motor), None)
+        """The estimate of the answer; None where that is refused, or has no tau and K."""
+        found = self.leading
+        return found if found is not None and found.is_motor and found.verdict != "refused" else None
+
+    @property
+    def real_motor(self) -> FramedMotor | None:
+        """The motor of the answer, with its laws; None without one. Raises ValueError as ``model_of``."""
+        return model_of(self.answer, in_its_time=True)
 
 
 def identify(
@@ -120,14 +154,14 @@ def identify(
     reads_runs = bool(methods) and not all(estimator.reads_relay_tests for estimator in wanted)
     require_known(recordings, without)
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
-    chosen = _Asked(recordings, wanted, bool(methods), choose_law, without)
-    found = _identified(chosen, data)
+    asked = _Asked(recordings, wanted, bool(methods), choose_law, without)
+    found = _identified(asked, data)
     if _rank(found)[0] == 0 or data.has_searches or not any(map(_was_known, recordings)):
         return found
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     if not data.take_searches():
         return found
-    again = _identified(chosen, data)  # the run knew its motor by both
+    again = _identified(asked, data)  # the run knew its motor by both
     return min(found, again, key=_rank)
 
 
@@ -145,15 +179,15 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     """The identification from these data; it may take the gain search as a test. Raises IdentifyError."""
     recordings, wanted, without = asked.recordings, asked.wanted, asked.without
     found = _found(data)
-    chosen = [e for e in wanted if asked.by_name or e.series(data)]
-    errors = _add_estimates(chosen, data, found)
+    used = [e for e in wanted if asked.by_name or e.series(data)]
+    errors = _add_estimates(used, data, found, asked.by_name)
     leading = found.estimates.get(LEADING)
     if leading is not None and _tells_no_motor(leading, data) and data.take_searches():
         found = _found(data)
-        errors = _add_estimates(chosen, data, found)
+        errors = _add_estimates(used, data, found, asked.by_name)
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
-        errors = _add_estimates(chosen, data, found)
+        errors = _add_estimates(used, data, found, asked.by_name)
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -179,11 +213,9 @@ def _was_known(recording: Recording) -> bool:
 
 
 def _rank(found: Identification) -> tuple[int, float]:
-    """Of the leading answer, with laws if it has some: 0 if ok, 1 doubtful, 2 refused; its widest relative interval."""
-    law = found.motor_law
-    answers = [found.estimates.get(LEADING), None if law is None else law.estimate]
-    ranks = [(VERDICTS.index(one.verdict), one.widest) for one in answers if one is not None]
-    return min(ranks, default=(len(VERDICTS), math.inf))
+    """Of the answer: 0 if ok, 1 doubtful, 2 refused; its widest relative interval."""
+    answer = found.leading
+    return (len(VERDICTS), math.inf) if answer is None else (VERDICTS.index(answer.verdict), answer.widest)
 
 
 def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequence[Recording]) -> bool:
@@ -224,16 +256,20 @@ def _made(entry: EstimatorEntry) -> Estimator:
 
 
 def _add_estimates(
-    estimators: Sequence[Estimator], data: Measurements, found: Identification
+    estimators: Sequence[Estimator], data: Measurements, found: Identification, by_name: bool
 ) -> dict[str, IdentifyError]:
-    """Add what each estimator finds, and its notes. Returns why the others cannot work on the data, by name."""
+    """Add what each estimator finds, and its notes. Returns why the others cannot work on the data, by name.
+
+    by_name   whether somebody asked for these estimators; else one that reads relay tests has nothing to say of a chirp
+    """
     errors: dict[str, IdentifyError] = {}
     for estimator in estimators:
         try:
             estimate = _estimate(estimator, data, found.estimates)
         except IdentifyError as error:
             errors[estimator.name] = error
-            found.notes.append(f"{estimator.name}: {error.cause}")
+            if by_name or data.of_relay or not estimator.reads_relay_tests:
+                found.notes.append(f"{estimator.name}: {error.cause}")
         else:
             found.estimates[estimator.name] = estimate
             found.notes += estimator.notes(estimate, data)
@@ -263,6 +299,7 @@ def _found(data: Measurements) -> Identification:
         relays=[_relay(name, cycle) for name, cycle in cycles],
         hysteretic=[Transient.of(run).as_result() for run in data.hysteretic],
         cycles=dict(cycles),
+        tests=list(data.tests),
         notes=list(data.notes),
     )
 
@@ -311,9 +348,6 @@ def _said(sentence: str | None) -> list[str]:
 def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], found: Identification) -> None:
     """The friction map of the first recording with a survey, with the identified motor beside it."""
     motor = found.real_motor
-    if motor is None and found.best is not None:
-        best = found.best
-        motor = FramedMotor(RealMotor(best.tau_s, best.K_rad_s_V, max(best.fc_V, 0.0), best.asym_V), Frame())
     stage = str(StageKind.SURVEY)
     for recording in recordings:
         if motor is None or stage not in recording.stages() or stage in left_out(recording, without):

@@ -5,17 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from shlex import quote
 
-from rig.estimators import LEADING
-from rig.model.real_motor import FramedMotor
+from rig.model.real_motor import Frame, FramedMotor
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT
 from rig.recording.path_kind import no_run
 from rig.recording.reader import read_result
-from rig.results import EstimateResult, IdentificationResult, RunResult
+from rig.results import Answer, known
+
+OF_PLACE = ("centre_rad", "half_travel_rad")  # the part of a frame that another run shares
 
 
 def known_model(path: Path, largest_V: float) -> FramedMotor:
-    """The motor of a run folder, or of its result.json: the leading estimate, with the laws that the run shows.
+    """The motor of a run folder, or of its result.json: its answer, with the laws that the run shows.
 
     largest_V   the largest drive of the bench that it is for, V
     Raises RecordingError where there is none, where it was refused, or where that drive does not move it.
@@ -32,7 +33,7 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
         nothing = no_run(path)
         raise nothing
     try:
-        motor = model_of(result)
+        motor = model_of(result.answer)
     except ValueError as error:
         raise RecordingError(
             folder / RESULT, f"holds a model that no motor has: {error}", "give another run"
@@ -40,7 +41,7 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     if motor is None:
         raise RecordingError(
             folder / RESULT,
-            f"holds no {LEADING} estimate that was not refused",
+            "holds no motor that was not refused",
             f"see why: `rig identify {quote(str(folder))}`; or give another run",
         )
     needed_V = motor.motor.fc_V + abs(motor.motor.bias_V)
@@ -53,33 +54,21 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     return motor
 
 
-def model_of(result: RunResult | IdentificationResult) -> FramedMotor | None:
-    """The leading estimate, with the laws that the tests show; None if there is none, or if it was refused.
+def model_of(answer: Answer | None, *, in_its_time: bool = False) -> FramedMotor | None:
+    """The motor of an answer, with its laws; None if there is none, if it is refused, or lacks tau, K or f_c.
 
+    in_its_time   for the records that it was fitted to: drift refers to their time
     Raises ValueError on numbers out of range.
     """
-    return _with_laws(result) or _plain(result.estimates.get(LEADING))
-
-
-def _plain(estimate: EstimateResult | None) -> FramedMotor | None:
-    """The plain motor of an estimate; None without a usable one. Raises ValueError on numbers out of range."""
-    if estimate is None or estimate.verdict == "refused":
+    if answer is None or answer.is_refused:
         return None
-    numbers = {
-        "tau_s": estimate.tau_s,
-        "K_rad_s_V": estimate.K_rad_s_V,
-        "fc_V": estimate.fc_V,
-        "bias_V": estimate.asym_V or 0.0,
-    }
-    return FramedMotor.of({name: value for name, value in numbers.items() if value is not None})
-
-
-def _with_laws(result: RunResult | IdentificationResult) -> FramedMotor | None:
-    """The motor with its laws; None if the run shows none. Raises ValueError on numbers out of range."""
-    plain, frame = _plain(result.with_law), result.law_frame
-    if plain is None or not result.law or frame is None:
+    plain = {name: answer.value(name) for name in ("tau_s", "K_rad_s_V", "fc_V")}
+    if None in plain.values():
         return None
-    numbers = {name: value for law in result.law for name, value in law.numbers.items() if value is not None}
-    places = {"centre_rad": frame.centre_rad, "half_travel_rad": frame.half_travel_rad}
-    known = {name: value for name, value in places.items() if value is not None}
-    return FramedMotor.of(plain.numbers | numbers | known)
+    laws: dict[str, float | None] = {}
+    if answer.law and answer.law_frame is not None:
+        laws = {name: value for law in answer.law for name, value in law.numbers.items()}
+        places = Frame._fields if in_its_time else OF_PLACE
+        laws |= {name: getattr(answer.law_frame, name) for name in places}
+    numbers = plain | {"bias_V": answer.asym_V} | laws
+    return FramedMotor.of({name: known(value) for name, value in numbers.items() if value is not None})

@@ -32,6 +32,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
 from rig.identify.plausibility import Objection
+from rig.identify.verdict import in_percent
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 from rig.results import HystereticResult
@@ -470,8 +471,8 @@ def _wide_interval(estimate: Estimate, runs: Sequence[Transient]) -> Iterator[Ob
     if share > WIDE:
         yield Objection(
             "refused" if share > TOO_WIDE else "doubtful",
-            f"fc_V is only known to {100 * share:.0f} % (95 % interval): record drives that differ more, with "
-            "a wider hysteresis, or sample faster",
+            f"f_c is {f'only known to {in_percent(share)}' if share <= 1.0 else 'unknown'} (at 95 %): "
+            "record drives that differ more, with a wider hysteresis, or sample faster",
         )
 
 
@@ -506,7 +507,7 @@ def _one_direction(runs: Sequence[Transient]) -> Iterator[Objection]:
         side, sign = ("rising", "-") if rising[0] else ("falling", "+")
         yield Objection(
             "doubtful",
-            f"this is the friction towards {side} positions alone, fc {sign} asym: the interval does not show the "
+            f"this is the friction towards {side} positions alone, f_c {sign} a: the interval does not show the "
             "asymmetry; record two more runs with d_V of the other sign",
         )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rig.identify.cycles import find_cycle
+from rig.identify.cycles import NoRelayError, find_cycle
 from rig.identify.mean_cycle import Cycle
 from rig.identify.preprocessing import from_recording
 from rig.identify.records import FURTHER, left_out, sound_rows
@@ -58,6 +58,13 @@ class Measurements:
     def settled(self) -> list[Cycle]:
         """The limit cycles that were found."""
         return [cycle for cycle in self.cycles if cycle is not None]
+
+    @property
+    def of_relay(self) -> bool:
+        """Whether a test is, or ought to be, of a dual-channel relay."""
+        return bool(self.settled or self.unsettled) or any(
+            not isinstance(complaint, NoRelayError) for complaint in self.complaints
+        )
 
     @property
     def periods_s(self) -> list[float | None]:
@@ -149,7 +156,8 @@ def _cycle(test: TimeSeries, data: Measurements) -> Cycle | None:
         cycle = find_cycle(test)
     except IdentifyError as error:
         data.complaints.append(error)
-        data.notes.append(f"{error.cause}: no cycle is averaged from it")
+        if test.stage is not None or not isinstance(error, NoRelayError):  # a chirp is no failed relay test
+            data.notes.append(f"{error.cause}: no cycle is averaged from it")
         if test.stage is not None and test.stage.is_test:
             data.unsettled.append(test.name)
         return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
-from rig.identify.verdict import ASKED, PROMISE, RISK, beside, sizes_of
+from rig.identify.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
 from rig.recording.stage import StageKind
@@ -143,15 +144,17 @@ class MotorLaw:
         off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
         name = max(off, key=lambda key: off[key])
         is_off = off[name] > ASKED
-        share = f"{name} is {100.0 * off[name]:.2g} % off"
+        share = f"{TITLES[name]} is {in_percent(off[name])} off"
         if not self.found:
-            return f"{share}, by all records together: take the estimate from these (with_law)" if is_off else None
+            return f"{share}, by all records together: the answer is from these" if is_off else None
         if not is_off and not (self.explains and estimate.verdict != "ok"):
             return None
         *others, last = (one.law.title for one in self.found)
         laws, them = (f"{', '.join(others)} and {last}", "them") if others else (last, "it")
         cause = f"{share}, for the motor has {laws}" if is_off else f"the motor has {laws}"
-        return f"{cause}: take the estimate with {them} (with_law)"
+        if self.estimate.verdict == "refused":
+            return f"{cause}; the estimate with {them} is refused, too"
+        return f"{cause}: the answer has {them}"
 
     def _too_uncertain(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
         shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}
@@ -161,10 +164,7 @@ class MotorLaw:
             return
         own = (entry for entry in self.budget.entries if not entry.absolute)
         largest = max(own, key=lambda entry: float(getattr(entry, name)))
-        known = (
-            f"{name} is only certain to {beside(100.0 * shares[name], 100.0 * ASKED)} % (u95); "
-            f"ok asks for {100.0 * ASKED:.2g} %"
-        )
+        known = known_to(name, shares[name])
         laws = [law for law in DEPARTURES if law.name in largest.laws]
         cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
         if largest.source.startswith(OTHER):
@@ -186,8 +186,8 @@ class MotorLaw:
         laws = [law for law in DEPARTURES if law.name in hidden]
         risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
         yield (
-            f"{name} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; ok bears {allowed} %: "
-            f"most of it is {self._unknown(hidden, ' and '.join(law.title for law in laws))}; "
+            f"{TITLES[name]} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; "
+            f"ok bears {allowed} %: most of it is {self._unknown(hidden, ' and '.join(law.title for law in laws))}; "
             f"record {', and '.join(dict.fromkeys(law.told_by for law in laws))}"
         )
 
@@ -198,9 +198,23 @@ class MotorLaw:
         return f"{what}, which these tests do not exclude"
 
     def as_result(self) -> MotorLawResult:
-        """As in result.json."""
+        """What the answer was fitted to, as in result.json."""
         return MotorLawResult(
-            law=tuple(
+            not_told_apart=self.not_told_apart,
+            ok_asks_u95_percent=100.0 * ASKED,
+            budget=tuple(
+                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V, absolute=e.absolute)
+                for e in self.budget.entries
+            ),
+            pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
+            law_records=self.records,
+        )
+
+    def of_answer(self) -> dict[str, Any]:
+        """What ``answer_of`` takes beside the estimates."""
+        return {
+            "with_laws": None if self.estimate is None else self.estimate.as_result(),
+            "law": tuple(
                 FoundLawResult(
                     name=one.law.name,
                     value=one.size,
@@ -211,19 +225,10 @@ class MotorLaw:
                 )
                 for one in self.found
             ),
-            not_told_apart=self.not_told_apart,
-            u95=self.budget.u95,
-            u95_absolute=self.budget.u95_absolute,
-            ok_asks_u95_percent=100.0 * ASKED,
-            budget=tuple(
-                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V, absolute=e.absolute)
-                for e in self.budget.entries
-            ),
-            with_law=None if self.estimate is None else self.estimate.as_result(),
-            law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
-            pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
-            law_records=self.records,
-        )
+            "law_frame": None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
+            "u95": self.budget.u95,
+            "u95_absolute": self.budget.u95_absolute,
+        }
 
 
 @dataclass(frozen=True, eq=False)

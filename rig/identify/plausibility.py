@@ -294,7 +294,7 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, so K, fc and asymmetry cannot be told apart: record a "
+                f"{test.name}: the motor moves one way only, so K, f_c and asymmetry cannot be told apart: record a "
                 "drive that moves it both ways",
             ),
         ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.output_error import Solution, covariance_of, refit
-from rig.identify.verdict import intervals, spread_rad
+from rig.identify.verdict import in_percent, intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 from rig.recording.errors import IdentifyError
@@ -64,7 +64,7 @@ def _free_run(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[f
         return estimate
     return estimate.judged(
         "refused" if share > FREE_RUN_FAILS else "doubtful",
-        f"predicted over {length_s:.3g} s, the position is {100 * share:.2g} % of its motion off; ok asks for "
+        f"predicted over {length_s:.3g} s, the position is {in_percent(share)} of its motion off; ok asks for "
         f"{100 * FREE_RUN:.2g} %: something that no law here describes moves the motor, or the times are wrong",
     )
 
@@ -103,7 +103,7 @@ def _unexplained(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     if share > 0.5:
         return estimate.judged(
             "refused",
-            f"the model leaves {100 * share:.0f} % of the position unexplained: check that u and y belong together, "
+            f"the model leaves {in_percent(share)} of the position unexplained: check that u and y belong together, "
             "their signs and units",
         )
     if share > NEGLIGIBLE and estimate.repeated > REPEATED:

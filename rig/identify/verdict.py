@@ -23,6 +23,7 @@ SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction co
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
 FEW_CYCLES = 5
+TITLES = {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c"}  # in what people read
 
 
 def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias: str | None = None) -> Estimate:
@@ -37,7 +38,7 @@ def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias:
         return estimate.judged(
             "refused",
             f"no motor has tau = {estimate.tau_s:.3g} s, K = {estimate.K_rad_s_V:.3g} (rad/s)/V, "
-            f"fc = {estimate.fc_V:.3g} V: record larger and slower cycles",
+            f"f_c = {estimate.fc_V:.3g} V: record larger and slower cycles",
         )
     estimate = enough_cycles(intervals(estimate, tests), estimate.cycles)
     free = ["asym_V"]
@@ -64,7 +65,7 @@ def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias:
     if share > POOR:
         return estimate.judged(
             "refused" if share > TOO_POOR else "doubtful",
-            f"its model leaves {100 * share:.0f} % of the position unexplained: trust the sampled-data estimate; "
+            f"its model leaves {in_percent(share)} of the position unexplained: trust the sampled-data estimate; "
             "for this method record slower cycles, or sample faster",
         )
     return estimate
@@ -85,13 +86,13 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         if not math.isfinite(share):
             return estimate.judged(
                 "refused",
-                f"the recording cannot separate {name} from the others: record a drive that moves the motor both ways",
+                f"the recording cannot separate {TITLES[name]} from the others: "
+                "record a drive that moves the motor both ways",
             )
         if share > ASKED:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{name} is only known to {beside(100 * share, 100 * ASKED)} % (95 % interval); "
-                f"ok asks for {100 * ASKED:.2g} %: record more cycles, or slower and larger ones",
+                f"{known_to(name, share)}: record more cycles, or slower and larger ones",
             )
     return estimate
 
@@ -115,6 +116,21 @@ def beside(value: float, other: float) -> str:
     """``value`` with two digits, or as many as show that it is not ``other``."""
     known = (f"{value:.{digits}g}" for digits in range(2, 18))
     return next((text for text in known if text != f"{other:.2g}"), f"{other:.2g}")
+
+
+def in_percent(share: float) -> str:
+    """A share as ``12 %``; what is more than the whole is said in words: its number means nothing."""
+    return f"{100.0 * share:.2g} %" if share <= 1.0 else "more than 100 %"
+
+
+def known_to(name: str, share: float) -> str:
+    """How well a parameter is known, where that is not enough; ``share``: half width at 95 %, of the parameter."""
+    if not share <= 1.0:
+        return f"{TITLES[name]} is unknown: at 95 % it may be off by more than its own size"
+    return (
+        f"{TITLES[name]} is only known to {beside(100.0 * share, 100.0 * ASKED)} % (at 95 %); "
+        f"ok asks for {100.0 * ASKED:.2g} %"
+    )
 
 
 def enough_cycles(estimate: Estimate, cycles: Sequence[Cycle]) -> Estimate:

@@ -15,7 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from rig.estimators import LEADING
 from rig.panel.errors import RefusedError
 from rig.plain_file import read_plain
 from rig.recording.errors import RecordingError
@@ -121,7 +120,7 @@ def _is_a_run(path: Path) -> bool:
 
 
 def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> dict[str, Any]:
-    estimate = None if result is None else _leading(result)
+    answer = None if result is None else result.answer
     fault = result.faults[0].code if result is not None and result.faults else None
     loop = None if result is None else result.loop
     lasts_s = None if loop is None or not loop.ticks or not loop.period_s else loop.ticks * loop.period_s
@@ -134,27 +133,20 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
         "config": meta.name,
         "backend": meta.backend,
         "emulated": meta.emulated,
-        "verdict": "failed" if fault else None if estimate is None else estimate.verdict or None,
+        "verdict": "failed" if fault else None if answer is None else answer.verdict or None,
         "fault": fault,
-        "estimate": None if estimate is None else _numbers(estimate),
+        "estimate": None if answer is None else _numbers(answer),
         "lasts_s": lasts_s,
         "report": (folder / REPORT).is_file(),
         "notes": notes,
     }
 
 
-def _leading(result: RunResult) -> EstimateResult | None:
-    """The estimate that counts: the leading estimator's, with the motor's laws where it found some."""
-    if result.with_law is not None and not result.with_law.is_refused:
-        return result.with_law
-    return result.estimates.get(LEADING) or next(iter(result.estimates.values()), None)
-
-
 def _numbers(estimate: EstimateResult) -> dict[str, Any]:
     """tau, K and f_c, each with half its 95 % interval; null where there is none."""
     numbers: dict[str, Any] = {}
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        value, interval = estimate.value(name), estimate.interval(name)
+        value, interval = estimate.value(name), estimate.at_95(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])
         is_number = value is not None and math.isfinite(value)
         numbers[name] = [value, half if half is not None and math.isfinite(half) else None] if is_number else None

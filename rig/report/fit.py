@@ -1,8 +1,9 @@
-"""The cycles of a relay test, and an estimated model's prediction of each cycle under the recorded drive."""
+"""The cycles of a relay test, and an estimated model's prediction of a recording under the recorded drive."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,10 +14,11 @@ from rig.estimators import LEADING
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
+from rig.identify.known_model import model_of
 from rig.identify.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.model.real_motor import Frame, FramedMotor, Pieces, response
+from rig.model.real_motor import FramedMotor, Pieces, response
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
 from rig.report.source import Array, ReportedRun, Span
@@ -46,7 +48,7 @@ class Cycles:
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recorded cycle and its prediction from a fitted start. All arrays have one length.
+    """One recorded cycle or test, and its prediction from a fitted start. All arrays have one length.
 
     phase        time since the cycle's start over its length, 0 to 1
     measured_rad, y_rad   position as recorded and as predicted
@@ -103,16 +105,10 @@ def cycles_of(run: ReportedRun, span: Span) -> Cycles | None:
     return Cycles(series, rows) if len(rows) >= 2 else None
 
 
-def law_motor(run: ReportedRun) -> FramedMotor | None:
-    """The leading model with the laws that the tests show; None without any, or if it was refused or is damaged."""
-    estimate, laws, frame = run.result.with_law, run.result.law, run.result.law_frame
-    if estimate is None or not laws or frame is None or estimate.is_refused:
-        return None
-    numbers: dict[str, float | None] = {name: value for law in laws for name, value in law.numbers.items()}
-    numbers |= {name: estimate.value(name) for name in PARAMETERS} | {"bias_V": estimate.asym_V}
-    numbers |= {name: getattr(frame, name) for name in Frame._fields}
+def answer_motor(run: ReportedRun) -> FramedMotor | None:
+    """The motor of the run's answer; None without one, if it was refused, or is damaged."""
     try:
-        return FramedMotor.of({name: known(value) for name, value in numbers.items()})
+        return model_of(run.result.answer, in_its_time=True)
     except ValueError:
         return None
 
@@ -128,29 +124,43 @@ def motor_of(estimate: EstimateResult | None) -> Motor | None:
     return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
 
 
-def predict_cycles(run: ReportedRun, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
-    """Predict each cycle under its recorded drive, from the start (v0, y0) that fits best; empty without a model.
+def models(run: ReportedRun) -> dict[str, tuple[EstimateResult, Motor | FramedMotor]]:
+    """The estimates that are models, by method: the answer, and those of the other methods beside it.
 
-    The leading estimate predicts with the laws that the tests show, if there are any.
+    A refused answer is a model, too: its residual shows what is wrong.
     """
-    motor: Motor | FramedMotor | None = motor_of(estimate)
-    if estimate is run.estimates.get(LEADING) and (real := law_motor(run)) is not None:
-        motor, estimate = real, run.result.with_law
-    if motor is None:
-        return []
+    found = run.estimates
+    answer = run.result.answer
+    if answer is not None:
+        found = {answer.method: answer} | {m: e for m, e in found.items() if m != answer.method}
+    real = answer_motor(run)
+    motors: dict[str, Motor | FramedMotor | None] = {method: motor_of(estimate) for method, estimate in found.items()}
+    if answer is not None and real is not None and real.parts:
+        motors[answer.method] = real
+    return {m: (found[m], motor) for m, motor in motors.items() if motor is not None}
+
+
+def predict_cycles(
+    run: ReportedRun, estimate: EstimateResult, motor: Motor | FramedMotor, cycles: Cycles
+) -> list[Predicted]:
+    """Predict each cycle under its recorded drive by one of ``models``, from the start (v0, y0) that fits best."""
     series = cycles.series
-    edges = series.edge_s
-    if series.t_u_s is None:  # the drive acts later, by the delay that a method estimated
-        delays = (known(e.delay_s) for e in (estimate, run.estimates.get(LEADING)) if e is not None)
-        edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
-    found = []
-    for first, last in cycles.rows:
-        part = slice(first - series.first_row, last + 1 - series.first_row)
-        found.append(_predict(motor, edges, series.u_V, series.t_s[part], series.y_rad[part]))
-    return found
+    delays_s = [known(e.delay_s) for e in (estimate, run.estimates.get(LEADING)) if e is not None]
+    return [
+        predicted(motor, series, slice(first - series.first_row, last + 1 - series.first_row), delays_s)
+        for first, last in cycles.rows
+    ]
 
 
-def _predict(motor: Motor | FramedMotor, edges: Array, u: Array, t: Array, y: Array) -> Predicted:
+def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delays_s: Sequence[float] = ()) -> Predicted:
+    """Predict a part of a test under its recorded drive, from the start (v0, y0) that fits best.
+
+    part      of the rows of ``series``
+    delays_s  of the drive, where the test does not know it: the first that is finite counts, s
+    """
+    edges, u, t, y = series.edge_s, series.u_V, series.t_s[part], series.y_rad[part]
+    if series.t_u_s is None:
+        edges = edges + next((d for d in delays_s if math.isfinite(d)), 0.0)
     first = max(int(np.searchsorted(edges, t[0], side="right")) - 1, 0)
     stop = int(np.searchsorted(edges, t[-1], side="right"))
     edge, drive = edges[first:stop].copy(), u[first:stop]
@@ -189,7 +199,7 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 def fits_of(run: ReportedRun, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
     """Estimates with their residuals and recursions; or none, and a sentence that says why.
 
-    The leading one has the laws that the tests show.
+    That of the answer has the laws that the tests show.
 
     identification  of this recording; None: identify it here
     """
@@ -198,17 +208,10 @@ def fits_of(run: ReportedRun, identification: Identification | None = None) -> t
     if not (run.spans("relay") or run.spans("hysteretic")):
         return {}, "There was no relay test, so there is no residual to show."
     if identification is not None:
-        return _with_laws(identification), ""
+        return identification.by_method, ""
     try:
-        return _with_laws(identify([run.recording], choose_law=law_motor(run) is not None)), ""
+        return identify([run.recording], choose_law=bool(run.laws)).by_method, ""
     except IdentifyError as error:
         return {}, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:
         return {}, f"The estimators cannot read this recording: {error}."
-
-
-def _with_laws(found: Identification) -> dict[str, Estimate]:
-    law = found.motor_law
-    if found.real_motor is None or law is None or law.estimate is None:
-        return found.estimates
-    return found.estimates | {LEADING: law.estimate}

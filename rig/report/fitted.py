@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.estimators import LEADING
 from rig.identify.estimate import Estimate
+from rig.model.real_motor import FramedMotor
 from rig.report.budget import budget_in_words
-from rig.report.fit import PARAMETERS, average, cycles_of, law_motor, motor_of, predict_cycles
+from rig.report.fit import PARAMETERS, average, cycles_of, models, predict_cycles
 from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
     FAINT,
@@ -49,15 +49,15 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
         raise AbsentError(
             f"{stage_label(span.stage).capitalize()} has no two settled cycles, so there is no average to show."
         )
-    methods = {m: e for m, e in run.estimates.items() if motor_of(e) is not None}
+    methods = models(run)
     if not methods:
         raise AbsentError("There is no estimated model to lay over the averaged cycle.")
     figure = new_figure(4.2)
     panels = figure.subplots(2, len(methods), sharex=True, squeeze=False, height_ratios=(1.7, 1.0))
     bins = round(float(np.median([b - a for a, b in cycles.rows])))
-    for column, (method, estimate) in enumerate(methods.items()):
+    for column, (method, (estimate, motor)) in enumerate(methods.items()):
         top, bottom = panels[0, column], panels[1, column]
-        predicted = predict_cycles(run, estimate, cycles)
+        predicted = predict_cycles(run, estimate, motor, cycles)
         phase = np.concatenate([p.phase[:-1] for p in predicted])
         measured = np.concatenate([p.measured_rad[:-1] for p in predicted])
         model = np.concatenate([p.y_rad[:-1] for p in predicted])
@@ -67,8 +67,7 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
         at_residual, mean_residual, _ = average(phase, residual, bins)
         top.plot(at, mean, "o", color=MEASURED, ms=2.6, mew=0, label="measured, averaged")
         top.plot(at_model, mean_model, color=colour(method), ls=line(method), lw=1.4, label=f"{short(method)} model")
-        with_law = method == LEADING and law_motor(run) is not None
-        top.set_title(method.replace("-", " ") + (" with its laws" if with_law else ""))
+        top.set_title(method.replace("-", " ") + (" with its laws" if isinstance(motor, FramedMotor) else ""))
         top.legend(loc="lower center", handlelength=2.4)  # below the crest, where the curve is not
         bottom.axhline(0.0, color=MUTED, lw=0.7)
         bottom.plot(phase, residual, ".", color=colour(method), ms=1.6, alpha=0.35, mew=0, rasterized=True)
@@ -91,8 +90,9 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
     )  # fmt: skip
 
 
-def residuals(run: ReportedRun, method: str, fits: Mapping[str, Estimate]) -> Picture:
-    """Residual of one estimator, as ``residual_figure`` draws it. Raises AbsentError without a residual."""
+def residuals(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
+    """Residual of the answer, as ``residual_figure`` draws it. Raises AbsentError without a residual."""
+    method = "" if run.result.answer is None else run.result.answer.method
     fit = fits.get(method)
     if fit is None or fit.residual_rad.size < FEWEST_RESIDUALS:
         raise AbsentError("The residual series could not be computed from this recording.")
@@ -217,18 +217,19 @@ def forest(run: ReportedRun) -> Picture:
 
 def forest_figure(run: ReportedRun) -> Figure:
     """``forest`` before it is laid out. Raises AbsentError without an estimate."""
-    estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
+    estimates = {m: e for m, e in run.compared.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
     if not estimates:
         raise AbsentError("There is no estimate to compare.")
     figure = new_figure(0.9 + 0.34 * len(estimates))
     panels = figure.subplots(1, 3, sharey=True)
     names = list(estimates)
     for axes, key in zip(panels, PARAMETERS, strict=True):
-        for row, (method, estimate) in enumerate(estimates.items()):
+        for row, (name, estimate) in enumerate(estimates.items()):
+            method = run.method_of(name)
             value = known(estimate.value(key))
             if not math.isfinite(value):
                 continue
-            bounds = estimate.interval(key)
+            bounds = estimate.at_95(key)
             if bounds is not None:
                 axes.plot(bounds, (row, row), "-", color=colour(method), lw=2.2, solid_capstyle="butt")
                 axes.plot(bounds, (row, row), "|", color=colour(method), ms=9, mew=1.6)

@@ -8,10 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from matplotlib.axes import Axes
 
-from rig.estimators import LEADING
 from rig.identify.friction_map import FrictionMap, MapSpeed
-from rig.model.real_motor import Frame, FramedMotor, RealMotor
-from rig.report.fit import law_motor, motor_of
+from rig.report.fit import answer_motor
 from rig.report.source import ReportedRun
 from rig.report.style import INK, MUTED, AbsentError, Picture, new_figure, render
 from rig.results import FrictionMapResult, known
@@ -111,12 +109,7 @@ def _map(run: ReportedRun) -> tuple[FrictionMapResult, FrictionMap | None]:
     result = run.result.friction_map
     if result is None or not result.speeds or result.travel_rad is None:
         raise AbsentError("There was no survey (`rig survey CONFIG` records one), so there is no friction map.")
-    motor = law_motor(run)
-    if motor is None:
-        plain = motor_of(run.result.with_law or run.result.estimates.get(LEADING))
-        if plain is not None:
-            real = RealMotor(plain.tau_s, plain.K_rad_s_V, plain.friction.fc_V, plain.bias_V)
-            motor = FramedMotor(real, Frame())
+    motor = answer_motor(run)
     low, high = map(known, result.travel_rad)
     if motor is None or not (math.isfinite(low) and math.isfinite(high) and low < high):
         return result, None

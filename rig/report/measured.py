@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
-from rig.report.fit import central_difference, cycles_of, predict_cycles
+from rig.report.fit import central_difference, cycles_of, models, predict_cycles
 from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
     BANDS,
@@ -199,6 +199,7 @@ def portraits(run: ReportedRun) -> Picture:
     y, z, v = run.rows.y_rad, run.rows.z_rad_s, velocity(run)
     figure = new_figure(4.5)
     left, right = figure.subplots(1, 2, sharex=True)
+    best = next(iter(models(run).values()), None)
     for k, span in enumerate(spans):
         rows = _last_periods(run, span, 12)
         ink = RELAY_STAGES[k % len(RELAY_STAGES)]
@@ -207,8 +208,7 @@ def portraits(run: ReportedRun) -> Picture:
         left.plot(y[rows], v[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
         right.plot(y[rows], z[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
         cycles = cycles_of(run, span)
-        best = next(iter(run.estimates.values()), None)
-        for predicted in predict_cycles(run, best, cycles.last()) if cycles else ():
+        for predicted in predict_cycles(run, *best, cycles.last()) if cycles and best else ():
             left.plot(predicted.y_rad, predicted.v_rad_per_s, "-", color=INK, lw=1.0,
                       label="model" if k == 0 else None)  # fmt: skip
         at = np.flatnonzero(np.signbit(z[rows][1:]) != np.signbit(z[rows][:-1]))

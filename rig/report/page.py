@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from rig.estimators import ESTIMATORS, LEADING
+from rig.estimators import ESTIMATORS
 from rig.identify import Identification, IdentifyError, identify
 from rig.identify.verdict import PROMISE, RISK
 from rig.package import VERSION
@@ -65,53 +65,62 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         return run, None
     identified = found.as_result()
     result = RunResult(
+        answer=identified.answer,
         estimates=identified.estimates,
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
         friction_map=identified.friction_map,
-        **identified.law_keys(),
+        **found.evidence,
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
     return replace(run, result=result), found
 
 
-def render_page(run: ReportedRun, identification: Identification | None = None) -> str:
-    """The whole page as text; identifies the recording again unless ``identification`` is given."""
-    environment = jinja2.Environment(
+def environment() -> jinja2.Environment:
+    """Where the pages of this room come from."""
+    found = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.report", package_path="."),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["rounded"] = rounded
-    return environment.get_template(TEMPLATE).render(
-        run=run,
-        swatches={entry.short: colour(entry.name).lower() for entry in ESTIMATORS},
-        version=VERSION,
-        headline=headline(run),
-        figures=draw(run, identification),
-        estimates=tables.estimates(run),
-        relays=tables.relays(run),
-        friction_law=tables.friction_law(run),
-        motor_law=tables.motor_law(run),
-        promise_percent=100.0 * PROMISE,
-        risk_percent=100.0 * RISK,
-        with_law=tables.with_law(run),
-        records=tables.records(run),
-        budget=tables.budget(run),
-        hysteretic=tables.hysteretic(run),
-        why_it_ended=narrowing.why_it_ended(run),
-        tracking=tables.tracking(run),
-        tracking_heads=tables.tracking_heads(run),
-        law_used=tables.law_used(run),
-        tuned=tuned_loop.rows(run),
-        loop_cells=tables.loop(run),
-        facts=tables.facts(run),
-        started=tables.started(run),
-        notes=run.result.notes,
-        config_notes=run.result.config_notes,
+    found.filters["rounded"] = rounded
+    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
+    return found
+
+
+def render_page(run: ReportedRun, identification: Identification | None = None) -> str:
+    """The whole page as text; identifies the recording again unless ``identification`` is given."""
+    return (
+        environment()
+        .get_template(TEMPLATE)
+        .render(
+            run=run,
+            version=VERSION,
+            headline=headline(run),
+            figures=draw(run, identification),
+            estimates=tables.estimates(run),
+            relays=tables.relays(run),
+            friction_law=tables.friction_law(run),
+            motor_law=tables.motor_law(run),
+            promise_percent=100.0 * PROMISE,
+            risk_percent=100.0 * RISK,
+            records=tables.records(run),
+            budget=tables.budget(run),
+            hysteretic=tables.hysteretic(run),
+            why_it_ended=narrowing.why_it_ended(run),
+            tracking=tables.tracking(run),
+            tracking_heads=tables.tracking_heads(run),
+            law_used=tables.law_used(run),
+            tuned=tuned_loop.rows(run),
+            loop_cells=tables.loop(run),
+            facts=tables.facts(run),
+            started=tables.started(run),
+            notes=run.result.notes,
+            config_notes=run.result.config_notes,
+        )
     )
 
 
@@ -119,45 +128,45 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
     """All figures by section. For a missing one: the sentence that says why."""
     with style():
         fits, trouble = fits_of(run, identification)
-        best = next(iter(run.estimates), LEADING)
         relays = run.spans("relay")
 
         def transients() -> list[Figure]:
             if not run.spans("hysteretic"):
                 return []
-            return [_figure(lambda: transient.first_transients(run)), _figure(lambda: transient.recursion(run, fits))]
+            return [drawn(lambda: transient.first_transients(run)), drawn(lambda: transient.recursion(run, fits))]
 
         def surveyed() -> list[Figure]:
             if not run.spans("survey"):
                 return []
-            return [_figure(lambda: friction_map.over_speed(run)), _figure(lambda: friction_map.over_position(run))]
+            return [drawn(lambda: friction_map.over_speed(run)), drawn(lambda: friction_map.over_position(run))]
 
         def narrowed() -> list[Figure]:
             if run.result.stopped is None and not run.events_of("live", LiveResult):
                 return []
-            return [_figure(lambda: narrowing.narrowing(run))]
+            return [drawn(lambda: narrowing.narrowing(run))]
 
-        cycles = [_figure(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
+        cycles = [drawn(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
-            "whole": [_figure(lambda: measured.whole_run(run))],
-            "breakaway": [_figure(lambda: measured.breakaway(run))],
+            "whole": [drawn(lambda: measured.whole_run(run))],
+            "breakaway": [drawn(lambda: measured.breakaway(run))],
             "narrowing": narrowed(),
-            "search": [_figure(lambda: measured.gain_search(run))],
-            "relays": [_figure(lambda: measured.relay_tests(run))],
-            "portraits": [_figure(lambda: measured.portraits(run))],
-            "forest": [_figure(lambda: fitted.forest(run))],
-            "budget": [_figure(lambda: fitted.budget(run))],
+            "search": [drawn(lambda: measured.gain_search(run))],
+            "relays": [drawn(lambda: measured.relay_tests(run))],
+            "portraits": [drawn(lambda: measured.portraits(run))],
+            "forest": [drawn(lambda: fitted.forest(run))],
+            "budget": [drawn(lambda: fitted.budget(run))],
             "map": surveyed(),
             "transients": transients(),
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
-            "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, best, fits))],
-            "tracking": [_figure(lambda: checked.tracking(run))],
-            "tuned": [] if run.result.tuned is None else [_figure(lambda: tuned_loop.loop(run))],
-            "loop": [_figure(lambda: checked.loop_timing(run))],
+            "evidence": [Figure(None, trouble) if trouble else drawn(lambda: fitted.residuals(run, fits))],
+            "tracking": [drawn(lambda: checked.tracking(run))],
+            "tuned": [] if run.result.tuned is None else [drawn(lambda: tuned_loop.loop(run))],
+            "loop": [drawn(lambda: checked.loop_timing(run))],
         }
 
 
-def _figure(make: Callable[[], Picture]) -> Figure:
+def drawn(make: Callable[[], Picture]) -> Figure:
+    """A figure, or the sentence that says why there is none."""
     try:
         return Figure(make())
     except AbsentError as absent:

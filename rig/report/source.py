@@ -24,7 +24,7 @@ from rig.recording.reader import read_config_text, read_events, read_meta, read_
 from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS, SAMPLES
 from rig.report.style import AbsentError, stage_kind
-from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, TrueLaw, known
+from rig.results import EstimateResult, FaultReport, FoundLawResult, Part, RunEvent, RunMeta, RunResult, TrueLaw, known
 from rig.results.estimates import LARGEST
 from rig.results.reading import salvaged
 
@@ -132,6 +132,24 @@ class ReportedRun:
         found = self.result.estimates
         order = [m for m in PREFERRED if m in found] + [m for m in found if m not in PREFERRED]
         return {m: found[m] for m in order}
+
+    @property
+    def compared(self) -> dict[str, EstimateResult]:
+        """The estimates by method, and ``answer`` before them where its numbers are not those of its method."""
+        answer = self.result.answer
+        plain = None if answer is None else self.estimates.get(answer.method)
+        if answer is None or (plain is not None and (answer.tau_s, answer.fc_V) == (plain.tau_s, plain.fc_V)):
+            return self.estimates
+        return {"answer": answer} | self.estimates
+
+    def method_of(self, name: str) -> str:
+        """The method behind a name of ``compared``."""
+        return self.result.answer.method if name == "answer" and self.result.answer is not None else name
+
+    @property
+    def laws(self) -> tuple[FoundLawResult, ...]:
+        """What the answer has beyond tau, K and friction."""
+        return (None if self.result.answer is None else self.result.answer.law) or ()
 
     @property
     def faults(self) -> list[FaultReport]:

@@ -12,7 +12,6 @@ from pydantic import JsonValue
 from rig.identify import laws
 from rig.identify.departures import DEPARTURES
 from rig.report.budget import budget_in_words
-from rig.report.fit import law_motor
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
@@ -110,15 +109,15 @@ class TrackingRow:
 
 
 def estimates(run: ReportedRun) -> list[EstimateRow]:
-    """The estimates, the preferred first."""
+    """The answer where it is none of the methods' own estimates, then these, the preferred first."""
     table = []
-    for method, e in run.estimates.items():
+    for method, e in run.compared.items():
         rms_rad = known(e.rms_rad)
         is_known = math.isfinite(rms_rad)
         table.append(
             EstimateRow(
                 method,
-                short(method),
+                short(run.method_of(method)),
                 tuple(quantity(p, e, run.truth) for p in PARAMETERS),
                 rms_rad if is_known else None,
                 rounded(1e3 * rms_rad) if is_known else "–",
@@ -164,7 +163,7 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
     groups = {group[0]: group[1:] for group in run.result.not_told_apart or () if group}
     truth = {law.name: law for law in run.true_laws or ()}
     rows = []
-    for law in run.result.law or ():
+    for law in run.laws:
         title, cause = causes.get(law.name, (law.name.replace("_", " "), ""))
         bounds = law.ci95 or (None, None)
         low, high = known(bounds[0]), known(bounds[1])
@@ -174,7 +173,7 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
         alike = ", ".join(causes.get(name, (name, ""))[0] for name in groups.get(law.name, ()))
         true = _true_size(truth.pop(law.name, None)) if run.true_laws is not None else ""
         rows.append(MotorLawRow(title, size, interval, "" if law.unit == "1" else law.unit, cause, alike, true))
-    if run.result.law is not None:
+    if run.result.answer is not None and run.result.answer.law is not None:
         for missed in truth.values():
             title, cause = causes.get(missed.name, (missed.name.replace("_", " "), ""))
             rows.append(MotorLawRow(title, (None, "not found"), "", "", cause, "", _true_size(missed)))
@@ -188,15 +187,9 @@ def _true_size(law: TrueLaw | None) -> str:
     return f"{known(law.value):.3g} {law.unit}".removesuffix(" 1")
 
 
-def with_law(run: ReportedRun) -> list[Quantity]:
-    """tau, K, fc, asymmetry and delay of a motor with these laws; empty without any."""
-    found = run.result.with_law
-    return [] if found is None else [quantity(p, found, run.truth) for p in PARAMETERS]
-
-
 def records(run: ReportedRun) -> str:
     """What the law was fitted to, with its lengths; empty if nothing was."""
-    found = run.result.law_records or () if run.result.with_law is not None else ()
+    found = run.result.law_records or () if "answer" in run.compared else ()
     return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in found)
 
 
@@ -269,9 +262,8 @@ def tracking(run: ReportedRun) -> list[TrackingRow]:
 
 
 def law_used(run: ReportedRun) -> str:
-    """Which pictures and which drive are of the motor with the laws that the tests show."""
-    whose = "with these laws" if law_motor(run) is not None else "without them"
-    pictures = f"The pictures of cycles and residual are those of the motor {whose}."
+    """Which pictures and which drive are of the motor with the laws of the answer."""
+    pictures = "The pictures of cycles and residual are of the motor with these laws."
     tracked = [outcome for outcome in run.result.tracking.values() if math.isfinite(known(outcome.rms_rad))]
     if not tracked:
         return pictures

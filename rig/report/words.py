@@ -11,6 +11,8 @@ from typing import Literal, NamedTuple
 from rig.estimators import LEADING
 from rig.report.source import ReportedRun
 from rig.results import BreakawayResult, EstimateResult, known
+from rig.results.answer_words import rounded as as_digits
+from rig.results.answer_words import share
 
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
@@ -66,10 +68,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Headline:
-    """The result of the run, for the top of the page.
-
-    by_law   whether ``quantities`` are those with the law of the motor, where the plain ones are not ok
-    """
+    """The result of the run, for the top of the page."""
 
     outcome: HeadlineOutcome
     title: str
@@ -78,22 +77,11 @@ class Headline:
     next_steps: tuple[Step, ...]
     method: str
     quantities: tuple[Quantity, ...]
-    by_law: bool = False
 
 
 def rounded(value: float, half_width: float = math.nan) -> str:
-    """``value`` rounded to two digits of its uncertainty ``half_width``, in the same unit; without one: four digits."""
-    if not math.isfinite(value):
-        return "–"
-    if math.isfinite(half_width) and half_width > 0.0:
-        digits = 1 - math.floor(math.log10(half_width))
-        if value != 0.0:
-            digits = max(digits, 1 - math.floor(math.log10(abs(value))))
-    elif value != 0.0:
-        digits = 3 - math.floor(math.log10(abs(value)))
-    else:
-        digits = 0
-    return f"{value:.{min(max(digits, 0), 9)}f}".replace("-", "−")
+    """``value`` rounded to its ``half_width``, both in one unit, as ``answer_words`` does; with the minus of print."""
+    return as_digits(value, half_width).replace("-", "−")
 
 
 def percent(ratio: float) -> str:
@@ -111,7 +99,7 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
     if not math.isfinite(exact):
         return Quantity(parameter, None, "–", "", "", "", "")
     value = parameter.factor * exact
-    bounds = estimate.interval(parameter.key)
+    bounds = estimate.at_95(parameter.key)
     if parameter not in HEADLINE_PARAMETERS and exact == 0.0 and bounds is None:
         return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
     between = plus_minus = relative = ""
@@ -123,7 +111,7 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         between = f"{rounded(low, half)} to {rounded(high, half)}"
         plus_minus = f"± {rounded(half, half)}" if middle else between
         if value and parameter in HEADLINE_PARAMETERS:
-            relative = f"± {100.0 * half / abs(value):.2g} %"
+            relative = share(value, half)
     error = ""
     true = truth.get(parameter.key, math.nan)
     if math.isfinite(true):
@@ -137,29 +125,16 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
 
 def headline(run: ReportedRun) -> Headline:
     """Headline of the run: verdict, the three parameters, why, and what to do next."""
-    method, estimate = next(iter(run.estimates.items()), ("", EstimateResult()))
-    if estimate == EstimateResult():
+    answer = run.result.answer
+    if answer is None or not answer.model_fields_set & EstimateResult.model_fields.keys():
         return _nothing(run)
-    outcome: HeadlineOutcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.verdict), "doubtful")
-    reasons = estimate.reasons
-    quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
-    name = method.replace("-", " ")
+    outcome: HeadlineOutcome = next((o for o in ("ok", "doubtful", "refused") if o == answer.verdict), "doubtful")
+    quantities = tuple(quantity(p, answer, run.truth) for p in HEADLINE_PARAMETERS)
+    name = answer.method.replace("-", " ")
     models_from = run.result.models_from or ""
     sentences: list[str] = []
     next_steps: list[Step] = []
-    by_law = _ok_with_law(run) if outcome != "ok" and not models_from else None
-    if by_law is not None:
-        title = f"Identified with the law of the motor; the plain estimate is {outcome}"
-        laws = ", ".join(law.name.replace("_", " ") for law in run.result.law or ())
-        sentences.append(f"The motor has more than tau, K and friction: {laws}. These are its values with that:")
-        quantities = tuple(quantity(p, by_law, run.truth) for p in HEADLINE_PARAMETERS)
-        if run.faults:
-            title += ", and the run ended with a fault"
-            next_steps.append(Step("Cure the fault above first."))
-        next_steps.append(
-            Step("Take the values above: they are ok. Those of the plain motor, in the table below, are not.")
-        )
-    elif outcome == "refused":
+    if outcome == "refused":
         title = "No model: the estimate was refused"
         sentences.append(f"The {name} estimate does not describe this motor. The values below are for diagnosis only.")
         next_steps.append(Step("Do not use these values. Do what each reason says, then run the experiment again."))
@@ -174,6 +149,9 @@ def headline(run: ReportedRun) -> Headline:
             title += ", and the run ended with a fault"
             next_steps.append(Step("Cure the fault above first."))
         sentences.extend(_plain_words(quantities, run))
+        if run.laws:
+            laws = ", ".join(law.name.replace("_", " ") for law in run.laws)
+            sentences.append(f"The motor has more than tau, K and friction: {laws}. The values include that.")
         if not whole:
             next_steps.append(
                 Step("Friction is not enough to drive the bench: record a relay test for the other parameters.")
@@ -184,18 +162,10 @@ def headline(run: ReportedRun) -> Headline:
             next_steps.append(_drive_with(run))
         else:
             next_steps.append(Step("Treat the values as a first guess. Do what each reason says, then run again."))
-    if method != LEADING:
+    if answer.method != LEADING:
         text = f"These values come from the {name} method. A {LEADING} estimate is more exact; this run has none."
         next_steps.append(Step(text))
-    return Headline(
-        outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities, by_law is not None
-    )
-
-
-def _ok_with_law(run: ReportedRun) -> EstimateResult | None:
-    """The estimate with the laws that the tests show, if there are any and it is ok."""
-    found = run.result.with_law
-    return found if run.result.law and found is not None and found.verdict == "ok" else None
+    return Headline(outcome, title, tuple(sentences), answer.reasons, tuple(next_steps), answer.method, quantities)
 
 
 def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun) -> list[str]:

@@ -2,6 +2,7 @@
 ``RunEvent``. Each field says what its key means; docs/results.md is made from that.
 """
 
+from rig.results.answer import Answer, answer_of, chosen
 from rig.results.estimates import (
     BreakawayResult,
     BudgetEntry,
@@ -11,13 +12,11 @@ from rig.results.estimates import (
     FrictionLawResult,
     FrictionMapResult,
     HystereticResult,
-    IdentificationResult,
     LawFit,
     LawFrameResult,
     LawNumberResult,
     MapPositionResult,
     MapSpeedResult,
-    MotorLawResult,
     PieceResult,
     RelayTestResult,
     ResidualResult,
@@ -36,6 +35,7 @@ from rig.results.event import (
     MeasuredDelay,
     RunEvent,
 )
+from rig.results.identification import IdentificationResult, MotorLawResult
 from rig.results.live import LiveResult, StoppedResult
 from rig.results.meta import (
     DeviceSeen,
@@ -61,6 +61,7 @@ from rig.results.result import (
 )
 
 __all__ = [
+    "Answer",
     "BreakawayResult",
     "BudgetEntry",
     "Decided",
@@ -111,5 +112,7 @@ __all__ = [
     "TrackingResult",
     "TrueLaw",
     "TrueMotor",
+    "answer_of",
+    "chosen",
     "known",
 ]

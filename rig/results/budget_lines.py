@@ -1,12 +1,12 @@
-"""The uncertainty budget of a result as lines of a table, in % of the estimate."""
+"""The uncertainty budget of a result as lines of a table, in % of the answer."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from rig.estimators import LEADING
-from rig.results.estimates import EstimateResult, IdentificationResult, known
+from rig.results.estimates import known
+from rig.results.identification import IdentificationResult
 from rig.results.result import RunResult
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
@@ -29,11 +29,11 @@ class BudgetLine:
 
 
 def budget_lines(result: RunResult | IdentificationResult) -> list[BudgetLine]:
-    """The sums, then the lines of the budget, the largest first; empty without a budget or an estimate."""
-    estimate = of_budget(result)
-    if estimate is None or not result.u95:
+    """The sums, then the lines of the budget, the largest first; empty without a budget of the answer."""
+    answer = result.answer
+    if answer is None or not answer.u95:
         return []
-    sizes = [known(estimate.value(name)) for name in OF]
+    sizes = [known(answer.value(name)) for name in OF]
 
     def percent(tau: float | None, gain: float | None, friction: float | None) -> tuple[float, float, float]:
         of_tau, of_gain, of_friction = (
@@ -42,20 +42,14 @@ def budget_lines(result: RunResult | IdentificationResult) -> list[BudgetLine]:
         )
         return of_tau, of_gain, of_friction
 
-    lines = [BudgetLine("u95", percent(*(result.u95.get(name) for name in OF)), is_sum=True)]
-    whole = result.u95_absolute
+    lines = [BudgetLine("u95", percent(*(answer.u95.get(name) for name in OF)), is_sum=True)]
+    whole = answer.u95_absolute
     if whole:
         lines.append(BudgetLine("u95_absolute", percent(*(whole.get(name) for name in OF)), True, True))
     return lines + [
         BudgetLine(entry.source, percent(entry.tau_s, entry.K_rad_s_V, entry.fc_V), absolute=entry.absolute)
         for entry in result.budget or ()
     ]
-
-
-def of_budget(result: RunResult | IdentificationResult) -> EstimateResult | None:
-    """The estimate that the budget belongs to: that with the laws which the tests show, else the leading one."""
-    found = result.estimates
-    return result.with_law or found.get(LEADING) or next((e for e in found.values() if e.value("tau_s")), None)
 
 
 def that_matter(lines: list[BudgetLine], share: float) -> list[BudgetLine]:

@@ -16,8 +16,7 @@ class ComparedRunResult(Part):
     started_utc: Text | None = Field(None, description="when it started: ISO 8601, UTC")
     temperature_C: Number = Field(None, description="given by `--temperature`")
     bench: Count = Field(description="runs with one number are of one bench: what is common to them cancels")
-    verdict: Text = Field(description="of its estimate")
-    with_law: Flag = Field(description="whether its estimate is `with_law` of result.json, not the plain one")
+    verdict: Text = Field(description="of its answer")
     tau_s: Real = Field(description="time constant, s")
     K_rad_s_V: Real = Field(description="gain, (rad/s)/V")
     fc_V: Real = Field(description="friction, V")
@@ -41,7 +40,7 @@ class LeftOutResult(Part):
     reason: Text = Field(description="why")
 
 
-class Answer(Part):
+class Difference(Part):
     """An answer to: is it one motor?"""
 
     differs: Flag = Field(description="yes or no")
@@ -78,8 +77,8 @@ class ComparisonResult(Part):
     runs: tuple[ComparedRunResult, ...] = Field(description="the runs, by their start")
     left_out: tuple[LeftOutResult, ...] = Field((), description="folders that could not be compared, and why")
     level: Real = Field(description="probability of a false alarm of each answer")
-    measurably: Answer = Field(description="whether they differ by more than the noise explains (Type A)")
-    beyond_scatter: Answer = Field(description="whether they differ by more than one motor does from run to run")
+    measurably: Difference = Field(description="whether they differ by more than the noise explains (Type A)")
+    beyond_scatter: Difference = Field(description="whether they differ by more than one motor does from run to run")
     scatter: ScatterResult
     trends: tuple[TrendResult, ...] = Field((), description="empty with fewer than three runs")
     notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")

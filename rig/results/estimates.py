@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
-from rig.results.part import NOT_IN_EACH_FILE, Count, Flag, Number, Part, Real, Sometimes, Text
+from rig.results.part import NOT_IN_EACH_FILE, Count, Flag, Number, Part, Real, Text
 
 Interval = tuple[Number, Number]
 Rows = tuple[Count, Count]
@@ -79,6 +79,10 @@ class EstimateResult(Part):
         """The 95 % interval of one parameter; None if it has none."""
         return _finite((self.ci95 or {}).get(name))
 
+    def at_95(self, name: str) -> tuple[float, float] | None:
+        """The interval of one parameter that people are told, at 95 %; None if it has none."""
+        return self.interval(name)
+
     @property
     def is_refused(self) -> bool:
         """Whether its numbers must not be used."""
@@ -111,7 +115,7 @@ class BreakawayResult(Part):
 
 
 class LawNumberResult(Part):
-    """A number that a friction law adds to tau, K, fc, asymmetry and delay."""
+    """A number that a friction law adds to tau, K, f_c, asymmetry and delay."""
 
     name: Text = Field(description="with its unit, as in `parameters`")
     meaning: Text = Field("", description="in words")
@@ -240,61 +244,6 @@ class FrictionMapResult(Part):
     travel_rad: Interval | None = Field(None, description="the positions that every sweep passed steadily, rad")
     speeds: tuple[MapSpeedResult, ...] = Field((), description="the sweeps, by speed")
     positions: tuple[MapPositionResult, ...] = Field((), description="by position; empty: no sweep was steady")
-
-
-class MotorLawResult(Part):
-    """What a motor is beyond the plain one, and how certain tau, K and friction are. A part of two other files."""
-
-    law: Sometimes[tuple[FoundLawResult, ...]] = Field(None, description="what the tests show beyond the plain motor")
-    not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
-        None, description="groups of laws that explain the tests equally well"
-    )
-    with_law: Sometimes[EstimateResult] = Field(
-        None, description="the leading estimate of a motor with these laws, from all these records"
-    )
-    law_frame: Sometimes[LawFrameResult] = Field(None, description="what the numbers of these laws refer to")
-    u95: Sometimes[dict[str, Number]] = Field(
-        None,
-        description="expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "
-        "seconds",
-    )
-    u95_absolute: Sometimes[dict[str, Number]] = Field(
-        None,
-        description="the same in true volts, radians and seconds: with the errors of supply, calibration and clock",
-    )
-    ok_asks_u95_percent: Sometimes[Number] = Field(
-        None, description="largest u95 of a verdict ok, % of each of tau, K and friction"
-    )
-    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(
-        None, description="what u95 and u95_absolute are made of, the largest first"
-    )
-    pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
-
-    law_records: Sometimes[tuple[FittedRecord, ...]] = Field(
-        None, description="what law, with_law, u95 and budget were fitted to; tracking never is"
-    )
-
-    def law_keys(self) -> dict[str, Any]:
-        """Those of these keys that were set, by name: to make another result that has them, too."""
-        return {name: getattr(self, name) for name in MotorLawResult.model_fields if self.says(name)}
-
-
-class _Estimates(Part):
-    """What the estimators found."""
-
-    relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
-    estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
-    notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
-    hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
-    breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
-    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
-    friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
-
-
-class IdentificationResult(MotorLawResult, _Estimates):
-    """The identification of recordings: `rig identify --json`."""
-
-    # Its parts are read from right to left: the JSON keeps that order of keys.
 
 
 def _finite(interval: Interval | None) -> tuple[float, float] | None:

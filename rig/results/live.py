@@ -13,7 +13,7 @@ class LiveResult(Part):
     row: Count = Field(0, description="the last row that it counts, from 0")
     of_s: Number = Field(None, description="when that was sampled, s since the run's start")
     tau_s: Number = Field(None, description="time constant, s")
-    K_rad_s_V: Number = Field(None, description="gain, rad/s/V")
+    K_rad_s_V: Number = Field(None, description="gain, (rad/s)/V")
     fc_V: Number = Field(None, description="friction, V")
     tau_percent: Number = Field(None, description="half width of the 95 % interval of tau, % of it")
     K_percent: Number = Field(None, description="half width of the 95 % interval of K, % of it")

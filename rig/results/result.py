@@ -8,13 +8,12 @@ from pydantic import Field
 
 from rig.results.estimates import (
     BreakawayResult,
-    EstimateResult,
     FrictionLawResult,
     FrictionMapResult,
     HystereticResult,
-    MotorLawResult,
     RelayTestResult,
 )
+from rig.results.identification import Answered, MotorLawResult, OlderKeys
 from rig.results.live import StoppedResult
 from rig.results.meta import RealTimeReport, TrueMotor
 from rig.results.part import NOT_IN_EACH_FILE, VERSION, Count, Number, Part, Sometimes, Text
@@ -98,13 +97,17 @@ class SearchStepResult(Part):
     outcome: Text = Field("", description="what happened, in words")
 
 
-class _Run(Part):
-    """What ran, and what came of it."""
+class _Head(Part):
+    """What ran."""
 
     version: Annotated[Count, Field(ge=0)] = Field(VERSION, alias="schema", description="version of this file's form")
     backend: Text = Field("", description="the bench in words")
+
+
+class _Run(Part):
+    """What came of it."""
+
     relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
-    estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
     tracking: dict[str, TrackingResult] = Field({}, description="tracking checks by the method of their model")
     loop: LoopResult | None = Field(None, description="timing of the loop")
     link: dict[str, Count] = Field({}, description="number of exchanges with the device, and of each kind of error")
@@ -123,7 +126,7 @@ class _Run(Part):
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")
 
 
-class RunResult(MotorLawResult, _Run):
+class RunResult(OlderKeys, MotorLawResult, _Run, Answered, _Head):
     """result.json of a run folder. A file of an older version may lack any key."""
 
     # Its parts are read from right to left: the file keeps that order of keys.

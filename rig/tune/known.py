@@ -3,47 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.estimators import LEADING
 from rig.identify.known_model import model_of
-from rig.results import EstimateResult, IdentificationResult, RunResult
+from rig.results import Answer, EstimateResult
 from rig.tune.tuning import TuneError
 from rig.tune.uncertain import OF, UncertainMotor
 
 _OF_ESTIMATE: Final = {"bias_V": "asym_V"}  # what the estimate calls what the motor calls otherwise
 
 
-def motor_of(result: RunResult | IdentificationResult) -> UncertainMotor:
-    """The leading estimate with the laws that the tests show, and how well it is known.
+def motor_of(answer: Answer | None) -> UncertainMotor:
+    """The motor of an answer with its laws, and how well it is known.
 
-    Half widths are u95 where there is one, else those of the estimate's scatter. The laws' own sizes count as known:
-    what they leave open is in u95 of tau, K and f_c. Raises TuneError without an estimate that was not refused, or
+    Half widths are u95 where there is one, else those of its scatter. The laws' own sizes count as known:
+    what they leave open is in u95 of tau, K and f_c. Raises TuneError without an answer that was not refused, or
     without intervals of tau and K.
     """
     try:
-        framed = model_of(result)
+        framed = model_of(answer)
     except ValueError as error:
         raise TuneError(f"the result holds a model that no motor has: {error}", "give another run") from error
-    estimate = result.with_law if framed is not None and framed.parts else result.estimates.get(LEADING)
-    if framed is None or estimate is None:
-        raise TuneError(f"there is no {LEADING} estimate that was not refused", "see why: `rig identify RUN`")
-    half = tuple(_half_95(name, estimate, result.u95 or {}) for name in OF)
+    if framed is None or answer is None:
+        raise TuneError("there is no motor that was not refused", "see why: `rig identify RUN`")
+    half = tuple(_half_95(answer.at_95(_OF_ESTIMATE.get(name, name))) for name in OF)
     if not half[0] > 0.0 or not half[1] > 0.0:
         raise TuneError("tau and K have no intervals, so no worst case is known", "identify the run anew")
-    return UncertainMotor(framed, max(estimate.delay_s or 0.0, 0.0), half, _correlation(estimate))
+    return UncertainMotor(framed, max(answer.delay_s or 0.0, 0.0), half, _correlation(answer))
 
 
-def _half_95(name: str, estimate: EstimateResult, u95: Mapping[str, float | None]) -> float:
+def _half_95(interval: tuple[float, float] | None) -> float:
     """Half the 95 % interval of a number; 0 if it is not known to have one."""
-    interval = estimate.interval(_OF_ESTIMATE.get(name, name))
-    scatter = 0.0 if interval is None else 0.5 * (interval[1] - interval[0])
-    whole = u95.get(name)
-    return max(scatter, whole) if whole is not None and math.isfinite(whole) else scatter
+    return 0.0 if interval is None else 0.5 * (interval[1] - interval[0])
 
 
 def _correlation(estimate: EstimateResult) -> NDArray[np.float64]:

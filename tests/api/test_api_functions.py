@@ -39,7 +39,7 @@ def found(swing: rig.Run) -> rig.Found:
 
 def test_what_is_simulated_is_identified(found: rig.Found) -> None:
     best = found.best
-    assert best is found["sampled-data"] and best.verdict == "ok"
+    assert best is not None and best.method == "sampled-data" and best.verdict == "ok"
     for name, truth in {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}.items():
         assert getattr(best, name) == pytest.approx(truth, rel=0.03)
     assert "sampled-data" in found.summary() and "± " in found.summary() and "triple-relay: " in found.summary()
@@ -114,7 +114,7 @@ def test_prediction_is_that_of_the_command() -> None:
 
 
 def test_figures_need_no_display_and_are_not_shown(swing: rig.Run, found: rig.Found) -> None:
-    for figure, panels in ((swing.plot(), 2), (found.plot(), 3)):
+    for figure, panels in ((swing.plot(), 2), (found.plot(), 2 * len(found.tests)), (found.plot_methods(), 3)):
         assert len(figure.axes) == panels
         assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
     assert "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()
@@ -122,7 +122,8 @@ def test_figures_need_no_display_and_are_not_shown(swing: rig.Run, found: rig.Fo
 
 def test_one_estimate_shows_itself(found: rig.Found) -> None:
     best = found.best
-    assert best is not None and best is found.estimates["sampled-data"]
+    assert best is not None and best.tau_s == found["sampled-data"].tau_s
+    assert found.answer is not None and best.answer == found.answer and best.u95 == found.answer.u95
     lines = best.summary().splitlines()
     assert lines[0] == "sampled-data: ok" and lines[1].split("  ")[0] == "parameter"
     assert any(line.startswith("Coulomb friction") and " to " in line for line in lines)
@@ -141,7 +142,7 @@ def test_what_was_found_goes_to_python_control_by_its_best_estimate(found: rig.F
     assert best is not None
     assert found.to_control()(3j) == best.to_control()(3j)
     nothing = replace(found, estimates={})
-    with pytest.raises(ValueError, match="no estimate gives a motor"):
+    with pytest.raises(ValueError, match="the answer is no motor"):
         nothing.to_control()
 
 

@@ -64,7 +64,7 @@ def test_a_shaft_without_load_has_the_numbers_of_its_model_and_no_law(tmp_path: 
     shaft = Shaft()
     result, _ = identified(tmp_path, shaft)
     found = result["estimates"]["sampled-data"]
-    assert result["law"] == []
+    assert result["answer"]["law"] == []
     assert found["tau_s"] == pytest.approx(shaft.motor.tau_eff_s, rel=0.01)
     assert found["K_rad_s_V"] == pytest.approx(shaft.motor.K_eff_rad_s_V, rel=0.01)
     assert found["fc_V"] == pytest.approx(shaft.motor.friction.fc_V, rel=0.01)
@@ -73,14 +73,14 @@ def test_a_shaft_without_load_has_the_numbers_of_its_model_and_no_law(tmp_path: 
 def test_an_unbalanced_load_is_named_with_its_size_and_the_motor_behind_it_is_found(tmp_path: Path) -> None:
     shaft = Shaft(mass_kg=2e-3)
     result, said = identified(tmp_path, shaft)
-    (law,) = result["law"]
+    (law,) = result["answer"]["law"]
     assert law["name"] == "force_over_position"
     assert law["value"] == pytest.approx(shaft.load_V, rel=0.05)  # 51 mV
     assert reaches(law["ci95"], shaft.load_V)
     assert "force over position" in said
-    plain, found = result["estimates"]["sampled-data"], result["with_law"]
+    plain, found = result["estimates"]["sampled-data"], result["answer"]
     assert found["verdict"] == "ok"
     truth = {"tau_s": shaft.real.tau_s, "K_rad_s_V": shaft.real.K_rad_s_V, "fc_V": shaft.real.fc_V}
     for name, value in truth.items():
-        assert abs(found[name] - value) < min(result["u95"][name], 0.01 * value)
+        assert abs(found[name] - value) < min(found["u95"][name], 0.01 * value)
     assert abs(plain["tau_s"] / shaft.real.tau_s - 1.0) > 0.02  # what the law is good for

@@ -17,8 +17,8 @@ from rich.console import Console
 
 from rig import terminal
 from rig.recording.csv_file import read_csv
-from rig.results import EstimateResult, TrackingResult, TrueMotor
-from rig.terminal import plain_table, show_estimates
+from rig.results import EstimateResult, IdentificationResult, TrackingResult, TrueMotor
+from rig.terminal import plain_table, show_details, show_estimates
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATED = ROOT / "config/simulated.yaml"
@@ -62,9 +62,8 @@ def test_plain_columns_stand_below_each_other() -> None:
 
 
 def test_a_doubt_to_record_anew_is_followed_by_what_to_type(capsys: pytest.CaptureFixture[str]) -> None:
-    show_estimates(
-        {"sampled-data": EstimateResult(fc_V=0.48, verdict="doubtful", reasons=("only 4 cycles: record ten",))}, None
-    )
+    doubtful = EstimateResult(fc_V=0.48, verdict="doubtful", reasons=("only 4 cycles: record ten",))
+    show_details(IdentificationResult(estimates={"sampled-data": doubtful}))
     assert "`rig relay CONFIG`; more cycles: relay.cycles" in capsys.readouterr().out
 
 

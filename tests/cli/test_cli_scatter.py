@@ -22,4 +22,4 @@ def test_scatter_beside_the_intervals(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_one_estimate_has_no_scatter_and_that_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     show_scatter([result(0.170), RunResult()])
-    assert capsys.readouterr().out == "no scatter: it takes two sampled-data estimates, and 2 runs gave 1\n"
+    assert capsys.readouterr().out == "no scatter: it takes two answers, not refused, and 2 runs gave 1\n"

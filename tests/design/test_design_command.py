@@ -116,7 +116,7 @@ def test_a_run_without_a_model_is_refused(tmp_path: Path) -> None:
     refused = run_folder(tmp_path, verdict="refused")
     said = rig("design", CONFIG, "--model", refused)
     assert said.exit_code == 2
-    assert "holds no sampled-data estimate that was not refused" in said.stderr
+    assert "holds no motor that was not refused" in said.stderr
 
 
 def test_a_model_without_friction_is_refused(tmp_path: Path) -> None:

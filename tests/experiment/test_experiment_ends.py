@@ -222,7 +222,7 @@ def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Pa
     assert low < 0.17 < high
     page = rig("report", folder)
     assert page.exit_code == 0
-    assert "tau_s is only known to" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "tau is only known to" in (folder / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("accepted", [False, True])

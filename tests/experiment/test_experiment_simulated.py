@@ -50,7 +50,7 @@ def test_the_run_keeps_what_its_bench_may_be_wrong_by_and_counts_it(demo_run: tu
         "linearity_percent": 1.0, "calibration_error_rad": 0.01, "calibration_rad": [-2.0015625, 2.0015625],
     }  # fmt: skip
     assert meta["drive"]["supply_error_percent"] == 1.0
-    gain = outcome["with_law"]["K_rad_s_V"]
+    gain = outcome["answer"]["K_rad_s_V"]
     lines = {line["source"]: line["K_rad_s_V"] / gain for line in outcome["budget"] if line["absolute"]}
     assert lines["supply"] == pytest.approx(2.0 * 0.01 / 3.0**0.5, rel=1e-3)
     assert lines["calibration"] == pytest.approx(2.0 * 0.01 * (2.0 / 3.0) ** 0.5 / span, rel=1e-3)

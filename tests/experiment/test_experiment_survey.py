@@ -153,18 +153,18 @@ def test_a_thorough_run_tells_what_the_plain_run_leaves_open(tmp_path: Path) -> 
     path = written(tmp_path, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True}, survey=survey)
     outcome = json.loads(rig("run", path, "--out", tmp_path / "runs", "--json").stdout)
     assert any(note.startswith("thorough: the tests left") for note in outcome["notes"])
-    (law,) = outcome["law"]
+    (law,) = outcome["answer"]["law"]
     assert law["name"] == "sag" and reaches(law["ci95"], 0.03)
-    truth, with_law = outcome["truth"], outcome["with_law"]
+    truth, answer = outcome["truth"], outcome["answer"]
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert with_law[name] == pytest.approx(truth[name], rel=0.01)
-        assert outcome["u95"][name] < 0.025 * truth[name]
+        assert answer[name] == pytest.approx(truth[name], rel=0.01)
+        assert answer["u95"][name] < 0.025 * truth[name]
     stages = read_run(Path(outcome["folder"])).stages()
     assert [stage for stage in stages if stage != "rest"] == ["breakaway", "relay-1", "relay-2", "survey"]
 
     plain = rig("identify", outcome["folder"], "--without", "survey", "--without", "relay-2", "--json")
     left = json.loads(plain.stdout)
-    assert not left["law"]
+    assert not left["answer"]["law"]
     estimate = left["estimates"]["sampled-data"]
     assert estimate["verdict"] == "doubtful" and estimate["K_rad_s_V"] < 0.97 * truth["K_rad_s_V"]
 

@@ -13,6 +13,8 @@ from command_line import rig
 from rig import config, experiment
 from rig.estimators import LEADING
 from rig.identify import Identification, identify
+from rig.identify.departures import DEPARTURES
+from rig.identify.motor_law import FoundLaw
 from rig.model.real_motor import FramedMotor
 from rig.recording.recording import Recording
 from rig.replay import replay
@@ -83,7 +85,7 @@ def test_a_run_with_laws_is_replayed_and_says_what_it_drove_with(sagging: tuple[
     assert FramedMotor.of({k: v for k, v in driven.items() if isinstance(v, float)}) == real
     result = json.loads((run / "result.json").read_text(encoding="utf-8"))
     assert result["tracking"][LEADING]["law"] == ["sag"]
-    assert result["law_frame"]["half_travel_rad"] == real.frame.half_travel_rad
+    assert result["answer"]["law_frame"]["half_travel_rad"] == real.frame.half_travel_rad
 
 
 def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
@@ -106,10 +108,10 @@ def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
 
 def test_a_law_that_no_drive_makes_up_for_is_named(sagging: tuple[Path, Path, Identification], tmp_path: Path) -> None:
     path, run, models = sagging
-    assert models.motor_law is not None and models.motor_law.motor is not None
-    motor, frame = models.motor_law.motor.motor, models.motor_law.motor.frame
-    drifting = FramedMotor(motor._replace(drift=0.02), frame)
-    changed = replace(models, motor_law=replace(models.motor_law, motor=drifting))
+    assert models.motor_law is not None
+    law = next(law for law in DEPARTURES if law.name == "drift")
+    drift = FoundLaw(law, 0.02, (0.01, 0.03), 30.0, {"drift": 0.02})
+    changed = replace(models, motor_law=replace(models.motor_law, found=(*models.motor_law.found, drift)))
     outcome = experiment.run_tracking(config.load(path), changed, run, tmp_path)
     tracked = outcome.result.tracking[LEADING]
     assert tracked.law == ("sag",) and tracked.law_left_out == ("drift",)

@@ -119,9 +119,9 @@ def test_an_unbalanced_load_is_found_while_the_tests_run_and_they_end_when_it_is
     assert stopped is not None and stopped.known and stopped.why.endswith("; with force over position")
     assert stopped.tests_s is not None and stopped.tests_s < 30.0  # 60 s are allowed
     assert stopped.live[-1].laws == "force_over_position"
-    assert [law.name for law in result.law or ()] == ["force_over_position"]
-    estimate = result.with_law
+    estimate = result.answer
     assert estimate is not None and estimate.verdict == "ok"
+    assert [law.name for law in estimate.law or ()] == ["force_over_position"]
     for name, true in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert estimate.value(name) == pytest.approx(true, rel=0.01)
     assert float(np.abs(read_run(folder).y_rad).max()) < SOFT_RAD
@@ -202,6 +202,6 @@ def test_a_run_without_a_usable_estimate_is_no_model(known: tuple[Path, RunResul
     text = (known[0] / "result.json").read_text(encoding="utf-8")
     (tmp_path / "result.json").write_text(text.replace('"verdict": "ok"', '"verdict": "refused"'), encoding="utf-8")
     done = rig("run", ROOT / "config/simulated.yaml", "--model", tmp_path / "result.json", "--out", tmp_path)
-    assert done.exit_code == 2 and "holds no sampled-data estimate that was not refused" in done.output
+    assert done.exit_code == 2 and "holds no motor that was not refused" in done.output
     done = rig("run", ROOT / "config/simulated.yaml", "--model", tmp_path / "nothing", "--out", tmp_path)
     assert done.exit_code == 2 and "is not there" in done.output

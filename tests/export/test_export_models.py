@@ -281,7 +281,7 @@ def test_a_model_that_was_refused_is_not_exported_and_a_doubtful_one_says_why(tm
     (doubtful / "result.json").write_text(json.dumps(result), encoding="utf-8")
     said = rig("export", doubtful, "--to", "mujoco", "--into", tmp_path)
     assert (said.exit_code, len(said.stderr.splitlines())) == (2, 2)
-    assert "holds no sampled-data estimate that was not refused" in said.stderr
+    assert "holds no motor that was not refused" in said.stderr
 
 
 def test_the_page_says_which_laws_each_export_carries() -> None:

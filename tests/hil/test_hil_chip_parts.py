@@ -97,8 +97,8 @@ def test_a_run_on_the_chip_names_the_laws_of_the_motor_behind_it(tmp_path: Path)
     assert done.exit_code == 0, done.output
     outcome: dict[str, Any] = json.loads(done.stdout)
     assert outcome["backend"].startswith("emulated-chip (emulated uno board, build uno ")
-    laws = {law["name"]: law for law in outcome["law"]}
+    laws = {law["name"]: law for law in outcome["answer"]["law"]}
     for name, true_V in (("stribeck", 0.2), ("force_over_position", math.hypot(0.06, 0.03))):
         assert reaches(laws[name]["ci95"], true_V)
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert outcome["with_law"][name] == pytest.approx(outcome["truth"][name], rel=0.02)
+        assert outcome["answer"][name] == pytest.approx(outcome["truth"][name], rel=0.02)

@@ -262,16 +262,16 @@ def test_two_amplitudes_are_ok_and_the_result_says_what_ok_asks_for() -> None:
     assert estimate.verdict == "ok", estimate.reasons
     result = found.as_result()
     assert result.ok_asks_u95_percent == 2.5
-    assert result.u95 is not None
-    assert result.u95_absolute is not None
-    assert all((result.u95[name] or math.inf) <= 0.025 * getattr(estimate, name) for name in OF)
+    answer = result.answer
+    assert answer is not None and answer.u95 is not None and answer.u95_absolute is not None
+    assert all((answer.u95[name] or math.inf) <= 0.025 * getattr(estimate, name) for name in OF)
     by_source = {entry.source: entry for entry in result.budget or ()}
     assert [source for source, entry in by_source.items() if entry.absolute] == ["supply", "calibration", "clock"]
     gain = estimate.K_rad_s_V
     bounds = {"supply": 0.03, "calibration": 0.02 * math.sqrt(2.0) / 4.0, "clock": CLOCK_ERROR}
     for source, bound in bounds.items():
         assert by_source[source].K_rad_s_V == pytest.approx(2.0 * bound / math.sqrt(3.0) * gain, rel=1e-3)
-    assert (result.u95_absolute["K_rad_s_V"] or 0.0) > 0.03 * gain
+    assert (answer.u95_absolute["K_rad_s_V"] or 0.0) > 0.03 * gain
 
 
 @pytest.mark.parametrize(("probability", "bears"), [(0.009, True), (0.02, False)])
@@ -289,22 +289,24 @@ def test_ok_bears_one_percent_of_an_improbable_law_that_would_break_its_promise(
         assert reasons == []
     else:
         [reason] = reasons
-        assert reason.startswith("fc_V is more than 5 % off with a probability of 2 %; ok bears 1 %: ")
+        assert reason.startswith("f_c is more than 5 % off with a probability of 2 %; ok bears 1 %: ")
         assert "dead band of the drive, which these tests do not exclude; record " in reason
 
 
 def test_one_amplitude_is_doubtful_and_the_reason_says_what_would_tell() -> None:
     found = identified(relay_test(), methods=("sampled-data",))
     [reason] = found.estimates["sampled-data"].reasons
-    assert "is only certain to" in reason
-    assert "(u95); ok asks for 2.5 %: most of it is" in reason
+    assert "is only known to" in reason
+    assert "% (at 95 %); ok asks for 2.5 %: most of it is" in reason
     assert "which these tests do not exclude; record a relay test of another amplitude" in reason
 
 
 def test_another_method_alone_is_judged_by_the_same_budget() -> None:
     found = identified(relay_test(), methods=("triple-relay",))
     assert list(found.estimates) == ["triple-relay"]
-    assert found.as_result().u95 is not None
+    answer = found.answer
+    assert answer is not None and (answer.method, answer.verdict) == ("triple-relay", "doubtful")
+    assert answer.u95 is not None
 
 
 def test_without_a_budget_nothing_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,7 +324,7 @@ def test_a_plain_estimate_far_from_that_with_the_laws_is_not_ok() -> None:
     law, plain = found.motor_law, found.estimates["sampled-data"]
     assert law is not None
     own = replace(law, estimate=replace(plain, K_rad_s_V=1.04 * plain.K_rad_s_V))
-    assert any(r.startswith("K_rad_s_V is 4 % off, by all records together") for r in own.reservations(plain, 1.8))
+    assert any(r.startswith("K is 4 % off, by all records together") for r in own.reservations(plain, 1.8))
     near = replace(law, estimate=replace(plain, K_rad_s_V=1.01 * plain.K_rad_s_V))
     assert near.reservations(plain, 1.8) == []
 
@@ -336,16 +338,16 @@ def with_a_load() -> Identification:
 
 def test_where_a_law_explains_the_tests_the_plain_estimate_sends_to_it_before_all_else() -> None:
     reasons = with_a_load().estimates["sampled-data"].reasons
-    assert reasons[0].endswith("% off, for the motor has force over position: take the estimate with it (with_law)")
+    assert reasons[0].endswith("% off, for the motor has force over position: the answer has it")
     assert len(reasons) == 2 and "do not agree" in reasons[1]
 
 
 def test_one_motor_with_a_law_is_not_doubted_because_it_looks_like_two_plain_ones() -> None:
     found = with_a_load()
     assert any("do not agree" in reason for reason in found.estimates["sampled-data"].reasons)
-    with_law = found.as_result().with_law
-    assert with_law is not None
-    assert with_law.verdict == "ok", with_law.reasons
+    answer = found.answer
+    assert answer is not None
+    assert answer.verdict == "ok", answer.reasons
 
 
 def test_another_supply_between_two_recordings_stays_a_doubt() -> None:
@@ -391,11 +393,11 @@ def test_the_lag_of_a_winding_is_no_wrong_time_of_the_drive() -> None:
     )
     sampling = Sampling(noise_rad=0.003, resolution_rad=LSB_RAD)
     found = identify([simulate_real(true, plan, 6.0, sampling) for plan in plans], ("sampled-data",))
-    with_law = found.as_result().with_law
-    assert with_law is not None and found.motor_law is not None
+    answer = found.answer
+    assert answer is not None and found.motor_law is not None
     assert [one.law.name for one in found.motor_law.found] == ["lag"]
-    assert with_law.tau_s == pytest.approx(true.tau_s, rel=0.01)
-    assert not any("t_u_s" in reason for reason in with_law.reasons)
+    assert answer.tau_s == pytest.approx(true.tau_s, rel=0.01)
+    assert not any("t_u_s" in reason for reason in answer.reasons)
 
 
 # -- lines of a table -------------------------------------------------------------------------------------------------

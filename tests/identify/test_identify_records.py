@@ -60,9 +60,9 @@ def test_gain_search_and_breakaway_enter_the_fit_and_make_it_narrower(run: Recor
     assert sorted(names(tests_alone)) == ["relay-1", "relay-2"]
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         assert half_width(found, name) < 0.97 * half_width(tests_alone, name)
-    with_law = told(found)["with_law"]
-    assert with_law["tau_s"] == pytest.approx(0.17, rel=0.01)
-    assert with_law["reasons"] == []  # how few cycles may be is for the intervals and the budget to say
+    answer = told(found)["answer"]
+    assert answer["tau_s"] == pytest.approx(0.17, rel=0.01)
+    assert answer["reasons"] == []  # how few cycles may be is for the intervals and the budget to say
     plain, alone = found.estimates["sampled-data"], tests_alone.estimates["sampled-data"]
     for name, true in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         widths = [one.ci95[name][1] - one.ci95[name][0] for one in (plain, alone)]
@@ -90,7 +90,7 @@ def test_a_strange_stretch_of_the_search_is_left_out_and_the_verdict_stays(
     assert touched.motor_law is not None
     assert found.motor_law is not None
     assert touched.estimates["sampled-data"].verdict == found.estimates["sampled-data"].verdict
-    assert told(touched)["with_law"]["verdict"] == told(found)["with_law"]["verdict"]
+    assert told(touched)["answer"]["verdict"] == told(found)["answer"]["verdict"]
     assert touched.motor_law.found == found.motor_law.found == ()
     assert any("search: not in the law's fit from row" in note for note in touched.notes)
     search = next(record for record in touched.motor_law.records if record.name == "search")

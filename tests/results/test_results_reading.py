@@ -95,9 +95,10 @@ def test_a_wrong_value_in_result_is_left_out_and_named(folder: Path) -> None:
     )
     result, notes = read_result(folder)
     assert result is not None and result.estimates["sampled-data"].tau_s == 0.17
-    assert notes[0] == "result.json: relays[0].h1_V is missing; rig leaves it out"
+    said = "result.json: relays[0].h1_V is missing; rig leaves it out"
+    assert said in notes
     to = folder.parent / "a.json"
-    assert notes[0] in rig("export", folder, "--to", to).stdout
+    assert said in rig("export", folder, "--to", to).stdout
     assert json.loads(to.read_text(encoding="utf-8"))["result"]["estimates"] == {"sampled-data": {"tau_s": 0.17}}
     assert set(notes) <= set(read_by_api(folder).notes)
 

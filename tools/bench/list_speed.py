@@ -18,7 +18,16 @@ from typing import Any
 from bench.benchmark import options, tell
 from rig.catalogue.index import INDEX, catalogue
 from rig.recording.folder import META, RESULT, write_meta, write_result
-from rig.results import BudgetEntry, EstimateResult, FoundLawResult, RunMeta, RunResult, ScriptCall, TrackingResult
+from rig.results import (
+    BudgetEntry,
+    EstimateResult,
+    FoundLawResult,
+    RunMeta,
+    RunResult,
+    ScriptCall,
+    TrackingResult,
+    answer_of,
+)
 from shared.table import markdown
 
 PLAINLY = "json.loads of all"
@@ -29,12 +38,14 @@ MATRIX = ((1e-6,) * 5,) * 5
 def make(folder: Path, runs: int) -> None:
     """So many run folders, as long as a run's files are."""
     estimate = EstimateResult(**VALUES, covariance=MATRIX, correlation=MATRIX, verdict="ok", rows=(0, 2000))
+    estimates = dict.fromkeys(("sampled-data", "triple-relay", "describing-function"), estimate)
     result = RunResult(
         backend="simulated",
-        estimates=dict.fromkeys(("sampled-data", "triple-relay", "describing-function"), estimate),
+        answer=answer_of(
+            estimates, estimate, (FoundLawResult(name="dead_band", value=0.05, unit="V", ci95=(0.04, 0.06)),)
+        ),
+        estimates=estimates,
         tracking={"sampled-data": TrackingResult(rms_rad=0.004, max_rad=0.01)},
-        law=(FoundLawResult(name="dead_band", value=0.05, unit="V", ci95=(0.04, 0.06)),),
-        with_law=estimate,
         budget=tuple(BudgetEntry(source=f"law {k}", **VALUES) for k in range(20)),
         notes=("a note as long as such notes are, with a row and a number or two in it",) * 20,
     )

@@ -73,7 +73,7 @@ class Departures:
 
 @dataclass(frozen=True)
 class PlainMotor:
-    """The plain motor under the departures: tau, s; K, rad/s/V; friction, V; bias, V."""
+    """The plain motor under the departures: tau, s; K, (rad/s)/V; friction, V; bias, V."""
 
     tau_s: float
     K_rad_s_V: float

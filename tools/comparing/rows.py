@@ -54,7 +54,7 @@ class Row:
         for k, (values, covariance) in enumerate(zip(self.values, self.covariance, strict=True)):
             meta = RunMeta(started_utc=(BEGAN + timedelta(hours=k)).isoformat())
             own = (np.array(values), np.array(covariance))
-            found.append(ComparedRun(f"run {k}", Path(f"run-{k}"), *own, None, {}, meta, "ok", with_law=False))
+            found.append(ComparedRun(f"run {k}", Path(f"run-{k}"), *own, None, {}, meta, "ok"))
         return found
 
 
@@ -132,7 +132,7 @@ def _run(campaign: Campaign, one: Draw, group: str, run: int, cycles: int) -> Co
     duration_s = (campaign.relay.settling_cycles + cycles) * one.period_s
     recording = simulate(motor, relay, duration_s, sampling)
     found = identify([recording], (METHOD,), choose_law=group == LAWS).as_result()
-    result = RunResult(estimates=found.estimates, **found.law_keys())
+    result = RunResult(answer=found.answer, budget=found.budget)
     return of_result(f"run {run}", Path(f"run-{run}"), RunMeta(), result)
 
 

@@ -105,7 +105,7 @@ def rows_of(campaign: Campaign, number: int, kinds: Sequence[Kind]) -> list[Row]
     names = tuple(kind.name for kind in kinds)
     try:
         one = case(campaign, number, kinds)
-        known = motor_of(identify(one.recordings(), (LEADING,)).as_result())
+        known = motor_of(identify(one.recordings(), (LEADING,)).answer)
     except (IdentifyError, TuneError) as error:
         return [Row(number, names, loop, "refused", error.cause) for loop in LOOPS]
     found = []

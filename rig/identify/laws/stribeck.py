@@ -72,4 +72,4 @@ class Stribeck(CandidateLaw):
     def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
         """Never decides for it: at one amplitude it looks like another tau, K and fc."""
         wants = f"{against.gained}, but " if against.gain > CLEAR else ""
-        return Doubt(f"{wants}at one amplitude it looks like another tau, K and fc", SECOND_AMPLITUDE)
+        return Doubt(f"{wants}at one amplitude it looks like another tau, K and f_c", SECOND_AMPLITUDE)

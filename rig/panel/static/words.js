@@ -28,9 +28,10 @@ export function withInterval(pair) {
   return `${fixed(value, decimals)} ±${fixed(half, decimals)}`;
 }
 
-/** Half an interval in per cent of its value. */
+/** Half an interval in per cent of its value; beyond the value itself it is unknown. */
 export function percent([value, half]) {
   const share = Math.abs(half / value) * 100;
+  if (share > 100) return "unknown";
   return Number.isFinite(share) ? `±${share < 10 ? share.toFixed(2) : share.toFixed(0)} %` : NONE;
 }
 
@@ -44,6 +45,6 @@ export function moment(iso) {
 /** Name, symbol and unit of each estimated parameter. */
 export const PARAMETERS = [
   { key: "tau_s", symbol: "τ", name: "time constant", unit: "s" },
-  { key: "K_rad_s_V", symbol: "K", name: "speed per volt", unit: "rad/s/V" },
+  { key: "K_rad_s_V", symbol: "K", name: "speed per volt", unit: "(rad/s)/V" },
   { key: "fc_V", symbol: "f_c", name: "friction", unit: "V" },
 ];

@@ -17,6 +17,7 @@ _ORDER = (
     "drivers",
     "recording",
     "promise",
+    "answer",
     "core",
     "board",
 )  # of the table's rooms
