@@ -262,6 +262,12 @@ FAULTS: dict[str, FaultEntry] = {
         "rig's, this is a defect: please report it with the run folder (`rig export RUN --to run.json` makes it one "
         "file)",
     ),
+    "LAW_TIME": FaultEntry(
+        "the law of your own took longer than it may",
+        "make its step quicker: do what is slow (imports, files, compiling with numba) once, before the run, in its "
+        "__init__. A law that needs more time on purpose: raise loop.law_cpu_s. A simulation shows what the law does "
+        "without this bound: daq.driver: simulated",
+    ),
     "INTERNAL": FaultEntry(
         "the program failed",
         "this is a defect of rig: please report it with the run folder. `rig identify RUN` can still identify what was "

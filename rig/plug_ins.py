@@ -66,7 +66,7 @@ def takes(function: object, arguments: int) -> bool:
     return True
 
 
-def in_words(error: Exception) -> str:
+def in_words(error: BaseException) -> str:
     """An exception of another package: what, and in which of its lines."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""

@@ -20,9 +20,9 @@ def alive(pid: int) -> bool:
     return True
 
 
-def wait_until(true: Callable[[], bool]) -> None:
+def wait_until(true: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
     """Return once it is so; fails where it never is."""
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + patience_s
     while not true():
         assert time.monotonic() < until_s, "it never happened"
         time.sleep(0.02)

@@ -20,6 +20,7 @@ from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayRules, Transport
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.link_budget import LinkBudget
+from rig.backends.links.inherited_link import InheritedLink
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Emulated, Experiment
 from rig.section import Section
@@ -54,6 +55,7 @@ class Line(NamedTuple):
     name        of the port, for people
     emulated    True if no real motor can be behind it
     shaft       the path of the emulated shaft so far; None where the device does not tell it
+    answered    another process has opened the device on it
     """
 
     transport: Transport
@@ -61,6 +63,7 @@ class Line(NamedTuple):
     name: str
     emulated: bool = False
     shaft: Callable[[], ShaftPath] | None = None
+    answered: bool = False
 
 
 class Unopened(NamedTuple):
@@ -189,6 +192,14 @@ class Backend(ABC):
         Raises Fault LINK_OPEN where there is no port, EmulationError where a device cannot be emulated.
         """
 
+    def stopper(self, e: Experiment, descriptor: int) -> Driver | None:
+        """A driver that only stops the device, on a link that this process has inherited; None: there is no such.
+
+        descriptor  number of the open file or socket, of which its driver told; the process that opened it is gone, or
+                    never speaks again
+        """
+        return None
+
     def emulated(
         self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess] | None:
@@ -238,6 +249,11 @@ class LineBackend(Backend):
         """On the line of the config, or on a test's own line (``rig.testing.line``)."""
         with own_line.opened(self, e) as line:
             yield Unopened(self.driver(e, line), line.clock, truth_of(e), line.shaft)
+
+    @override
+    def stopper(self, e: Experiment, descriptor: int) -> Driver | None:
+        """On the inherited link."""
+        return self.driver(e, Line(InheritedLink(descriptor), host_clock(e), "inherited", answered=True))
 
 
 OpenLine = Callable[[LineBackend, Experiment], AbstractContextManager[Line]]

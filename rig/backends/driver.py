@@ -207,7 +207,9 @@ class Driver(Protocol):
 
     The host's clock is ``time.monotonic``. A driver in virtual time has an attribute ``clock``, a ``Clock``. If the
     device latches an e-stop by itself, armed or not, the driver has an attribute ``latches_stops`` that is true. Any
-    other driver is read throughout the pauses of a run, from another thread, while nothing else uses it.
+    other driver is read throughout the pauses of a run, from another thread, while nothing else uses it. A driver on a
+    link that another process can inherit has an attribute ``descriptor``, the number of its open file or socket: that
+    process stops the device where a law of a user's own never returns (``Backend.stopper``).
     Constructing a driver touches no device. ``rig.testing.conformance`` tests a driver against this interface.
     """
 

@@ -54,7 +54,9 @@ def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, pace:
             known = known_model(model_run, experiment.drive.max_V)
         except RecordingError as error:
             fail_input(error)
-    if experiment.law is None:
+    from rig.control.laws import OWN
+
+    if experiment.law is None or experiment.law.name in OWN:  # a law of rig steps through the compiled model
         compiled(designs=experiment.relay.until is not None)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)

@@ -111,6 +111,10 @@ class LoopSection(_Section):
         False,
         description="for a busy machine, as root: let the kernel's workers that carry serial data go before all else",
     )
+    law_cpu_s: Annotated[float, Field(gt=0, le=0.5)] | None = Field(
+        None,
+        description="CPU time that one step of a law of your own may take; not in virtual time; default: half a period",
+    )
 
 
 class CalibrationPoint(_Section):

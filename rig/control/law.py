@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import FrameType
 from typing import Protocol, runtime_checkable
 
 from rig.faults import Fault
@@ -88,6 +89,26 @@ class Constant:
         return 0.0 if self.finished else self.u_V
 
 
+class Stopped(BaseException):
+    """Raised out of a law of a user's own while it runs: the run ends with ``fault``. No law has to know it."""
+
+    def __init__(self, fault: Fault) -> None:
+        self.fault = fault
+        super().__init__(str(fault))
+
+
+def is_of_own_law(frame: FrameType | None) -> bool:
+    """Whether a frame is code of a user's own law, at work for ``Timed``: only there a signal may raise ``Stopped``.
+
+    What the loop itself does is in no such frame, nor is the way from the law back to the loop.
+    """
+    while frame is not None:
+        frame = frame.f_back
+        if frame is not None and frame.f_code is Timed._asked.__code__:
+            return True
+    return False
+
+
 class Timed:
     """A law of a user's own, for a given time at most; 0 V once it has ended.
 
@@ -111,18 +132,28 @@ class Timed:
         self.finished = False
 
     def step(self, sample: Sample) -> float:
-        """Return the law's drive, V. Raises Fault LAW_FAILED, with the law's exception as its cause."""
+        """Return the law's drive, V.
+
+        Raises Fault LAW_FAILED, with the law's exception as its cause; the fault of ``Stopped``; KeyboardInterrupt.
+        """
         self._rest.step(sample)
         self.finished = self._rest.finished
         if self.finished:
             return 0.0
         try:
-            u_V = float(self.law.step(sample))
-            self.z_rad_s = float(getattr(self.law, "z_rad_s", math.nan))
-            self.yd_rad = float(getattr(self.law, "yd_rad", math.nan))
-            self.finished = bool(getattr(self.law, "finished", False))
-        except Fault:
+            u_V = self._asked(sample)
+        except (Fault, KeyboardInterrupt):
             raise
-        except Exception as error:  # whatever it is, the user's law did it
+        except Stopped as stopped:
+            raise stopped.fault from None
+        except BaseException as error:  # whatever it is, SystemExit too, the user's law did it
             raise Fault("LAW_FAILED", f"{self.name}: {in_words(error)}") from error
         return 0.0 if self.finished else u_V
+
+    def _asked(self, sample: Sample) -> float:
+        """The user's code, and nothing else: each attribute may be a property (``is_of_own_law``)."""
+        u_V = float(self.law.step(sample))
+        self.z_rad_s = float(getattr(self.law, "z_rad_s", math.nan))
+        self.yd_rad = float(getattr(self.law, "yd_rad", math.nan))
+        self.finished = bool(getattr(self.law, "finished", False))
+        return u_V

@@ -12,6 +12,7 @@ from rig.config.schema import LawSection
 from rig.control.law import Timed
 from rig.control.laws import construct
 from rig.control.sweep_plan import TooShortError
+from rig.experiment.law_watch import watched
 from rig.experiment.stages import (
     drive_by_hand,
     drive_by_lease,
@@ -72,7 +73,8 @@ def run_law(
     """
 
     def script(session: Session) -> None:
-        drive_law(session, law)
+        with watched(session, law) as one:
+            drive_law(session, one)
 
     what = ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s)
     return record(experiment, parent, what, script, on_start, again)

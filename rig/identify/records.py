@@ -15,8 +15,9 @@ FURTHER = (StageKind.BREAKAWAY, StageKind.SEARCH, StageKind.SURVEY)
 
 SOUND = frozenset(
     (
-        "NO_CYCLE", "NO_SWITCHING", "INTERRUPTED", "RECORDER_DEAD", "LAW_FAILED", "INTERNAL", "NOT_IDENTIFIED", "LATE",
-        "OVERSPEED", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_END_SWITCH", "DEVICE_ESTOP", "DRIVE_TOO_SMALL", "NOT_HOME",
+        "NO_CYCLE", "NO_SWITCHING", "INTERRUPTED", "RECORDER_DEAD", "LAW_FAILED", "LAW_TIME", "INTERNAL",
+        "NOT_IDENTIFIED", "LATE", "OVERSPEED", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_END_SWITCH", "DEVICE_ESTOP",
+        "DRIVE_TOO_SMALL", "NOT_HOME",
     )
 )  # fmt: skip
 """Faults that say nothing against sensor and drive: every row before them is sound."""

@@ -24,6 +24,7 @@ from rig.recording.sink import RowSink
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
 _CHECK_EVERY_TICKS = 25
+_ENDS_LAW = ("INTERRUPTED", "LAW_TIME")  # in the middle of its step
 _OLD_PERIODS = 2.0  # age of a reading on which nothing is decided any more
 _KEPT_DRIVES = 512  # asked for last: those that may still wait in a device
 
@@ -241,9 +242,12 @@ class Loop:
             u_V, flags = self.guard.allow(sample, law.step(sample))
             decided_s = now_s()
             self._write(u_V)
-        except BaseException:
-            # record the reading that ended the run; the stop that follows drives 0 V
-            self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)
+        except BaseException as error:
+            if isinstance(error, Fault) and error.code in _ENDS_LAW:
+                self._complete_row(sample)  # no law decided on this reading, so a replay must not ask it to
+            else:
+                # record the reading that ended the run; the stop that follows drives 0 V
+                self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)
             raise
         written_s = now_s()
         self._record_tick(law, stage, sample, u_V, late_us, io_us, flags)

@@ -1,6 +1,6 @@
 """What asks a run to stop: a signal, another process by the run's stop flag, or nobody being there any more.
 
-The loop looks once a tick.
+The loop looks once a tick. A law of a user's own may never return to it: a signal raises out of that law.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from rig.control.law import Stopped, is_of_own_law
+from rig.faults import Fault
 from rig.live.stop_flag import StopFlag
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
@@ -30,9 +32,11 @@ class StopRequest:
         self._gone = gone
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Take the signal; the first one counts."""
+        """Take the signal; the first one counts. Each raises ``Stopped`` out of a user's own law that is at work."""
         if self.reason is None:
             self.reason = signal.Signals(number).name
+        if is_of_own_law(frame):
+            raise Stopped(Fault("INTERRUPTED", self.reason))
 
     def tell_drive(self, *, is_on: bool) -> None:
         """Tell others whether a drive may be on."""

@@ -259,7 +259,7 @@ def test_a_homing_that_ends_before_it_arms_leaves_no_zero(tmp_path: Path) -> Non
         chip.contact("e_stop", is_open=True)
         chip.sleep_until(chip.now_s() + 0.01)
         with pytest.raises(Fault) as failed:
-            zero.find_by_switch(experiment, bench)
+            zero.find_by_switch(experiment, bench, StopFlag())
         assert failed.value.code == "DEVICE_ESTOP"
         chip.contact("e_stop", is_open=False)
         with standing(chip), connect(experiment) as again, pytest.raises(Fault) as refused:

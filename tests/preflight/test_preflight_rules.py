@@ -361,7 +361,7 @@ def test_a_time_out_that_is_hinted_at_passes_and_the_driver_asks_again_when_the_
     (problem,) = preflight(experiment(daq__timeout_s=0.006)).problems
     assert problem.hint == "0.0073 seconds and more, or a higher daq.baud"
     assert not preflight(experiment(daq__timeout_s=0.0073)).problems
-    assert serial_link._READ_SHARES[0] == REPLY_SHARE
+    assert serial_link._ASK_AGAIN == REPLY_SHARE
 
 
 def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Path) -> None:

@@ -186,10 +186,10 @@ def _home_in_vain(injector: FaultInjector, backend: Backend, experiment: Experim
     driven = experiment.model_copy(
         update={"sensor": experiment.sensor.model_copy(update={"encoder": encoder.model_copy(update={"home": end})})}
     )
-    with _opened(injector, backend):
+    with _opened(injector, backend), tempfile.TemporaryDirectory() as runs:
         zero.by_hand(experiment, injector.device.truth().y_rad - WRONG_RAD)
         try:
-            zero.by_switch(driven)
+            zero.by_switch(driven, Path(runs))
         except Fault as fault:
             if fault.code not in ("NO_MOTION", "NOT_HOME"):
                 raise

@@ -80,6 +80,11 @@ class FaultyLink:
             raise TypeError(f"no wire of this machine: {link!r}")
         self._link, self._fault = link, fault
 
+    @property
+    def descriptor(self) -> int:
+        """As of the link."""
+        return self._descriptor
+
     def write(self, data: bytes) -> None:
         """As of a ``Transport``."""
         if not self._fault.is_cut(self._descriptor, self._dead):

@@ -135,7 +135,7 @@ def in_real_time(phases: int) -> list[RealFound]:
         (number, which, k, phases)
         for number, row in enumerate(REAL_ROWS)
         for which, device in enumerate(DEVICES)
-        if not row.only or device.key in row.only
+        if row.is_for(device)
         for k in range(phases)
     ]
     together = [case for case in cases if not REAL_ROWS[case[0]].alone]

@@ -20,12 +20,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from faults import hanging_laws
 from faults.acts import FREEZE_S
 from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend
 from faults.bounds import Bound, bound
@@ -46,6 +47,7 @@ FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml
 _DEVICE_PERIOD_S = 0.01  # of its trace
 _WAIT_S = 60.0
+_STARTS_S = 180.0  # `rig run` with its keeper, on a busy machine
 _ATTEMPTS = 3
 
 
@@ -58,6 +60,7 @@ class RealDevice:
     changes  of the config's section daq
     told     keys of the samples in what its host has received; ``apart``: least distance between two of them
     between  of these, how many fall between the breakaway check and the relay test, and are no rows
+    is_bare  it holds its last drive for ever: what only a watchdog stops is not tried on it
     name     in the table; "": that of its backend
     options  of the command
     """
@@ -70,6 +73,7 @@ class RealDevice:
     apart: int
     between: int
     is_kept: bool = False
+    is_bare: bool = False
     name: str = ""
     options: tuple[str, ...] = ()
 
@@ -98,6 +102,10 @@ class RealRow:
     """What happens to the host's process, or to the link; the rest as in ``rows.Row``.
 
     codes, status  by the key of a device, "" for all others
+    only           keys of devices; none: all but the bare one
+    law            way in which a law of the user's own hangs (``hanging_laws``); "": a relay test goes on
+    loop           of section loop of the config
+    counts_from_hang  the bound begins when the law hangs, not when something is done
     """
 
     name: str
@@ -108,6 +116,13 @@ class RealRow:
     status: tuple[int, ...]
     alone: bool = False
     only: tuple[str, ...] = ()
+    law: str = ""
+    loop: Mapping[str, Any] = field(default_factory=dict)
+    counts_from_hang: bool = False
+
+    def is_for(self, device: RealDevice) -> bool:
+        """Whether it is tried on that device."""
+        return device.key in self.only if self.only else not device.is_bare
 
 
 @dataclass(frozen=True)
@@ -242,21 +257,95 @@ def _tcp_replies(log: bytes) -> list[int]:
     return list(range(1, log.count(bytes((0, 0, 0, 11, 1, 23, 8))) + 1))
 
 
+def _without_watchdog() -> dict[str, Any]:
+    """Section daq of a block that knows drive and position only."""
+    daq = TCP.config()["daq"]
+    kept = {name: daq["modbus"]["registers"][name] for name in ("drive", "sequence", "position")}
+    changes = {"accept_no_watchdog": True, "timeout_s": 0.02, "watchdog_s": 0.2}
+    return {**daq, **changes, "modbus": {**daq["modbus"], "registers": kept}}
+
+
 _PATIENT = {"timeout_s": TIMEOUT_S}
+NO_WATCHDOG = RealDevice(
+    replace(
+        TCP,
+        key="no-watchdog",
+        title="an I/O block on TCP without watchdog, which holds its last drive",
+        traits=("modbus", "fc23", "tcp", "no-watchdog"),
+        changes={"daq": _without_watchdog(), "period_s": 0.02},
+    ),
+    ModbusBoard,
+    _modbus_start(0),
+    {},
+    _tcp_replies,
+    1,
+    2,
+    is_bare=True,
+)
 DEVICES = (
     RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, 2, 1, is_kept=True),
     RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states, 2, 1),
     RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies, 1, 2),
     RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies, 1, 2),
+    NO_WATCHDOG,
     RealDevice(
         BOARD, contextlib.nullcontext, lambda *_: "emulated", _PATIENT, lambda log: [], 2, 0,
         name="virtual, paced", options=("--pace", "1"),
     ),
 )  # fmt: skip
-_PROCESSES = tuple(device.key for device in DEVICES if not device.is_virtual)
+_PROCESSES = tuple(device.key for device in DEVICES if not device.is_virtual and not device.is_bare)
 _FROZEN_S = (0.04, 0.08, 0.15, 1.0)
 _STALLED = bound("no drive is older than the watchdog allows", watchdog=1, tick=2)
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
+
+_LAW_DEVICES = ("board", NO_WATCHDOG.key)
+_LEASE = bound(
+    "the law's lease, as long as the watchdog; a look before and after; the stop",
+    watchdog=1,
+    period=2,
+    exchange=2,
+    frame=1,
+    tick=2,
+)
+_UNHURRIED = {"law_cpu_s": 0.4}  # so that it is the signal that ends the law
+
+
+def _law_row(name: str, way: str, code: str, status: int, *signals: signal.Signals) -> RealRow:
+    """A law that does not return, and signals that come meanwhile."""
+
+    def act(case: Case) -> None:
+        for number in signals:
+            case.host.send_signal(number)
+            time.sleep(0.002)
+
+    by_signal = code == "INTERRUPTED"
+    return RealRow(
+        name,
+        f"a law of the user's own, `{way}`{' and signals' if signals else ''}",
+        act,
+        SEEN if by_signal else _LEASE,
+        {"": (code,)},
+        (status,),
+        only=_LAW_DEVICES,
+        law=way,
+        loop=_UNHURRIED if by_signal else {},
+        counts_from_hang=not by_signal,
+    )
+
+
+_LAW_ROWS = (
+    _law_row("law hangs", "spins", "LAW_TIME", 1),
+    _law_row("law sleeps", "sleeps", "LAW_TIME", 1),
+    _law_row("law hangs in C", "in C", "LAW_TIME", -9),
+    _law_row("law sleeps in C", "locked", "LAW_TIME", -9),
+    _law_row("law swallows every exception", "swallows", "LAW_TIME", -9),
+    *(
+        _law_row(f"law hangs, {number.name}", "spins", "INTERRUPTED", 1, number)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    ),
+    _law_row("law hangs, SIGINT twice", "spins", "INTERRUPTED", 1, signal.SIGINT, signal.SIGINT),
+    _law_row("law hangs in C, SIGINT twice", "in C", "LAW_TIME", -9, signal.SIGINT, signal.SIGINT),
+)
 
 REAL_ROWS = (
     RealRow("cable out", "nothing passes", say("cut"), SILENCE, {"": ("LINK_TIMEOUT",)}, (1,), only=_PROCESSES),
@@ -326,6 +415,7 @@ REAL_ROWS = (
         )
         for for_s in _FROZEN_S
     ),
+    *_LAW_ROWS,
 )
 
 
@@ -353,17 +443,22 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
         if "serial" in device.backend.traits:  # its pseudo-terminal could be any board's port
             config["daq"]["adapter"] = "none"
             config["drive"]["bridge"] = "pwm-dir"
-        config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
+        config["loop"] = {"raise_workers": True, **row.loop}  # of the kernel, that carry a pseudo-terminal's bytes
+        mark = folder / "mark"
+        if row.law:
+            config["law"] = hanging_laws.section(row.law, mark)
         path = folder / "fault.yaml"
         path.write_text(yaml.safe_dump(config), encoding="utf-8")
-        with device.process() as board:
+        with hanging_laws.offered(folder), device.process() as board:
             config["daq"]["port"] = device.start(board, check(path)[0], folder)
             path.write_text(yaml.safe_dump(config), encoding="utf-8")
             experiment = check(path)[0]
-            with _rig(folder, "relay", *device.options) as host:
-                period_s = _await_cycle(folder, host)
-                time.sleep(phase * period_s)
-                happened_s = time.monotonic()
+            with _rig(folder, "run" if row.law else "relay", *device.options) as host, _before(row):
+                if row.law:
+                    hung_s = _await_mark(mark, host)
+                else:
+                    time.sleep(phase * _await_cycle(folder, host))
+                happened_s = hung_s if row.counts_from_hang else time.monotonic()
                 row.act(Case(host, board, folder / "link-fault"))
                 output = host.communicate(timeout=_WAIT_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
@@ -375,9 +470,9 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             output,
             happened_s,
             trace,
-            _events_at_end(folder, killed=host.returncode == -signal.SIGKILL),
+            _events_at_end(folder, row, killed=host.returncode == -signal.SIGKILL),
             _rows(folder),
-            device.told((folder / "relay.log").read_bytes()),
+            [] if row.law else device.told((folder / "relay.log").read_bytes()),
             restart,
         )
         return _judged(row, device, phase, experiment, run)
@@ -392,7 +487,7 @@ def _rig(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tools")])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tools"), str(folder)])},
     )
     try:
         yield host
@@ -408,23 +503,27 @@ def _restart(folder: Path) -> str:
 
 
 def _events(folder: Path) -> list[dict[str, Any]]:
-    files = list((folder / "relay-runs").glob("*/events.jsonl"))
+    files = list(folder.glob("*-runs/*/events.jsonl"))
     lines = files[0].read_text(encoding="ascii").split("\n")[:-1] if files else []
     return [json.loads(line) for line in lines]
 
 
-def _events_at_end(folder: Path, *, killed: bool) -> list[dict[str, Any]]:
-    """The events, once the recorder of a killed host has said that the loop died. Raises RuntimeError."""
+def _events_at_end(folder: Path, row: RealRow, *, killed: bool) -> list[dict[str, Any]]:
+    """The events, once the recorder of a killed host, or the keeper of its law, has written its last.
+
+    Raises RuntimeError.
+    """
+    last = "fault" if row.law else "loop_died"
     deadline_s = time.monotonic() + _WAIT_S
-    while killed and not any(event["kind"] == "loop_died" for event in _events(folder)):
+    while killed and not any(event["kind"] == last for event in _events(folder)):
         if time.monotonic() > deadline_s:
-            raise RuntimeError("the recorder does not say that the loop died")
+            raise RuntimeError("nobody says that the loop died")
         time.sleep(0.01)
     return _events(folder)
 
 
 def _rows(folder: Path) -> list[dict[str, str]]:
-    with next((folder / "relay-runs").glob("*/samples.csv")).open(encoding="ascii") as file:
+    with next(folder.glob("*-runs/*/samples.csv")).open(encoding="ascii") as file:
         return list(csv.DictReader(file))
 
 
@@ -439,6 +538,31 @@ def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
             host.kill()
             raise EndedBefore(f"no limit cycle comes: {host.communicate()[0][-1000:]}")
         time.sleep(0.005)
+
+
+@contextlib.contextmanager
+def _before(row: RealRow) -> Iterator[None]:
+    """A law that spins at the loop's priority leaves little to this process, which has to send signals to it."""
+    if not row.law:
+        yield
+        return
+    with contextlib.suppress(OSError):  # then the loop has no such priority either
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(70))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def _await_mark(mark: Path, host: subprocess.Popen[str]) -> float:
+    """When the law began to hang. Raises EndedBefore."""
+    deadline_s = time.monotonic() + _STARTS_S
+    while not mark.exists():
+        if host.poll() is not None or time.monotonic() > deadline_s:
+            host.kill()
+            raise EndedBefore(f"the law does not hang: {host.communicate()[0][-1000:]}")
+        time.sleep(0.001)
+    return float(mark.read_text(encoding="ascii"))
 
 
 def _trace(folder: Path) -> list[tuple[float, float, float]]:
@@ -490,7 +614,7 @@ def _judged(row: RealRow, device: RealDevice, phase: float, experiment: Experime
     off_s, late_s = _off_s(row, run), _late_s(device, run, times.exchange)
     bound_s = row.bound.seconds(times) + late_s
     lost = 0
-    if not device.is_virtual:
+    if not row.law and not device.is_virtual:  # the reading of a hang is no row, and none before it is lost
         lost = _lost(run.told, device.apart, run.rows, run.fault, killed=run.killed) - device.between
     low, high = experiment.limits.hard_rad
     trouble = []
@@ -540,7 +664,8 @@ def _late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
     """
     counted = run.rows if run.code in ("INTERRUPTED", "") else []
     loop_s = max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
-    return _device_late_s(device, run, exchange_s) + loop_s
+    keeper_s = max((1e-3 * float(event.get("late_ms", 0.0)) for event in run.events), default=0.0)
+    return _device_late_s(device, run, exchange_s) + loop_s + keeper_s
 
 
 def _device_late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:

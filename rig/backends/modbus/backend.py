@@ -137,7 +137,7 @@ class ModbusBackend(LineBackend):
     def driver(self, e: Experiment, line: Line) -> Driver:
         from rig.backends.modbus.opening import modbus_driver
 
-        return modbus_driver(e, line.transport, line.name, emulated=line.emulated)
+        return modbus_driver(e, line.transport, line.name, emulated=line.emulated, answered=line.answered)
 
     @override
     def emulated(

@@ -48,6 +48,7 @@ class ModbusDriver:
     timeouts   how long to wait for the reply in a tick, and for the first reply
     name       of the port, for ``backend``
     emulated   True where it is known that no real motor is behind the port
+    answered   another process has opened the device on this link: ``safe_stop`` may write, and late bytes may come
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class ModbusDriver:
         *,
         name: str = "modbus",
         emulated: bool = False,
+        answered: bool = False,
     ) -> None:
         self.calibration = scaling.calibration
         self.drive_map = replace(scaling.drive_map, full_units=registers.full_units)
@@ -71,6 +73,7 @@ class ModbusDriver:
             self.failsafe = DeviceWatchdog(registers.device_watchdog_s)
         self._transport = transport
         self._client = ModbusClient(transport, line)
+        self._client.is_suspect = answered
         self._line = line
         self._map = registers
         self._read_span, self._written_span = registers.read, registers.written
@@ -80,7 +83,7 @@ class ModbusDriver:
         self._open_timeout_s = timeouts.open_s
         self._name = name
         self._emulated = emulated
-        self._met = False
+        self._met = answered
         self._armed = False
         self._is_off = False  # it has confirmed a stop since it was armed last
         self._written: list[tuple[Register, list[int]]] = []  # settings that it has confirmed in this session
@@ -97,6 +100,11 @@ class ModbusDriver:
     def order(self) -> Order:
         """With FC23 "write_first": one exchange writes, then reads. Else "sample_first"."""
         return "write_first" if self._line.requests == "read-write" else "sample_first"
+
+    @property
+    def descriptor(self) -> int | None:
+        """Number of the open port or connection, as of ``Driver``; None in virtual time."""
+        return getattr(self._transport, "descriptor", None)
 
     @property
     def link_statistics(self) -> Mapping[str, int]:

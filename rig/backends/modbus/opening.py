@@ -50,7 +50,9 @@ def _transport(e: Experiment, port: str) -> Transport:
     return SerialPort(port, e.daq.baud, modbus.parity[0].upper(), modbus.stop_bits)
 
 
-def modbus_driver(e: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False) -> ModbusDriver:
+def modbus_driver(
+    e: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False, answered: bool = False
+) -> ModbusDriver:
     """The driver of the config on a transport, not opened yet; RTU or TCP as the config's port."""
     daq, modbus = e.daq, _modbus_of(e)
     asked = ModbusLine(
@@ -70,6 +72,7 @@ def modbus_driver(e: Experiment, transport: Transport, name: str = "modbus", *, 
         Timeouts(daq.timeout_s, daq.open_timeout_s),
         name=name,
         emulated=emulated,
+        answered=answered,
     )
 
 

@@ -200,6 +200,11 @@ class SerialDriver:
         self._law: LawRun | None = None  # while it runs
 
     @property
+    def descriptor(self) -> int | None:
+        """Number of the open port, as of ``Driver``; None in virtual time."""
+        return getattr(self._exchange.transport, "descriptor", None)
+
+    @property
     def link_statistics(self) -> Mapping[str, int]:
         """Counts since construction, by name.
 

@@ -1,0 +1,234 @@
+"""A law of a user's own under watch: how long each step takes, and what happens to one that never returns.
+
+In the loop's process a step's CPU time is compared with its bound when it has returned. While it has not, another
+process watches: the keeper (``rig.keeper.process``). It asks first: a signal of its own raises out of the law,
+as Ctrl-C does. If the law heeds no signal, the keeper takes the link, stops the device, and ends this process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from types import FrameType
+from typing import Final
+
+from rig.backends.clock import MonotonicClock
+from rig.config import Experiment
+from rig.control.law import Stopped, Timed, is_of_own_law
+from rig.faults import Fault
+from rig.keeper.terms import END, READY, LawTimes, asks, too_long_words
+from rig.live.law_lease import SIZE, LawLease
+from rig.recording.layout import create_file
+from rig.session import Session
+from rig.signals import Sample
+
+_STARTS_S: Final = 30.0
+_CLOSES_S: Final = 5.0
+_VIRTUAL_LEASE_S: Final = 2.0
+_LOOK_EVERY_STEPS: Final = 50
+_NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
+
+
+def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
+    """The times of the config. The lease is as long as a device's watchdog waits, or twice the CPU time."""
+    cpu_s = e.loop.law_cpu_s
+    words = "loop.law_cpu_s" if cpu_s is not None else "loop.law_cpu_s, by default half a period"
+    bound_s = 0.5 * e.period_s if cpu_s is None else cpu_s
+    lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
+    return LawTimes(math.inf if virtual else bound_s, _VIRTUAL_LEASE_S if virtual else lease_s, words)
+
+
+class WatchedLaw(Timed):
+    """The law, with a bound on the CPU time of each step, and a keeper for one that does not return.
+
+    law    the law
+    times  what a step may take
+    """
+
+    def __init__(self, law: Timed, times: LawTimes) -> None:
+        super().__init__(law.law, law.duration_s, law.name)
+        self.keeper: Keeper | None = None
+        self.trouble = ""  # what is wrong with its watch
+        self._times = times
+        self._lease = LawLease(-1)
+        self._steps = 0
+        self._began_cpu_ns = 0
+
+    def step(self, sample: Sample) -> float:
+        """As of ``Timed``. Raises Fault LAW_TIME besides."""
+        keeper = self.keeper
+        lease = self._lease if keeper is None else keeper.lease
+        self._began_cpu_ns = time.thread_time_ns()
+        lease.begin(self._began_cpu_ns)
+        try:
+            u_V = super().step(sample)
+        finally:
+            if not lease.end() and keeper is not None:
+                keeper.await_verdict()
+        if self._cpu_s() > self._times.cpu_s:
+            raise self._too_long("one step took")
+        self._steps += 1
+        if keeper is not None and not self.trouble and self._steps % _LOOK_EVERY_STEPS == 0 and keeper.has_ended:
+            self.trouble = f"{_NOBODY}: the keeper ended with status {keeper.status}"
+        return u_V
+
+    def asked_to_end(self, number: int, frame: FrameType | None) -> None:
+        """The handler of the keeper's signal: raises Stopped. Out of that step it does nothing."""
+        if is_of_own_law(frame) and self.keeper is not None and self.keeper.lease.is_asked:
+            raise Stopped(self._too_long("its step was ended: it had taken"))
+
+    def _cpu_s(self) -> float:
+        return 1e-9 * (time.thread_time_ns() - self._began_cpu_ns)
+
+    def _too_long(self, what: str) -> Fault:
+        return Fault("LAW_TIME", too_long_words(self.name, what, self._cpu_s(), self._times))
+
+
+class Keeper:
+    """The loop's side of the process that watches a law. It hears of stop signals even where a law holds Python.
+
+    lease  who may speak on the link
+    Raises OSError where it cannot be started, or is not ready in time.
+    """
+
+    def __init__(self, session: Session, law: Timed, times: LawTimes) -> None:
+        e, loop = session.experiment, session.loop
+        is_real = isinstance(session.bench.clock, MonotonicClock)
+        link = getattr(session.bench.driver, "descriptor", None) if is_real else None
+        failsafe = session.bench.driver.failsafe
+        settings = {
+            "folder": str(session.folder.absolute()),
+            "law": law.name,
+            "loop": os.getpid(),
+            "thread": threading.get_native_id(),
+            "link": link,
+            "times": times,
+            "priority": e.loop.priority if is_real else 0,
+            "zero_s": -loop.since_start_s(0.0) if is_real else None,
+            "watchdog_s": None if failsafe is None else failsafe.time_s,
+            "backend": session.bench.driver.backend,
+        }
+        with ExitStack() as stack:
+            memory = create_file(SIZE)
+            stack.callback(os.close, memory)
+            self.lease = LawLease(memory)
+            heard, self._signals = os.pipe()
+            stack.callback(os.close, heard)
+            os.set_blocking(self._signals, False)
+            descriptors = (memory, heard) if link is None else (memory, heard, link)
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "rig.keeper.process", str(memory), str(heard)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    bufsize=0,
+                    pass_fds=descriptors,
+                    env={**os.environ, "PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"},
+                    start_new_session=True,  # Ctrl-C in the terminal is not meant for it
+                )
+            except OSError:
+                self.let_go()
+                raise
+        try:
+            self._tell(json.dumps(settings).encode("ascii") + b"\n")
+            self._await_ready()
+        except OSError:
+            self.close()
+            self.let_go()
+            raise
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the process is gone, though nobody ended it."""
+        return self._process.poll() is not None
+
+    @property
+    def status(self) -> int | None:
+        """Its exit status."""
+        return self._process.returncode
+
+    @property
+    def signals(self) -> int:
+        """Descriptor to which the system is to write each signal (``signal.set_wakeup_fd``)."""
+        return self._signals
+
+    def await_verdict(self) -> None:
+        """Wait while the link is the keeper's: it gives it back at once, or ends this process."""
+        while self.lease.is_taken and not self.has_ended:
+            time.sleep(0.001)
+
+    def close(self) -> None:
+        """End the process in order."""
+        with contextlib.suppress(OSError):
+            self._tell(END)
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        try:
+            self._process.wait(_CLOSES_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def let_go(self) -> None:
+        """Free what was shared with it."""
+        os.close(self._signals)
+        self.lease.close()
+
+    def _tell(self, message: bytes) -> None:
+        if self._process.stdin is not None:
+            self._process.stdin.write(message)
+
+    def _await_ready(self) -> None:
+        assert self._process.stdout is not None
+        if not select.select([self._process.stdout], [], [], _STARTS_S)[0]:
+            raise TimeoutError(f"the keeper was not ready within {_STARTS_S:g} s")
+        if self._process.stdout.read(len(READY)) != READY:
+            raise ChildProcessError(f"the keeper ended with status {self._process.wait()}")
+
+
+@contextmanager
+def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
+    """The law under watch, for the block; its device is armed within it. Notes where nobody watches."""
+    virtual = not isinstance(session.bench.clock, MonotonicClock)
+    times = law_times(session.experiment, virtual=virtual)
+    one = WatchedLaw(law, times)
+    with ExitStack() as stack:
+        if sys.platform.startswith("linux"):
+            try:
+                keeper = one.keeper = Keeper(session, law, times)
+            except OSError as error:
+                one.trouble = f"{_NOBODY}: {error.strerror or error}"
+            else:
+                stack.callback(keeper.let_go)
+                stack.enter_context(_heard(one, keeper))
+                stack.callback(keeper.close)  # first: while it lives it may send its signal
+        else:
+            one.trouble = f"{_NOBODY}: {sys.platform} has not been tried"
+        try:
+            yield one
+        finally:
+            if one.trouble:
+                session.found.notes.append(one.trouble)
+
+
+@contextmanager
+def _heard(law: WatchedLaw, keeper: Keeper) -> Iterator[None]:
+    """Within the block the keeper's signal reaches the law, and each signal of this process the keeper."""
+    before = signal.signal(asks(), law.asked_to_end)
+    others = signal.set_wakeup_fd(keeper.signals, warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(others)
+        signal.signal(asks(), before)

@@ -1,0 +1,363 @@
+"""A law of the user's own under watch: the bound on its CPU time, and the keeper."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+from command_line import rig as command
+from processes import PATIENCE_S, alive, wait_until
+from simulated_bench import LIMITS, PERIOD_S, simulated_bench
+
+import rig
+from faults import hanging_laws
+from rig.config import load
+from rig.control.law import Timed
+from rig.experiment import law_watch
+from rig.experiment.law_watch import WatchedLaw, law_times
+from rig.faults import Fault
+from rig.keeper import process as law_keeper
+from rig.keeper.process import LOOK_EVERY_S, Charge
+from rig.keeper.terms import LawTimes, asks
+from rig.live.law_lease import LawLease
+from rig.signals import Sample
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Clocks:
+    """Time and CPU time, as a test says."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = self.cpu_s = 0.0
+        fake = SimpleNamespace(
+            monotonic=lambda: self.now_s, thread_time_ns=lambda: round(1e9 * self.cpu_s), sleep=time.sleep
+        )
+        monkeypatch.setattr(law_watch, "time", fake)
+
+
+class Takes:
+    """A law whose 12th step takes so long."""
+
+    def __init__(self, clocks: Clocks, cpu_s: float, wall_s: float) -> None:
+        self._clocks, self._cpu_s, self._wall_s, self._steps = clocks, cpu_s, wall_s, 0
+
+    def step(self, sample: Sample) -> float:
+        self._steps += 1
+        if self._steps == 12:
+            self._clocks.cpu_s += self._cpu_s
+            self._clocks.now_s += self._wall_s
+        return 0.3
+
+
+def times(**loop: Any) -> LawTimes:
+    config = yaml.safe_load(rig.ready("demo").read_text(encoding="utf-8"))
+    e = load({**config, "loop": loop})
+    return law_times(e, virtual=False)
+
+
+def driven(law: Timed) -> tuple[Fault | None, Any]:
+    bench = simulated_bench()
+    bench.guard.sign_proven = True
+    fault = None
+    try:
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(law, "law")
+    except Fault as seen:
+        fault = seen
+    return fault, bench
+
+
+@pytest.mark.parametrize(
+    ("given", "bound_s", "key"),
+    [({}, PERIOD_S / 2, "loop.law_cpu_s, by default half a period"), ({"law_cpu_s": 0.008}, 0.008, "loop.law_cpu_s")],
+)
+def test_the_cpu_time_of_a_step_is_bounded(
+    monkeypatch: pytest.MonkeyPatch, given: dict[str, float], bound_s: float, key: str
+) -> None:
+    clocks, bounds = Clocks(monkeypatch), times(**given)
+    within, _ = driven(WatchedLaw(Timed(Takes(clocks, 0.98 * bound_s, 0.0), 0.3, "own"), bounds))
+    assert within is None
+    beyond, bench = driven(WatchedLaw(Timed(Takes(clocks, 1.02 * bound_s, 0.0), 0.3, "own"), bounds))
+    assert beyond is not None and beyond.code == "LAW_TIME"
+    words = f"the law own: one step took {1.02e3 * bound_s:.4g} ms of CPU time, bound {1e3 * bound_s:g} ms ({key})"
+    assert beyond.detail == words
+    assert bench.driver.bench.pin_counts == 0 and len(bench.record.rows) == 11
+
+
+def test_a_stall_of_the_host_is_no_fault_of_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks = Clocks(monkeypatch)
+    fault, _ = driven(WatchedLaw(Timed(Takes(clocks, 0.001, 5.0), 0.3, "own"), times()))
+    assert fault is None
+
+
+def test_virtual_time_bounds_no_cpu_time_so_a_run_is_the_same_on_any_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    virtual = law_times(load(yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))), virtual=True)
+    assert virtual.cpu_s == math.inf
+    fault, _ = driven(WatchedLaw(Timed(Takes(Clocks(monkeypatch), 60.0, 60.0), 0.3, "own"), virtual))
+    assert fault is None
+
+
+def test_the_lease_is_as_long_as_a_watchdog_waits_or_twice_the_cpu_time() -> None:
+    assert times().lease_s == 0.1
+    assert times(law_cpu_s=0.4).lease_s == 0.8
+
+
+# ---------------------------------------------------------------------- who may speak on the link
+
+
+def test_a_law_that_comes_back_before_the_keeper_looks_keeps_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    lease = LawLease(-1)
+    lease.begin(7)
+    step = lease.at_work
+    # it comes back between the claim and the look
+    monkeypatch.setattr("rig.live.law_lease.time", SimpleNamespace(sleep=lambda _: lease.end()))
+    assert lease.take(step) is False and not lease.is_taken
+    lease.begin(8)
+    assert lease.take(step) is False, "another step is no step that is over"
+    assert lease.end() is True
+
+
+def test_a_law_that_comes_back_after_the_keeper_looked_finds_the_link_taken() -> None:
+    lease = LawLease(-1)
+    lease.begin(7)
+    assert lease.take(lease.at_work) is True
+    assert lease.end() is False and lease.is_taken
+
+
+def test_a_loop_whose_link_is_taken_does_not_speak_until_the_keeper_is_gone() -> None:
+    lease, waited = LawLease(-1), list[int]()
+    keeper = SimpleNamespace(lease=lease, await_verdict=lambda: waited.append(1))
+    law = WatchedLaw(Timed(SimpleNamespace(step=lambda _: float(not lease.take(lease.at_work))), 1.0, "own"), times())
+    law.keeper = keeper  # type: ignore[assignment]  # what a step needs of it
+    law.step(Sample(0.0, 0.0, 512))
+    assert waited == [1]
+
+
+# ---------------------------------------------------------------------- what counts against a law
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr(law_keeper, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+def looked_at(clock: list[float], state: str, cpu_share: float, looks: int, apart_s: float = LOOK_EVERY_S) -> Charge:
+    clock[0] = 0.0
+    charge = Charge(1, 2.0, clock[0], clock[0])
+    for k in range(1, looks + 1):
+        clock[0] = k * apart_s
+        charge.look(state, 2.0 + cpu_share * clock[0])
+    return charge
+
+
+def test_what_counts_is_cpu_time_and_sleep(clock: list[float]) -> None:
+    assert looked_at(clock, "R", 1.0, 20).used_s == pytest.approx(20 * LOOK_EVERY_S)
+    assert looked_at(clock, "S", 0.0, 20).used_s == pytest.approx(20 * LOOK_EVERY_S)
+    assert looked_at(clock, "D", 0.5, 20).used_s == pytest.approx(20 * LOOK_EVERY_S)
+
+
+@pytest.mark.parametrize("state", ["R", "T", "t", "Z"])
+def test_a_law_without_a_processor_or_stopped_uses_up_nothing(clock: list[float], state: str) -> None:
+    starved = looked_at(clock, state, 0.0, 20)
+    assert starved.used_s == 0.0 and starved.late_s == pytest.approx(20 * LOOK_EVERY_S)
+
+
+def test_a_keeper_that_was_late_itself_charges_no_more_sleep_than_two_looks(clock: list[float]) -> None:
+    assert looked_at(clock, "S", 0.0, 1, apart_s=3.0).used_s == pytest.approx(2 * LOOK_EVERY_S)
+
+
+class Watched:
+    """A keeper's watch over a loop that is not there: what the law has run, and what the keeper did."""
+
+    def __init__(self, clock: list[float], monkeypatch: pytest.MonkeyPatch, bounds: LawTimes, *, is_real: bool) -> None:
+        self.clock, self.asked = clock, list[float]()
+        self.ran_s, self.state = 0.0, "R"
+        self.lease = LawLease(-1)
+        loop: Any = SimpleNamespace(pid=1, is_real=is_real, times=bounds, thread=lambda: (self.state, self.ran_s))
+        self.watch = law_keeper.Watch(loop, self.lease, -1)
+        kill = SimpleNamespace(kill=lambda pid, number: self.asked.append(clock[0]))
+        monkeypatch.setattr(law_keeper, "os", kill)
+
+    def taken_after_s(self, for_s: float, cpu_share: float = 1.0) -> float:
+        """When the keeper took the link, s from the begin of this step; nan if it did not."""
+        self.asked.clear()
+        self.lease.begin(round(1e9 * self.ran_s))
+        began_s = self.clock[0]
+        while self.clock[0] < began_s + for_s:
+            if self.watch._is_over():
+                return self.clock[0] - began_s
+            self.clock[0] += LOOK_EVERY_S
+            self.ran_s += cpu_share * LOOK_EVERY_S
+        self.lease.end()
+        return math.nan
+
+
+@pytest.mark.parametrize(("state", "cpu_share", "asked_after_s"), [("R", 1.0, 0.005), ("S", 0.0, 0.08)])
+def test_the_keeper_asks_first_once_and_takes_the_link_when_the_lease_is_over(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch, state: str, cpu_share: float, asked_after_s: float
+) -> None:
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    one.state = state
+    began_s = clock[0]
+    assert 0.1 <= one.taken_after_s(1.0, cpu_share) <= 0.1 + 2.5 * LOOK_EVERY_S
+    [asked_s] = one.asked
+    assert asked_after_s < asked_s - began_s <= asked_after_s + 2.5 * LOOK_EVERY_S
+
+
+def test_the_keeper_leaves_alone_a_law_that_is_back_in_time_or_has_no_processor(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    for _ in range(50):  # a step's charge is its own
+        assert math.isnan(one.taken_after_s(0.095, 0.04)) and one.asked == []
+    assert math.isnan(one.taken_after_s(5.0, 0.0)) and one.asked == []
+
+
+def test_time_that_is_the_loops_own_does_not_count(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law comes back while the keeper looks, and the loop then runs for long."""
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    one.lease.begin(0)
+    assert one.watch._is_over() is False
+    clock[0], one.ran_s = LOOK_EVERY_S, 3.0
+    thread = one.watch._loop.thread
+    one.watch._loop.thread = lambda: (one.lease.end(), thread())[1]  # type: ignore[method-assign]  # of a stand-in
+    assert one.watch._is_over() is False and one.asked == []
+
+
+def test_what_was_asked_of_one_step_ends_no_other() -> None:
+    lease, raised = LawLease(-1), list[str]()
+    law: WatchedLaw
+
+    def step(sample: Sample) -> float:
+        if sample.t_s > 0.0:
+            lease.ask(lease.at_work)
+        try:
+            law.asked_to_end(0, sys._getframe())
+        except BaseException as error:
+            raised.append(str(error))
+            raise
+        return 0.3
+
+    law = WatchedLaw(Timed(SimpleNamespace(step=step), 1.0, "own"), times())
+    law.keeper = SimpleNamespace(lease=lease)  # type: ignore[assignment]  # what a step needs of it
+    lease.ask(7)
+    assert law.step(Sample(0.0, 0.0, 512)) == 0.3 and raised == []
+    with pytest.raises(Fault, match="the law own: its step was ended"):
+        law.step(Sample(0.01, 0.0, 512))
+
+
+def test_in_virtual_time_the_keeper_waits_for_a_signal(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Watched(clock, monkeypatch, LawTimes(math.inf, 1.0, ""), is_real=False)
+    assert math.isnan(one.taken_after_s(30.0))
+    one.watch._hear(bytes([signal.SIGCHLD]))
+    assert math.isnan(one.taken_after_s(30.0))
+    one.watch._hear(bytes([signal.SIGCHLD, signal.SIGINT]))
+    assert 1.0 <= one.taken_after_s(30.0) <= 1.0 + 3 * LOOK_EVERY_S
+    assert one.asked == [], "the signal itself has asked"
+
+
+# ---------------------------------------------------------------------- the keeper's process
+
+
+def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
+    """`rig run` on config/simulated.yaml with a law that hangs; returns once it does."""
+    config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
+    config["law"] = hanging_laws.section(way, folder / "mark")
+    path = folder / "hangs.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    with hanging_laws.offered(folder):
+        places = [str(ROOT), str(ROOT / "tools"), str(folder)]
+        host = subprocess.Popen(
+            [sys.executable, "-m", "rig", "run", str(path), "--out", str(folder / "runs")],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
+        )
+    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None, 3 * PATIENCE_S)
+    return host
+
+
+def keepers_of(pid: int) -> list[int]:
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    named = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
+    return [child for child, line in named.items() if b"rig.keeper" in line]
+
+
+@pytest.mark.parametrize(
+    ("way", "numbers"),
+    [
+        ("in C", [signal.SIGINT, signal.SIGINT]),
+        ("swallows", [signal.SIGHUP]),
+    ],
+)
+def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
+    tmp_path: Path, way: str, numbers: list[signal.Signals]
+) -> None:
+    host = hanging(tmp_path, way)
+    [keeper] = keepers_of(host.pid)
+    for number in numbers:
+        host.send_signal(number)
+    said = host.communicate(timeout=120)[1]
+    assert host.returncode == -signal.SIGKILL
+    wait_until(lambda: not alive(keeper))
+    [folder] = (tmp_path / "runs").iterdir()
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    [fault] = result["faults"]
+    assert fault["code"] == "LAW_TIME" and "law hangs:" in fault["detail"] and numbers[0].name in fault["detail"]
+    assert "LAW_TIME" in said or "LAW_TIME" in (folder / "events.jsonl").read_text(encoding="utf-8")
+    run = rig.read(folder)
+    assert run.failure.startswith("LAW_TIME") and len(run["law"]) > 50
+    kinds = [event.kind for event in run.events]
+    assert kinds[-2:] == ["loop_died", "fault"] and "end" not in kinds
+    again = tmp_path / "again"
+    again.mkdir()
+    with hanging_laws.offered(again):
+        assert command("replay", folder).exit_code == 0
+    assert command("report", folder).exit_code == 0
+
+
+def test_a_run_whose_loop_is_killed_leaves_no_keeper(tmp_path: Path) -> None:
+    host = hanging(tmp_path, "spins")
+    [keeper] = keepers_of(host.pid)
+    host.kill()
+    host.communicate(timeout=120)
+    wait_until(lambda: not alive(keeper))
+    [folder] = (tmp_path / "runs").iterdir()
+    wait_until(lambda: '"loop_died"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
+    assert "fault" not in [event.kind for event in rig.read(folder).events], "nobody knows why it was killed"
+
+
+class KillsItsKeeper:
+    """A law during which the keeper dies."""
+
+    def __init__(self) -> None:
+        self._steps = 0
+
+    def step(self, sample: Sample) -> float:
+        self._steps += 1
+        if self._steps == 10:
+            for keeper in keepers_of(os.getpid()):
+                os.kill(keeper, signal.SIGKILL)
+        time.sleep(0.002)
+        return 0.3
+
+
+def test_a_run_without_its_keeper_goes_on_and_says_so(tmp_path: Path) -> None:
+    run = rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path)
+    assert run.failure == "" and run.result is not None
+    assert any("no process watches the law" in note and "status -9" in note for note in run.result.notes)
+    assert keepers_of(os.getpid()) == [] and signal.getsignal(asks()) is signal.SIG_DFL
