@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from command_line import rig
-from compared_runs import METHOD, Told, write_run, write_samples
+from compared_runs import Told, write_run, write_samples
 
 import rig as api
 
