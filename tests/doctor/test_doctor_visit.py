@@ -34,7 +34,7 @@ def test_a_machine_by_itself() -> None:
 
 
 def test_virtual_time_has_nothing_to_measure() -> None:
-    done = doctor(ROOT / "config" / "simulated.yaml")
+    done = doctor(ROOT / "config" / "quick.yaml")
     assert done.exit_code == 0
     assert "virtual time" in done.stdout
 
