@@ -31,7 +31,8 @@ UNO_FULL = 400
 
 def demo() -> dict[str, Any]:
     """config/demo.yaml."""
-    config: dict[str, Any] = yaml.safe_load((Path(__file__).parents[2] / "config/demo.yaml").read_text(encoding="utf-8"))
+    path = Path(__file__).parents[2] / "config/demo.yaml"
+    config: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
     return config
 
 
