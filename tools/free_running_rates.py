@@ -31,7 +31,7 @@ from rig.recording.series import TimeSeries
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parent.parent
-SENSORS = {"encoder, 3,200 counts a turn": "encoder.yaml", "10 bits, 3 mrad of noise": "simulated.yaml"}
+SENSORS = {"encoder, 3,200 counts a turn": "encoder.yaml", "10 bits, 3 mrad of noise": "quick.yaml"}
 TAU_S, K_RAD_S_V, FRICTION_V = (0.04, 0.5), (3.0, 12.0), (0.15, 0.8)
 DATA_SHEET = (0.95, 1.3)  # its no-load speed, of the true one
 MAX_OVER_FRICTION = 1.9  # breakaway.max_V, of static friction

@@ -28,7 +28,7 @@ BENCHES: dict[str, tuple[str, str, Changes]] = {
         },
     ),
     "late": ("A bench that acts 25 ms later than it says", "simulated", {"delay_s": 0.025}),
-    "limit-cycle": ("The gain search and two relay tests of the paper", "limit-cycle", {}),
+    "quick": ("Tests that end when the motor is known, without a limit cycle", "quick", {}),
 }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """docs/tracking-table.md: tracking with and without the laws that rig finds, bench by bench: ``make tracking``.
 
-Each bench is config/limit-cycle.yaml with another motor. It is identified once. Then its shaft tracks the config's
+Each bench is config/simulated.yaml with another motor. It is identified once. Then its shaft tracks the config's
 trajectory with the model of that identification, with its laws and without them, at several seeds of the noise.
 """
 
@@ -29,7 +29,7 @@ PAGE = ROOT / "docs/tracking-table.md"
 SEEDS = (1, 2, 3)
 # Keys of emulated.motor, and of its section parts.
 BENCHES: dict[str, tuple[Mapping[str, float], Mapping[str, float]]] = {
-    "none: config/limit-cycle.yaml": ({}, {}),
+    "none: config/simulated.yaml": ({}, {}),
     "Stribeck friction, 0.2 V at rest, 0.4 rad/s": (
         {"fs_plus_V": 0.70, "fs_minus_V": 0.66, "stribeck_rad_s": 0.4},
         {},
@@ -60,8 +60,8 @@ class Compared:
 
 
 def bench(motor: Mapping[str, float], parts: Mapping[str, float]) -> Experiment:
-    """config/limit-cycle.yaml with these keys of the emulated motor and its parts; the leading model alone tracks."""
-    data: dict[str, Any] = config.load(ROOT / "config/limit-cycle.yaml").model_dump(mode="json")
+    """config/simulated.yaml with these keys of the emulated motor and its parts; the leading model alone tracks."""
+    data: dict[str, Any] = config.load(ROOT / "config/simulated.yaml").model_dump(mode="json")
     data["emulated"]["motor"] |= {**motor, "parts": dict(parts) or None}
     data["tracking"]["methods"] = [LEADING]
     return Experiment.model_validate_json(json.dumps(data))

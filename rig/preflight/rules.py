@@ -244,9 +244,9 @@ def _own_watchdog_s(e: Experiment) -> float | None:
 
 
 def _largest(fits: Callable[[float], bool], below: float) -> float:
-    """Largest value that fits, below one that does not fit."""
+    """Largest value that fits, below one that does not fit; to the three digits that a hint shows."""
     low, high = 0.0, below
-    for _ in range(40):
+    while high - low > 5e-4 * high and high > 1e-9 * below:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if fits(middle) else (low, middle)
     return low

@@ -27,7 +27,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_law(folder: Path, **law: object) -> Path:
-    """config/simulated.yaml with a section `law`."""
+    """config/quick.yaml with a section `law`."""
     config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
     path = folder / "own.yaml"
     path.write_text(yaml.safe_dump(config | {"law": law}, sort_keys=False), encoding="utf-8")

@@ -19,7 +19,7 @@ from rig.model.motor import State
 
 pytestmark = pytest.mark.long
 
-SIMULATED = Path(__file__).parents[2] / "config" / "simulated.yaml"
+SIMULATED = Path(__file__).parents[2] / "config" / "quick.yaml"
 HOLD_S, DRIVE_V = 0.25, 1.2
 
 

@@ -36,7 +36,7 @@ def test_the_simulated_driver_tells_the_shaft_at_each_reading() -> None:
 
 
 def test_a_bench_tells_the_shaft_only_where_it_is_emulated() -> None:
-    with connect(config.load(ROOT / "config/simulated.yaml")) as bench:
+    with connect(config.load(ROOT / "config/quick.yaml")) as bench:
         assert bench.shaft is not None
         assert bench.shaft() == ShaftPath(bench.shaft().t_s, bench.shaft().y_rad)
 

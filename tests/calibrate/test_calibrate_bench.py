@@ -24,7 +24,7 @@ from rig.live.stop_flag import StopFlag
 
 @pytest.fixture(scope="module")
 def simulated() -> Experiment:
-    return load(parse(ready.text("limit-cycle"), "config").data)
+    return load(parse(ready.text("simulated"), "config").data)
 
 
 def test_a_hold_lasts_with_the_motor_off_and_ends_with_it_on(simulated: Experiment, tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def assert_as_the_truth(file: Path, *, rpc: float = RPC, centre: float = CENTRE)
 
 
 def test_every_step_on_a_simulated_bench(tmp_path: Path) -> None:
-    file = bench(tmp_path, "limit-cycle", None)
+    file = bench(tmp_path, "simulated", None)
     before = file.read_text()
     volts = "1.0 1.85 2.73 -1.0 -1.85 -2.73"
     done = calibrated(file, f"{ANGLES} {TRAVEL} {STROKES} yes {volts} yes", "--json", stdin=True)
@@ -104,7 +104,7 @@ def test_an_encoder_and_the_strokes_on_the_chip(tmp_path: Path) -> None:
 
 
 def test_nothing_is_written_without_a_yes(tmp_path: Path) -> None:
-    file = bench(tmp_path, "limit-cycle", None)
+    file = bench(tmp_path, "simulated", None)
     before = file.read_bytes()
     for answers, words in (
         (f"{ANGLES} no", "nothing is written"),
@@ -115,11 +115,11 @@ def test_nothing_is_written_without_a_yes(tmp_path: Path) -> None:
         done = calibrated(file, answers, "angles")
         assert (done.exit_code, words in done.output) == (1, True), done.output
     assert file.read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["answers.txt", "limit-cycle.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["answers.txt", "simulated.yaml"]
 
 
 def test_what_cannot_begin(tmp_path: Path) -> None:
-    file = bench(tmp_path, "limit-cycle", None)
+    file = bench(tmp_path, "simulated", None)
     for arguments, words in (
         (("calibrate", file, "turn"), "this bench has no step 'turn'"),
         (("calibrate", file, "--answers", tmp_path / "none.txt"), "cannot be read"),

@@ -21,7 +21,7 @@ from rig.results import EstimateResult, IdentificationResult, TrackingResult, Tr
 from rig.terminal import plain_table, show_details, show_estimates
 
 ROOT = Path(__file__).resolve().parents[2]
-SIMULATED = ROOT / "config/simulated.yaml"
+SIMULATED = ROOT / "config/quick.yaml"
 
 
 def estimate(verdict: str = "ok") -> EstimateResult:

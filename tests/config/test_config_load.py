@@ -10,7 +10,6 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from wanted_cycle import wanted_cycle
 
 from rig.config import ConfigError, Experiment, dump, load
 from rig.config.problems import Problem
@@ -19,7 +18,9 @@ from rig.config.yaml12 import emit, parse
 from rig.preflight import check
 
 CONFIGS = Path(__file__).parents[2] / "config"
-DEMO = wanted_cycle("demo.yaml")
+DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
+RELAY = DEMO[DEMO.index("  target:") : DEMO.index("\ntracking:")]
+TARGET = RELAY[: RELAY.index("\n") + 1]
 
 
 def changed(old: str, new: str, text: str = DEMO) -> str:
@@ -40,8 +41,8 @@ def problems_of(text: str | bytes, folder: Path) -> tuple[Problem, ...]:
 # what is replaced in the demo, by what; where the problem is (a text in that line, from which on); its key; words of
 # its message; words of its hint
 BROKEN = {
-    "unknown key": ("cycles: 12", "cyles: 12", "cyles", "relay.cyles", "unknown key", "did you mean 'cycles'?"),
-    "unknown key, nothing like it": ("cycles: 12", "qqq: 12", "qqq", "relay.qqq", "unknown key", "known here: until"),
+    "unknown key": ("cycles: 10", "cyles: 12", "cyles", "relay.cyles", "unknown key", "did you mean 'cycles'?"),
+    "unknown key, nothing like it": ("cycles: 10", "qqq: 12", "qqq", "relay.qqq", "unknown key", "known here: until"),
     "unit in the key": (
         "period_s: 0.010", "period_ms: 10", "period_ms", "period_ms", "unknown key",
         "did you mean 'period_s'? (seconds, 10 ms is 0.01)",
@@ -50,7 +51,7 @@ BROKEN = {
         "supply_V: 12.0", "supply: 12.0", "supply", "drive.supply", "unknown key", "did you mean 'supply_V'? (volts)"
     ),
     "degrees": (
-        "amplitude_rad: 0.5, ", "amplitude_deg: 30, ", "amplitude_deg", "relay.target.amplitude_deg", "unknown key",
+        "amplitude_rad: 0.6, ", "amplitude_deg: 30, ", "amplitude_deg", "relay.target.amplitude_deg", "unknown key",
         "did you mean 'amplitude_rad'? (rad, 30 deg is 0.523599)",
     ),
     "key of another section": (
@@ -89,7 +90,7 @@ BROKEN = {
         "supply_V: 12.0", "supply_V: true", "true", "drive.supply_V", "number in volts, got true", ""
     ),
     "fraction for a count": (
-        "cycles: 12", "cycles: 12.5", "12.5", "relay.cycles", "must be a whole number, got 12.5", ""
+        "cycles: 10", "cycles: 12.5", "12.5", "relay.cycles", "must be a whole number, got 12.5", ""
     ),
     "yes is text": (
         "baud: 115200", "baud: 115200\n  accept_no_watchdog: yes", "yes", "daq.accept_no_watchdog",
@@ -100,7 +101,7 @@ BROKEN = {
     ),
     "out of range": ("period_s: 0.010", "period_s: 10", "10", "period_s", "must be at most 0.1 seconds, got 10", ""),
     "misspelt choice": (
-        "cycles: 12", "cycles: 12\n  where: devise", "devise", "relay.where", "must be one of host, device",
+        "cycles: 10", "cycles: 12\n  where: devise", "devise", "relay.where", "must be one of host, device",
         "did you mean 'device'?",
     ),
     "driver with capitals": (
@@ -139,21 +140,21 @@ BROKEN = {
     ),
     "rails upside down": ("[5, 1018]", "[1018, 5]", "[1018", "sensor.rail_counts", "0 <= low < high <= 1023", ""),
     "until and a target": (
-        "cycles: 12", "until: {}", "target", "relay", "`until` chooses its tests by itself: remove `target`", ""
+        "cycles: 10", "until: {}", "target", "relay", "`until` chooses its tests by itself: remove `target`", ""
     ),
     "an interval below what a run can tell": (
-        "target: {amplitude_rad: 0.5, period_s: 1.0}\n  cycles: 12", "until: {interval_percent: 0.01}",
+        RELAY, "  until: {interval_percent: 0.01}\n",
         "0.01", "relay.until.interval_percent", "must be at least 0.1", "",
     ),
     "neither target nor gains": (
-        "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give `until` (the tests", ""
+        TARGET, "", "cycles: 10", "relay", "give `until` (the tests", ""
     ),
     "key twice": (
         "supply_V: 12.0", "supply_V: 12.0\n  supply_V: 24.0", "supply_V: 24.0", "drive.supply_V",
         "given twice: first in line", "keep one",
     ),
-    "number as key": ("cycles: 12", "12: 12", "12: 12", "relay", "a key must be a name, not 12", ""),
-    "list as key": ("cycles: 12", "? [a]\n  : 12", "[a]", "relay", "a key must be a name, not a list", ""),
+    "number as key": ("cycles: 10", "12: 12", "12: 12", "relay", "a key must be a name, not 12", ""),
+    "list as key": ("cycles: 10", "? [a]\n  : 12", "[a]", "relay", "a key must be a name, not a list", ""),
     "tab": ("  ramp_V_s: 0.4", "\tramp_V_s: 0.4", "\tramp", "", "a tab where spaces must be", "indent with spaces"),
     "bracket not closed": (
         "soft_rad: [-1.1, 1.1]", "soft_rad: [-1.1, 1.1", "[-1.1, 1.1", "", "not valid YAML", "is not closed"
@@ -165,7 +166,7 @@ BROKEN = {
     "anchor": ("[-1.1, 1.1]", "&soft [-1.1, 1.1]", "&soft", "", "anchors and aliases are not supported", ""),
     "alias": ("[-1.1, 1.1]", "*soft", "*soft", "", "anchors and aliases are not supported", ""),
     "merge key": (
-        "cycles: 12", "<<: {cycles: 12}", "<<", "relay.<<", "unknown key", "known here"
+        "cycles: 10", "<<: {cycles: 12}", "<<", "relay.<<", "unknown key", "known here"
     ),
     "tag": (
         "seed: 1", "seed: !!python/object/apply:os.getcwd []", "!!python", "", "tags (`!...`) are not supported", ""
@@ -238,7 +239,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_every_problem_is_told_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
-    text = changed("seed: 1", "sead: 1", changed("cycles: 12", "cycles: 0", changed("max_V: 3.0", "max_V: x")))
+    text = changed("seed: 1", "sead: 1", changed("cycles: 10", "cycles: 0", changed("max_V: 3.0", "max_V: x")))
     keys = [problem.key for problem in problems_of(text, tmp_path)]
     assert keys == ["sead", "drive.max_V", "relay.cycles"]
 
@@ -251,8 +252,8 @@ def test_a_mistyped_required_key_is_told_once(tmp_path: Path) -> None:
 
 def test_the_example_line_of_the_docs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("x.yaml").write_text(changed("cycles: 12", "cyles: 12"), encoding="utf-8")
-    line = DEMO[: DEMO.index("cycles: 12")].count("\n") + 1
+    Path("x.yaml").write_text(changed("cycles: 10", "cyles: 12"), encoding="utf-8")
+    line = DEMO[: DEMO.index("cycles: 10")].count("\n") + 1
     with pytest.raises(ConfigError) as caught:
         load("x.yaml")
     assert str(caught.value) == f"x.yaml:{line}:3: relay.cyles: unknown key; did you mean 'cycles'?"

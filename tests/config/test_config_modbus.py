@@ -262,7 +262,7 @@ def test_a_reading_alone_is_what_the_device_answers_without_being_armed() -> Non
     assert reading_budget(inputs).total_s < link_budget(inputs).total_s
     serial = load(CONFIG.parent / "demo.yaml")
     assert reading_budget(serial).total_s < link_budget(serial).total_s
-    assert not reading_budget(load(CONFIG.parent / "simulated.yaml")).terms
+    assert not reading_budget(load(CONFIG.parent / "quick.yaml")).terms
 
 
 def test_what_is_too_slow_for_the_period_is_said_once() -> None:

@@ -34,7 +34,7 @@ def test_the_checked_in_schema_is_current(of: type[Experiment] | type[Campaign])
 
 
 def test_the_ready_configs_are_there() -> None:
-    assert {"demo.yaml", "simulated.yaml", "least-squares.yaml", "uno.yaml"} <= set(NAMES)
+    assert {"demo.yaml", "quick.yaml", "least-squares.yaml", "uno.yaml"} <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

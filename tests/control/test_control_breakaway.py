@@ -399,7 +399,7 @@ def test_pairs_go_on_only_while_the_sensor_shows_motion_and_none_of_their_series
 
 def test_a_slow_bench_keeps_its_long_strokes() -> None:
     """Only strokes of one period give way to pairs that repeat max_V: on a slow bench they would see too little."""
-    e = config.load(ROOT / "config/limit-cycle.yaml")
+    e = config.load(ROOT / "config/simulated.yaml")
     e = e.model_copy(update={"limits": e.limits.model_copy(update={"coast_tau_s": 0.5, "max_speed_rad_s": 3.0})})
     strokes = breakaway_strokes(e)
     assert strokes is not None and strokes.strokes_s[-1] > 1.5 * e.period_s
@@ -409,7 +409,7 @@ def test_a_slow_bench_keeps_its_long_strokes() -> None:
 def test_for_the_check_the_device_is_armed_with_the_watchdog_that_its_bound_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    e = config.load(ROOT / "config/simulated.yaml")
+    e = config.load(ROOT / "config/quick.yaml")
     armed_s, arm = [], SimulatedDriver.arm
 
     def watched(self: SimulatedDriver, limits: Limits) -> None:
@@ -425,7 +425,7 @@ def test_for_the_check_the_device_is_armed_with_the_watchdog_that_its_bound_coun
 
 def test_a_config_whose_unseen_travel_has_no_bound_drives_nothing(tmp_path: Path) -> None:
     """Also where nobody asked `rig check`."""
-    e = config.load(ROOT / "config/simulated.yaml")
+    e = config.load(ROOT / "config/quick.yaml")
     outcome = experiment.run_breakaway(e.model_copy(update={"motor": None}), tmp_path)
     assert outcome.fault is not None and outcome.fault.code == "CONFIG_MISMATCH"
     assert not read_run(outcome.folder).u_V.any()

@@ -20,7 +20,7 @@ from rig.results.design import DesignResult
 
 pytestmark = pytest.mark.drawn
 
-CONFIG = Path(__file__).parents[2] / "config" / "simulated.yaml"
+CONFIG = Path(__file__).parents[2] / "config" / "quick.yaml"
 
 
 def run_folder(parent: Path, **estimate: Any) -> Path:

@@ -176,10 +176,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         (run,) = (here / "runs").iterdir()
         for name in (RUN, "20261123T120100Z-law-simulated"):
             shutil.copytree(run, here / "runs" / name)
-        # two relay tests, as of these configs
         tests = ROOT / "tests" / "golden" / "simulated"
-        for name in ("runs/20261123T120200Z-run-limit-cycle", "tmp/any/20261123T120300Z-run-demo"):
-            shutil.copytree(tests, here / name)
+        shutil.copytree(tests, here / "tmp/any/20261123T120300Z-run-demo")
         (here / "log.csv").write_text(log_of(read_run(tests)), encoding="utf-8")
         yield here
 

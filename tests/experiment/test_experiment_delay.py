@@ -17,8 +17,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def ran(folder: Path, seed: int = 1, **emulated: float) -> tuple[dict[str, Any], Path]:
-    """A run of config/limit-cycle.yaml with changes to its emulated bench."""
-    config = yaml.safe_load((ROOT / "config/limit-cycle.yaml").read_text(encoding="utf-8"))
+    """A run of config/simulated.yaml with changes to its emulated bench."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     config["seed"] = seed
     config["emulated"] |= {key: value for key, value in emulated.items() if key != "delay_s"}
     config["emulated"]["motor"] |= {key: value for key, value in emulated.items() if key == "delay_s"}

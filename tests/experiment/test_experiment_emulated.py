@@ -26,7 +26,7 @@ ODD: dict[str, Any] = {  # falling readings of 12 bits, a bridge that drops, pas
 
 def relay_run(folder: Path, sections: dict[str, Any], **emulated: Any) -> tuple[dict[str, Any], str]:
     """result.json of two relay tests, and what the terminal showed."""
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     del config["tracking"]
     gains = [{"h1_V": 0.42, "h2_V": 0.85}, {"h1_V": 0.3, "h2_V": 0.76}]
     config["relay"] = {"gains": gains, "cycles": 8}

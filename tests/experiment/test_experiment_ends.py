@@ -37,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def quick(folder: Path, **changes: object) -> Path:
     """Given gains, few cycles, no tracking."""
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     del config["tracking"]
     config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}
     path = folder / "quick.yaml"
@@ -287,7 +287,7 @@ def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
     from dataclasses import replace
 
     config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
-    whole = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    whole = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     (tmp_path / "whole.yaml").write_text(yaml.safe_dump(config | {"tracking": whole["tracking"]}), encoding="utf-8")
     original = identify
 
@@ -314,7 +314,7 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a defect")
 
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}
     config["tracking"] |= {"duration_s": 3.0, "methods": ["sampled-data"]}
     (tmp_path / "tracks.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
@@ -339,7 +339,7 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
 @pytest.mark.parametrize("changed", [{"tau_s": 0.6, "K_rad_s_V": 1.2}, {"fc_V": 2.5}], ids=["sluggish", "rough"])
 def test_a_model_that_fails_in_simulation_never_drives_the_bench(changed: dict[str, Any], tmp_path: Path) -> None:
     """Measured at the drive: the record has no tick of it, and the model that passed never goes beyond the limits."""
-    e = configs.load(ROOT / "config/simulated.yaml")
+    e = configs.load(ROOT / "config/quick.yaml")
     e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})
     found = identify([read_run(ROOT / "tests/golden/simulated")], ["sampled-data", "triple-relay"], choose_law=False)
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)

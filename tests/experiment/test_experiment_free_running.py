@@ -51,7 +51,7 @@ def test_a_quick_motor_with_an_encoder_shows_it_and_braked_shows_the_contrary(tm
 def test_what_strokes_cannot_show_is_not_said(tmp_path: Path) -> None:
     """Of 10 bits with noise, a motor that is not quick: either bridge; and no bridge that brakes is ever named."""
     for motor, coasts in ((SLOWER, True), (SLOWER, False), (QUICK, False)):
-        assert not certainly_shown(experiment(tmp_path, "simulated.yaml", motor), coasts=coasts).is_certain
+        assert not certainly_shown(experiment(tmp_path, "quick.yaml", motor), coasts=coasts).is_certain
 
 
 def test_the_tool_counts_both_bridges_of_both_sensors(

@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def truth_of(folder: Path, **motor: Any) -> dict[str, Any]:
-    """The truth in the result of a jog with config/simulated.yaml, its true motor changed."""
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    """The truth in the result of a jog with config/quick.yaml, its true motor changed."""
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     config["emulated"]["motor"] |= motor
     path = folder / "friction.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")

@@ -23,7 +23,7 @@ from rig.session import Session, record
 
 pytestmark = pytest.mark.long
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulated.yaml"
+CONFIG = Path(__file__).resolve().parents[2] / "config" / "quick.yaml"
 SOFT_RAD = 1.1
 LITTLE_FRICTION = {"fc_plus_V": 0.1, "fc_minus_V": 0.1, "fs_plus_V": 0.11, "fs_minus_V": 0.11}
 FAST = Strokes((Stroke(0.5, 0.9), Stroke(-0.5, -0.9)), 2.0)  # from its turn on the shaft would coast to 1.16 rad

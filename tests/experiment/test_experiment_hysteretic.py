@@ -130,7 +130,7 @@ def test_identify_from_two_csv_files(ready_run: tuple[Result, dict[str, Any]], t
 
 def test_beside_a_relay_test_all_methods_are_compared(tmp_path: Path) -> None:
     runs = yaml.safe_load(READY.read_text(encoding="utf-8"))["relay"]["hysteretic"][:2]
-    whole = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    whole = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     relay = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 5, "hysteretic": runs}
     config = written(tmp_path, relay=relay, tracking=whole["tracking"])
     result = rig("run", config, "--out", tmp_path / "runs", "--json")

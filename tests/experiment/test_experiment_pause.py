@@ -200,7 +200,7 @@ def test_a_signal_after_the_last_drive_ends_a_command_of_several_runs(
         os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(session, "_measure_tracking", interrupted)
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     del config["tracking"]
     (tmp_path / "c.yaml").write_text(
         yaml.safe_dump(config | {"relay": {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}}), encoding="utf-8"
@@ -218,7 +218,7 @@ def test_whatever_fails_around_the_loop_there_is_a_result(
     def fails(*_: Any, **__: Any) -> None:
         raise OSError(5, "Input/output error")
 
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     del config["tracking"]
     (tmp_path / "c.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
     e = load(tmp_path / "c.yaml")

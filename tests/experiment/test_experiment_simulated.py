@@ -21,8 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def written(folder: Path, **changes: object) -> Path:
-    """config/limit-cycle.yaml with changes: dotted keys."""
-    config = yaml.safe_load((ROOT / "config/limit-cycle.yaml").read_text(encoding="utf-8"))
+    """config/simulated.yaml with changes: dotted keys."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     for key, value in changes.items():
         *sections, last = key.split("__")
         section = config
@@ -36,12 +36,12 @@ def written(folder: Path, **changes: object) -> Path:
 
 @pytest.fixture(scope="module")
 def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str, Any]]:
-    result = rig("run", ROOT / "config/limit-cycle.yaml", "--out", tmp_path_factory.mktemp("runs"), "--json")
+    result = rig("run", ROOT / "config/simulated.yaml", "--out", tmp_path_factory.mktemp("runs"), "--json")
     return result, json.loads(result.stdout)
 
 
 def test_the_run_keeps_what_its_bench_may_be_wrong_by_and_counts_it(demo_run: tuple[Result, dict[str, Any]]) -> None:
-    """The defaults of the config, the calibration of config/limit-cycle.yaml."""
+    """The defaults of the config, the calibration of config/simulated.yaml."""
     _, outcome = demo_run
     meta = json.loads((Path(outcome["folder"]) / "meta.json").read_text(encoding="utf-8"))
     span = 2.0 * 2.0015625
@@ -202,13 +202,13 @@ def test_jog_recovers_a_shaft_from_beyond_the_soft_limit_and_goes_no_farther_out
 
 def test_track_alone_uses_the_models_of_an_earlier_run(demo_run: tuple[Result, dict[str, Any]], tmp_path: Path) -> None:
     _, outcome = demo_run
-    result = rig("track", ROOT / "config/limit-cycle.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
+    result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["tracking"]["sampled-data"]["rms_rad"] < 0.03
 
 
 def test_repeated_runs_differ_and_show_their_scatter(tmp_path: Path) -> None:
-    config = yaml.safe_load((ROOT / "config/limit-cycle.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     del config["tracking"]
     config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}], "cycles": 5}
     path = tmp_path / "quick.yaml"

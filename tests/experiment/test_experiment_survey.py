@@ -30,8 +30,8 @@ PARTS = {"force_sin_V": 0.08, "half_travel_rad": 1.0}
 
 
 def written(folder: Path, parts: dict[str, float] | None = None, **sections: object) -> Path:
-    """config/simulated.yaml with given gains, no tracking, this motor, and further sections."""
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    """config/quick.yaml with given gains, no tracking, this motor, and further sections."""
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     config.pop("tracking")
     config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.84}], "cycles": 6}
     config["survey"] = {"speeds_rad_s": [0.7, 0.4, 0.2], "longest_s": 60}

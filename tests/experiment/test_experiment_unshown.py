@@ -79,14 +79,14 @@ class Sensor:
 
 
 def opened(which: str) -> tuple[Experiment, OpenBench, SimulatedDriver]:
-    """config/simulated.yaml, or a fast motor of `make stopping`, open."""
+    """config/quick.yaml, or a fast motor of `make stopping`, open."""
     if which == "fast":
         one = draw(CAMPAIGN, FAST)
         bench = Bench(0.01, one.delay_s, 0.003, CAMPAIGN.sensor.lsb_rad, one.offset_rad)
         e = checked(config_of(one, bench))
         device, _ = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, FAST)
     else:
-        e = config.load(ROOT / "config/simulated.yaml")
+        e = config.load(ROOT / "config/quick.yaml")
         with SIMULATED.unopened(e) as un:
             device = OpenBench(un.driver, un.clock, un.driver.open(), un.truth)
     e = e.model_copy(update={"relay": RelaySection(until=UntilSection(longest_s=20.0)), "tracking": None})
@@ -255,7 +255,7 @@ def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_i
     if not flickers:  # as an encoder: a reading that stays the same says nothing by itself
         monkeypatch.setattr(stages, "FLICKERS_LSB", math.inf)
     e, bench, driver = opened("simulated")
-    e = e.model_copy(update={"relay": config.load(ROOT / "config/limit-cycle.yaml").relay})
+    e = e.model_copy(update={"relay": config.load(ROOT / "config/simulated.yaml").relay})
     sensor = Sensor(driver, failure, 0.003 / e.sensor.curve.lsb_rad)
 
     def script(session: Session) -> None:

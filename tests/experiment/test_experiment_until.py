@@ -25,8 +25,8 @@ SOFT_RAD = 1.1
 
 
 def written(folder: Path, relay: dict[str, Any] | None = None, **changes: Any) -> Path:
-    """config/simulated.yaml with other bounds, and other keys of the emulated bench; without tracking."""
-    data = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    """config/quick.yaml with other bounds, and other keys of the emulated bench; without tracking."""
+    data = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     data["relay"]["until"] |= relay or {}
     del data["tracking"]
     for name, value in changes.items():
@@ -48,7 +48,7 @@ def run(config: Path, folder: Path, *more: object, status: int = 0) -> tuple[Pat
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
     """A run from nothing, whole: with its tracking."""
-    return run(ROOT / "config/simulated.yaml", tmp_path_factory.mktemp("known"))
+    return run(ROOT / "config/quick.yaml", tmp_path_factory.mktemp("known"))
 
 
 def test_from_nothing_the_tests_end_when_the_motor_is_known_and_the_run_says_why(known: tuple[Path, RunResult]) -> None:
@@ -101,7 +101,7 @@ main(sys.argv[1:])
 def test_a_seed_gives_the_same_run_and_no_loop_is_compiled_once_the_device_is_open(
     known: tuple[Path, RunResult], tmp_path: Path
 ) -> None:
-    command = ["run", str(ROOT / "config/simulated.yaml"), "--out", str(tmp_path), "--json"]
+    command = ["run", str(ROOT / "config/quick.yaml"), "--out", str(tmp_path), "--json"]
     said = subprocess.run(
         [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN, *command], capture_output=True, text=True, check=True
     ).stdout
@@ -113,7 +113,7 @@ def test_a_seed_gives_the_same_run_and_no_loop_is_compiled_once_the_device_is_op
 
 def test_an_unbalanced_load_is_found_while_the_tests_run_and_they_end_when_it_is_known(tmp_path: Path) -> None:
     """tau, K and friction alone never explain it: the tests would go on to the bound."""
-    motor = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))["emulated"]["motor"]
+    motor = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))["emulated"]["motor"]
     folder, result = run(written(tmp_path, motor=motor | {"parts": {"force_sin_V": 0.1}}), tmp_path)
     stopped = result.stopped
     assert stopped is not None and stopped.known and stopped.why.endswith("; with force over position")
@@ -194,14 +194,14 @@ def test_advice_that_never_comes_ends_at_the_bound_with_two_sizes_of_drive(
 
 
 def test_without_relay_until_a_model_is_refused(known: tuple[Path, RunResult]) -> None:
-    done = rig("run", ROOT / "config/limit-cycle.yaml", "--model", known[0])
+    done = rig("run", ROOT / "config/simulated.yaml", "--model", known[0])
     assert done.exit_code == 2 and "--model needs relay.until" in done.output
 
 
 def test_a_run_without_a_usable_estimate_is_no_model(known: tuple[Path, RunResult], tmp_path: Path) -> None:
     text = (known[0] / "result.json").read_text(encoding="utf-8")
     (tmp_path / "result.json").write_text(text.replace('"verdict": "ok"', '"verdict": "refused"'), encoding="utf-8")
-    done = rig("run", ROOT / "config/simulated.yaml", "--model", tmp_path / "result.json", "--out", tmp_path)
+    done = rig("run", ROOT / "config/quick.yaml", "--model", tmp_path / "result.json", "--out", tmp_path)
     assert done.exit_code == 2 and "holds no motor that was not refused" in done.output
-    done = rig("run", ROOT / "config/simulated.yaml", "--model", tmp_path / "nothing", "--out", tmp_path)
+    done = rig("run", ROOT / "config/quick.yaml", "--model", tmp_path / "nothing", "--out", tmp_path)
     assert done.exit_code == 2 and "is not there" in done.output

@@ -92,9 +92,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
 
 def test_too_few_cycles_are_said_to_be_too_few(tmp_path: Path) -> None:
     """A record cut off early: identify says how many cycles are missing, and gives no number as ok."""
-    result = CliRunner().invoke(
-        main, ["relay", str(ROOT / "config/limit-cycle.yaml"), "--out", str(tmp_path), "--json"]
-    )
+    result = CliRunner().invoke(main, ["relay", str(ROOT / "config/simulated.yaml"), "--out", str(tmp_path), "--json"])
     folder = Path(json.loads(result.stdout)["folder"])
     lines = (folder / "samples.csv").read_text().splitlines(keepends=True)
     begin = next(k for k, line in enumerate(lines) if ",relay-1," in line)

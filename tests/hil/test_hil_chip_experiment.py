@@ -12,7 +12,6 @@ import pytest
 import yaml
 from emulated_run import finds_it_undisturbed, finds_the_truth, run_on
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink, break_away
-from wanted_cycle import wanted_cycle
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
@@ -31,8 +30,9 @@ UNO_FULL = 400
 
 
 def demo() -> dict[str, Any]:
-    """config/demo.yaml with a wanted cycle."""
-    config: dict[str, Any] = yaml.safe_load(wanted_cycle("demo.yaml"))
+    """config/demo.yaml."""
+    path = Path(__file__).parents[2] / "config/demo.yaml"
+    config: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
     return config
 
 

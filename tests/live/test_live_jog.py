@@ -67,11 +67,11 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
 @pytest.mark.parametrize(
     ("config", "given", "words"),
     [
-        ("simulated.yaml", ["--leased"], "a lease runs out in real time"),
+        ("quick.yaml", ["--leased"], "a lease runs out in real time"),
         ("demo.yaml", ["--leased"], "--pace 1"),
-        ("simulated.yaml", ["--leased", "--u-V", "0.5"], "either --u-V or --leased"),
-        ("simulated.yaml", [], "either --u-V or --leased"),
-        ("simulated.yaml", ["--u-V", "0.5", "--seconds", "6"], "--seconds 6 is too long"),
+        ("quick.yaml", ["--leased", "--u-V", "0.5"], "either --u-V or --leased"),
+        ("quick.yaml", [], "either --u-V or --leased"),
+        ("quick.yaml", ["--u-V", "0.5", "--seconds", "6"], "--seconds 6 is too long"),
     ],
 )
 def test_a_jog_that_makes_no_sense_is_refused_in_words(

@@ -40,7 +40,7 @@ def _no_figures(undrawn: None) -> None:
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     """Given gains, one cycle, one short tracking run."""
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 3}
     config["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
     path = tmp_path_factory.mktemp("config") / "quick.yaml"
@@ -98,7 +98,7 @@ def test_a_stop_in_any_stage_ends_it_with_the_next_tick_and_a_replay_ends_there_
     elif stage == "survey":
         outcome = script.run_survey(experiment, tmp_path)
     elif stage == "search":
-        outcome = script.run(load(ROOT / "config/simulated.yaml"), tmp_path)
+        outcome = script.run(load(ROOT / "config/quick.yaml"), tmp_path)
     else:
         outcome = script.run(experiment, tmp_path)
     interrupted(outcome)

@@ -32,7 +32,7 @@ def event(kind: str, t_s: float = 1.0, **fields: object) -> str:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A run that has just begun."""
-    (tmp_path / "config.yaml").write_text((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "config.yaml").write_text((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     (tmp_path / "meta.json").write_text('{"script": {"name": "run"}}')
     (tmp_path / "samples.csv").write_text(HEADER)
     (tmp_path / "events.jsonl").write_text("")

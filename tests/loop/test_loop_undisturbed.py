@@ -125,7 +125,7 @@ def test_no_tick_waits_for_a_disk_that_takes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_path: Path) -> None:
-    config = yaml.safe_load((ROOT / "config" / "simulated.yaml").read_text())
+    config = yaml.safe_load((ROOT / "config" / "quick.yaml").read_text())
     config["relay"] = {"gains": [{"h1_V": 0.8, "h2_V": 0.9}], "cycles": 4}
     del config["tracking"]
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))

@@ -42,7 +42,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     folder = tmp_path_factory.mktemp("browser")
     runs = folder / "runs"
     config = folder / "bench.yaml"
-    simulated = (ROOT / "config" / "simulated.yaml").read_text(encoding="utf-8")
+    simulated = (ROOT / "config" / "quick.yaml").read_text(encoding="utf-8")
     # so much is asked for that the run goes on until it is stopped
     config.write_text(simulated.replace("interval_percent: 0.4", "interval_percent: 0.1"), encoding="utf-8")
     wrong = folder / "wrong.yaml"  # a bench that is not as the config says

@@ -42,7 +42,7 @@ def end(calibration: Calibration) -> dict[str, Any]:
 
 def test_it_asks_refuses_late_answers_after_a_stop_and_keeps_other_commands_out(tmp_path: Path) -> None:
     config = tmp_path / "bench.yaml"
-    config.write_text(ready.text("limit-cycle"))
+    config.write_text(ready.text("simulated"))
     before = config.read_text()
     bench = Bench(config, tmp_path / "runs")
     calibration = begun(bench)
@@ -97,7 +97,7 @@ def test_a_stop_after_the_last_yes_says_what_is_written(
 ) -> None:
     """It comes as late as it can: the file is there, and nobody has said so yet."""
     config = tmp_path / "bench.yaml"
-    config.write_text(ready.text("limit-cycle"))
+    config.write_text(ready.text("simulated"))
     before = config.read_text()
 
     def save_and_stop(*given: Any) -> Path:
@@ -125,7 +125,7 @@ def test_a_calibration_begins_beside_nothing_that_goes_on(tmp_path: Path, monkey
     """Neither while another panel starts something, nor beside the calibration of another panel or of a terminal."""
     monkeypatch.setattr(processes, "_WAIT_S", 0.05)
     config = tmp_path / "bench.yaml"
-    config.write_text(ready.text("limit-cycle"))
+    config.write_text(ready.text("simulated"))
     runs = tmp_path / "runs"
     one, other = Bench(config, runs), Bench(config, runs)
     with processes.one_at_a_time(runs), pytest.raises(RefusedError, match="another panel of this folder starts"):

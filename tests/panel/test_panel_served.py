@@ -413,7 +413,7 @@ def untiring(bench: Path) -> Iterator[None]:
     config = bench / "bench.yaml"
     good = config.read_bytes()
     config.write_bytes(
-        (CONFIGS / "simulated.yaml").read_bytes().replace(b"interval_percent: 0.4", b"interval_percent: 0.1")
+        (CONFIGS / "quick.yaml").read_bytes().replace(b"interval_percent: 0.4", b"interval_percent: 0.1")
     )
     yield
     config.write_bytes(good)

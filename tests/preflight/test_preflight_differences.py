@@ -36,8 +36,8 @@ ODD: dict[str, Any] = {
 
 
 def changed(emulated: dict[str, Any] | None = None, **sections: Any) -> dict[str, Any]:
-    """config/simulated.yaml with other sections, and other keys in `emulated`."""
-    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    """config/quick.yaml with other sections, and other keys in `emulated`."""
+    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     config["emulated"] = {"motor": config["emulated"]["motor"]} | (emulated or {})
     return dict(config | sections)
 

@@ -12,7 +12,6 @@ import yaml
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from wanted_cycle import wanted_cycle
 
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
@@ -29,7 +28,7 @@ from rig.signals import BenchDelay
 pytestmark = pytest.mark.long
 
 CONFIGS = Path(__file__).parents[2] / "config"
-DEMO = wanted_cycle("demo.yaml")
+DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
 
 
 def demo(**changes: Any) -> dict[str, Any]:
@@ -133,12 +132,12 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "second amplitude at the soft limit": (
         {"relay__second_ratio": 2.0, "relay__target__period_s": 2.0},
         "relay.target.amplitude_rad",
-        "the larger test's 1 rad",
+        "the larger test's 1.2 rad",
     ),
     "amplitude below the sensor": (
         {"relay__target__amplitude_rad": 0.1},
         "relay.target.amplitude_rad",
-        "the smaller test's 0.075 rad is less than 20 counts",
+        "the smaller test's 0.07 rad is less than 20 counts",
     ),
     "cycle too short": (
         {"relay__target__period_s": 0.29, "relay__target__amplitude_rad": 0.15},
@@ -146,7 +145,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "0.29 s is 29 periods of the loop; a shorter cycle than 30 is delay hunting",
     ),
     "cycle within which the guard would brake": (
-        {"relay__target__amplitude_rad": 0.6},
+        {"relay__target__amplitude_rad": 0.6, "relay__target__period_s": 1.0},
         "relay.target.amplitude_rad",
         "the guard would brake within the cycle: its predicted stop reaches 2.15 rad",
     ),
@@ -156,9 +155,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "5 periods of the loop",
     ),
     "cycle too fast": (
-        {"limits__max_speed_rad_s": 3.9},
+        {"limits__max_speed_rad_s": 2.9},
         "relay.target.amplitude_rad",
-        "= 4 rad/s, above limits.max_speed_rad_s 3.9",
+        "= 3 rad/s, above limits.max_speed_rad_s 2.9",
     ),
     "trajectory too wide": (
         {"tracking__trajectory": [{"amplitude_rad": 0.9, "omega_rad_s": 1}, {"amplitude_rad": -0.3, "omega_rad_s": 2}]},

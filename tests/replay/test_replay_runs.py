@@ -25,8 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def short(**relay: object) -> Experiment:
-    """config/simulated.yaml with given gains and without tracking."""
-    e = config.load(ROOT / "config/simulated.yaml")
+    """config/quick.yaml with given gains and without tracking."""
+    e = config.load(ROOT / "config/quick.yaml")
     gains = {"target": None, "gains": [{"h1_V": 0.42, "h2_V": 0.84}], "cycles": 3} | relay
     return Experiment.model_validate_json(json.dumps(e.model_dump(mode="json") | {"relay": gains, "tracking": None}))
 
@@ -88,7 +88,7 @@ def test_a_guard_that_brakes_and_a_cycle_that_never_settles(tmp_path: Path) -> N
 
 
 def test_a_jog_from_outside_the_limits(tmp_path: Path) -> None:
-    e = config.load(ROOT / "config/simulated.yaml")
+    e = config.load(ROOT / "config/quick.yaml")
     emulated = e.model_dump(mode="json")
     emulated["emulated"]["motor"]["start_rad"] = 1.5
     e = Experiment.model_validate_json(json.dumps(emulated))

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     """Gains of two amplitudes, few cycles, one short tracking check; in a folder whose name a shell takes apart."""
-    changed = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    changed = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     changed["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}, {"h1_V": 0.3, "h2_V": 0.76}], "cycles": 8}
     changed["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
     (tmp_path / "my bench").mkdir()

@@ -27,7 +27,7 @@ KINDS: dict[str, type[Part]] = {"meta.json": RunMeta, "result.json": RunResult}
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """A relay test, tracking with its models, and a jog, all simulated, without reports."""
-    text = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    text = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
     text["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 8}
     text["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
     text["emulated"]["motor"] |= {"viscous_V_s_rad": 0.001}

@@ -23,7 +23,7 @@ def test_counts_that_are_no_whole_numbers_cost_no_result(tmp_path: Path, monkeyp
         stop(driver)
 
     monkeypatch.setattr(SimulatedDriver, "safe_stop", with_counts)
-    result = run_breakaway(configs.load(ROOT / "config/simulated.yaml"), tmp_path).result
+    result = run_breakaway(configs.load(ROOT / "config/quick.yaml"), tmp_path).result
     assert result.link == {"resent": 3, "lost": 2}
     assert any("'load'" in note and "0.5" in note for note in result.notes)
     assert result.breakaway is not None and result.truth is not None

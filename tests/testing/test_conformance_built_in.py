@@ -21,7 +21,7 @@ def stop_the_board(driver: Driver) -> None:
     driver._exchange.transport.close()
 
 
-TestSimulated = conformance.suite(CONFIGS / "simulated.yaml", silence=True)
+TestSimulated = conformance.suite(CONFIGS / "quick.yaml", silence=True)
 TestHostBoard = conformance.suite("host-board.yaml", silence=True, cut=stop_the_board)
 TestChip = conformance.suite("chip.yaml", silence=True)
 TestModbusReadWrite = conformance.suite("modbus-read-write.yaml", silence=True)

@@ -63,7 +63,7 @@ class Case(NamedTuple):
 # cores idle or busy, and loop.raise_workers
 CONDITIONS = {"idle": ("idle", False), "cores busy": ("busy", False), "cores busy, workers raised": ("busy", True)}
 CASES = (
-    Case("simulator, 10 ms", "simulated.yaml", 0.010),
+    Case("simulator, 10 ms", "quick.yaml", 0.010),
     Case("serial, 10 ms", "demo.yaml", 0.010),
     Case("Modbus RTU at 115200 baud, 10 ms", "modbus-rtu.yaml", 0.010),
     Case("Modbus TCP, 10 ms", "modbus-tcp.yaml", 0.010),

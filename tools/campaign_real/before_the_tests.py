@@ -29,7 +29,7 @@ from rig.signals import Sample
 
 Array = NDArray[np.float64]
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulated.yaml"
+CONFIG = Path(__file__).resolve().parents[2] / "config" / "quick.yaml"
 REST_S = 0.5  # between the two
 REACH_RAD = 1.4
 AMPLITUDE_RAD = 0.8  # that the search aims at: the campaign's first test

@@ -24,7 +24,7 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.preflight.breakaway_strokes import breakaway_strokes
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulated.yaml"
+CONFIG = Path(__file__).resolve().parents[2] / "config" / "quick.yaml"
 REACH_RAD, FASTEST_RAD_S, LARGEST_V = 0.55, 4.9, 3.0  # room of every motor
 HARD_RAD = 1.95  # as in the ready configs: the stops are farther
 FAST = 1.05  # no-load speed of the data sheet over the motor's

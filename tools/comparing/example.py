@@ -20,8 +20,8 @@ FRICTION: Final = ("fc_plus_V", "fc_minus_V", "fs_plus_V", "fs_minus_V")
 
 
 def config(number: int) -> dict[str, Any]:
-    """The config of a run, 1 to ``RUNS``: config/simulated.yaml, a seed of its own, and what is odd about it."""
-    made: dict[str, Any] = yaml.safe_load((ROOT / "config" / "simulated.yaml").read_text(encoding="utf-8"))
+    """The config of a run, 1 to ``RUNS``: config/quick.yaml, a seed of its own, and what is odd about it."""
+    made: dict[str, Any] = yaml.safe_load((ROOT / "config" / "quick.yaml").read_text(encoding="utf-8"))
     made["seed"] = number
     motor = made["emulated"]["motor"]
     if number == MORE_FRICTION:
