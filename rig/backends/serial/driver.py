@@ -419,7 +419,7 @@ class SerialDriver:
         ends_s = self._ends_s(sent_s)
         until_s = sent_s + _ASK_AGAIN * self._timeout_s
         while True:
-            damage_ends = len(seqs) < _READS_AT_ONCE and until_s < ends_s
+            damage_ends = len(seqs) < _READS_AT_ONCE
             packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
