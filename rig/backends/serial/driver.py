@@ -192,7 +192,7 @@ class SerialDriver:
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
         self._t_u_s = math.nan
         self._pulse: _Pulse | None = None  # sent last, if no other drive was
-        self._pulse_ended_s = math.nan  # by the device itself, not reported yet
+        self._ended: tuple[float, float] | None = None  # V and s: a pulse that the device ended; its end is not reported
         self._asked_again = 0
         self._again_in_a_row = 0
         self._drives_lost = 0
@@ -321,7 +321,7 @@ class SerialDriver:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
-        self._pulse, self._pulse_ended_s = None, math.nan
+        self._pulse = self._ended = None
         self._lost_in_a_row = 0
         self._again_in_a_row = 0
         self._driven = False
@@ -375,8 +375,10 @@ class SerialDriver:
         if self._driven and state.t_drive_us != self._t_drive_us:
             self._t_drive_us = state.t_drive_us
             u_V = self._drive_since(self._clock.to_host_s(state.t_drive_us, now_s), u_V)
-        elif self._pulse is None and not math.isnan(self._pulse_ended_s):
-            self._t_u_s, self._pulse_ended_s = self._pulse_ended_s, math.nan
+        elif self._ended is not None and self._pulse is None:
+            self._t_u_s, self._ended = self._ended[1], None
+        elif self._ended is not None:
+            u_V = self._ended[0]  # read again, before the next drive: as it acted, again
         tachometer = self.tachometer
         return Sample(
             self._clock.to_host_s(state.t_sample_us, now_s),
@@ -395,10 +397,10 @@ class SerialDriver:
 
         A pulse that the device has ended is reported as it acted; its end follows with the next drive, which is 0 V.
         """
-        pulse, self._pulse_ended_s = self._pulse, math.nan
+        pulse, self._ended = self._pulse, None
         if u_V == 0.0 and pulse is not None and pulse.sent_s < t_u_s:
             self._t_u_s = t_u_s - pulse.longest_s if pulse.is_first else max(pulse.sent_s, self._t_u_s)
-            self._pulse_ended_s = t_u_s
+            self._ended = pulse.u_V, t_u_s
             return pulse.u_V
         self._t_u_s = t_u_s
         return u_V
