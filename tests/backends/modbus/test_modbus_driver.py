@@ -127,6 +127,29 @@ def test_a_reply_that_was_held_up_does_not_move_the_instant(rig: Rig, held_up_s:
     assert rig.tick(0.3).t_s - sample.t_s == pytest.approx(rig.experiment.period_s, abs=1e-9)
 
 
+@pytest.mark.parametrize("before", [True, False], ids=["before the request left", "after that"])
+def test_a_host_that_stands_still_while_it_sends_does_not_move_the_instant(rig: Rig, before: bool) -> None:
+    for k in range(10):
+        rig.tick(0.6 if k % 2 else -0.6)
+    write, stalls = rig.block.write, [0.05]
+
+    def late_write(data: bytes) -> None:
+        if before and stalls:
+            rig.block.sleep_until(rig.block.now_s() + stalls.pop())
+        write(data)
+        if stalls:
+            rig.block.sleep_until(rig.block.now_s() + stalls.pop())
+
+    rig.driver.write(0.3)
+    rig.block.write = late_write  # type: ignore[method-assign]
+    asked_s = rig.block.now_s()
+    sample = rig.driver.read()
+    executed_s = asked_s + (0.05 if before else 0.0)
+    assert executed_s < sample.t_s < executed_s + 0.01
+    if rig.driver.order == "write_first":
+        assert sample.t_s == pytest.approx(rig.block.outputs[-1][0], abs=0.5 * 0.0005 + 1e-9)
+
+
 @pytest.mark.parametrize("silence_s", [0.0001, 0.001])
 def test_a_device_that_is_quicker_than_the_sum_is_not_taken_for_late(silence_s: float) -> None:
     """It is content with less silence than the config says: by so much its drives act earlier, all of them alike."""
