@@ -192,7 +192,7 @@ class SerialDriver:
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
         self._t_u_s = math.nan
         self._pulse: _Pulse | None = None  # sent last, if no other drive was
-        self._ended: tuple[float, float] | None = None  # V and s: a pulse that the device ended; its end is not reported
+        self._ended: tuple[float, float] | None = None  # V and s: of a pulse that the device ended, not reported
         self._asked_again = 0
         self._again_in_a_row = 0
         self._drives_lost = 0

@@ -227,7 +227,7 @@ def test_a_setting_that_the_device_changes_is_no_arming() -> None:
         real({k: 90.0 if k == "watchdog" else v for k, v in values.items()})
 
     rig.block.block._write = rounding  # type: ignore[method-assign]  # of this block alone
-    with pytest.raises(Fault, match=r"ARM_READBACK.*watchdog, holding register 9: sent 100, stored 90"):
+    with pytest.raises(Fault, match=r"ARM_READBACK.*watchdog, holding register 9: sent 120, stored 90"):
         rig.arm()
 
 
@@ -725,7 +725,7 @@ def test_a_minute_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobody_
         rig.arm()
         clean_s += rig.block.now_s() - from_s
     assert damaging.done > 1000
-    assert sum(faults.values()) > 300
+    assert sum(faults.values()) > 150  # each waits for a reply as long as the watchdog lets it
     assert set(faults) <= {"LINK_TIMEOUT", "LINK_REPLY", "LINK_UNIT", "MODBUS_EXCEPTION"}
     assert rig.block.requests["damaged"] > 200  # so many never reached a register
     assert rig.driven <= rig.commanded
