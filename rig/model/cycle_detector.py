@@ -52,6 +52,7 @@ class CycleDetector:
         self.spread = spread
         self.cycles: list[DetectedCycle] = []
         self.settled = False
+        self.left_out = 0  # periods with a gap
         self._last: tuple[float, float, float] | None = None
         self._start_s = math.nan
         self._begin(0.0)
@@ -67,6 +68,7 @@ class CycleDetector:
     def forget(self) -> None:
         """Drop the cycles found so far. Call it when the gains change."""
         self.cycles.clear()
+        self.left_out = 0
         self.settled = False
         self._start_s = math.nan
 
@@ -98,6 +100,7 @@ class CycleDetector:
         )
         self._begin(t_s)
         self._longest_step_s = t_s - t0  # a gap about the crossing is in both periods
+        self.left_out += has_gap
         if cycle is None or has_gap:
             return None
         self.cycles.append(cycle)
