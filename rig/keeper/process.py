@@ -260,7 +260,7 @@ def _stopper(folder: Path, link: int | None) -> Driver | None:
     from rig.backends.registry import backend_of
     from rig.recording.folder import CONFIG
 
-    e = config.load(folder / CONFIG)
+    e = config.load(folder / CONFIG, follows_links=False)
     return backend_of(e).stopper(e, link)
 
 

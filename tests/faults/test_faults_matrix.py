@@ -250,6 +250,22 @@ def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPat
     assert any("samples lost" in words for words in found.trouble)
 
 
+@pytest.mark.parametrize("device", [d for d in DEVICES if d.key in ("board", "tcp")], ids=lambda d: d.key)
+@pytest.mark.parametrize("lost", [(), (60,), (60, 61, 62)], ids=len)
+@pytest.mark.parametrize("in_pause", [0, 5])
+def test_a_pause_of_any_length_neither_looks_like_lost_samples_nor_hides_them(
+    device: realtime.RealDevice, lost: tuple[int, ...], in_pause: int
+) -> None:
+    """In real time. Of Modbus the readings in a pause are counted in the rows, and not in what the host was told."""
+    more = in_pause if device.key == "tcp" else 0
+    first = 51 + device.between
+    rows = [{"stage": "breakaway", "seq": str(k)} for k in range(1, 51)]
+    rows += [{"stage": "relay-1", "seq": str(k + more)} for k in range(first, 101) if k not in lost]
+    told = list(range(1, 101))
+    keys = realtime._keys(device, rows)
+    assert realtime._lost(told, 1, keys, None, killed=False) - device.between == len(lost)
+
+
 @pytest.mark.parametrize("stage", [REST, ARMING], ids=_id)
 def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.MonkeyPatch, stage: Stage) -> None:
     """On a device without limits of its own nobody else would stop a shaft that is pushed slowly over one."""

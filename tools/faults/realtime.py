@@ -615,7 +615,7 @@ def _judged(row: RealRow, device: RealDevice, phase: float, experiment: Experime
     bound_s = row.bound.seconds(times) + late_s
     lost = 0
     if not row.law and not device.is_virtual:  # the reading of a hang is no row, and none before it is lost
-        lost = _lost(run.told, device.apart, run.rows, run.fault, killed=run.killed) - device.between
+        lost = _lost(run.told, device.apart, _keys(device, run.rows), run.fault, killed=run.killed) - device.between
     low, high = experiment.limits.hard_rad
     trouble = []
     if not off_s <= bound_s:
@@ -676,19 +676,31 @@ def _device_late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
     return max(max(1e-6 * float(r["io_us"]) for r in run.rows[:-1]) - exchange_s, 0.0)
 
 
-def _lost(
-    told: list[int], apart: int, rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool
-) -> int:
+def _keys(device: RealDevice, rows: list[dict[str, str]]) -> list[int]:
+    """The keys of the rows, as in what the host has received.
+
+    A Modbus driver counts its readings in a pause, too: the longer the pause, the more. Of these there are as many here
+    as if the pause had been too short for any.
+    """
+    keys = [int(row["seq"]) for row in rows]
+    first = next((k for k, row in enumerate(rows) if kind_of(row["stage"]) is StageKind.RELAY), 0)
+    if "modbus" not in device.backend.traits or first == 0:
+        return keys
+    in_pause = keys[first] - keys[first - 1] - 1 - device.between
+    return keys[:first] + [key - in_pause for key in keys[first:]]
+
+
+def _lost(told: list[int], apart: int, keys: list[int], fault: Mapping[str, Any] | None, *, killed: bool) -> int:
     """Samples that the host received and the recording lacks.
 
+    keys   of the rows
     apart  least distance between the keys of two samples; what is nearer was asked for again, and answered twice
 
     The last one of a killed host may have been received and not yet looked at; of a run without a fault it is no row;
     and after a time-out it came too late.
     """
-    first = int(rows[0]["seq"])
-    recorded = {int(row["seq"]) for row in rows}
-    told = told[told.index(first) :]
+    recorded = set(keys)
+    told = told[told.index(keys[0]) :]
     missing = [seq for seq in told if recorded.isdisjoint(range(seq - apart + 1, seq + apart))]
     too_late = fault is not None and fault["code"] in ("LINK_TIMEOUT", "LINK_REPLY")
     may_miss = killed or fault is None or too_late or "counts" in str(fault["detail"])
