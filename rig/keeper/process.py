@@ -21,6 +21,7 @@ import os
 import select
 import signal
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -135,14 +136,19 @@ class Watch:
     """Looks after the law until the run needs it no more, or the link is the keeper's.
 
     signals  descriptor from which the loop's signals are read
-    flag     the run's
     """
 
-    def __init__(self, loop: Loop, lease: LawLease, signals: int, flag: AskedStop) -> None:
+    def __init__(self, loop: Loop, lease: LawLease, signals: int) -> None:
         self.signal = ""  # the first that asked the loop to stop
         self.flagged = ""  # who did by the stop flag
         self.charge: Charge | None = None
-        self._loop, self._lease, self._signals, self._flag = loop, lease, signals, flag
+        self._loop, self._lease, self._signals = loop, lease, signals
+
+    def hear_of(self, flag: AskedStop) -> None:
+        """Look at the run's flag until somebody asks for a stop; in a thread of its own, since a disk may hang."""
+        while not self.flagged:
+            self.flagged = flag.by()
+            time.sleep(LOOK_EVERY_S)
 
     def serve(self) -> str:
         """Returns how it ended: "in order", "loop died", or "taken"."""
@@ -169,7 +175,6 @@ class Watch:
         """Look at the law once; ask it to end, or take the link, when it is time."""
         loop, times = self._loop, self._loop.times
         step = self._lease.at_work
-        self.flagged = self.flagged or self._flag.by()
         if step == 0 or (not loop.is_real and not self.signal and not self.flagged):
             self.charge = None
             return False
@@ -204,7 +209,8 @@ def main(arguments: list[str]) -> int:
     stopper = _stopper(loop.folder, link)
     with contextlib.suppress(OSError):  # it is gone already, which the watch sees
         os.write(1, READY)
-    watch = Watch(loop, lease, signals, AskedStop(loop.folder))
+    watch = Watch(loop, lease, signals)
+    threading.Thread(target=watch.hear_of, args=(AskedStop(loop.folder),), daemon=True).start()
     ended = watch.serve()
     if ended == "in order":
         return 0

@@ -175,7 +175,10 @@ def runner_of(folder: Path) -> Runner | None:
 
 
 class AskedStop:
-    """Whether the run in ``folder`` was asked to stop, as another process sees it; nothing where it has no flag."""
+    """Whether the run in ``folder`` was asked to stop, as another process sees it.
+
+    Nothing where it has no flag, or where that cannot be read.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._page: OthersPage | None = None
@@ -183,9 +186,12 @@ class AskedStop:
             self._page = OthersPage(folder / NAME)
 
     def by(self) -> str:
-        """Who asked, as of ``StopFlag.asked_by``. Raises OSError."""
+        """Who asked, as of ``StopFlag.asked_by``. It may wait for the disk."""
         page = self._page
-        return "" if page is None or page.read(_ASKED_AT, 1) in (b"", b"\0") else _by(page)
+        with suppress(OSError):
+            if page is not None and page.read(_ASKED_AT, 1) not in (b"", b"\0"):
+                return _by(page)
+        return ""
 
 
 class Unrecorded:

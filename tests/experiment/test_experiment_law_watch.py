@@ -197,9 +197,7 @@ class Watched:
         self.ran_s, self.state = 0.0, "R"
         self.lease = LawLease(-1)
         loop: Any = SimpleNamespace(pid=1, is_real=is_real, times=bounds, thread=lambda: (self.state, self.ran_s))
-        self.stop_by = ""
-        flag: Any = SimpleNamespace(by=lambda: self.stop_by)
-        self.watch = law_keeper.Watch(loop, self.lease, -1, flag)
+        self.watch = law_keeper.Watch(loop, self.lease, -1)
         kill = SimpleNamespace(kill=lambda pid, number: self.asked.append(clock[0]))
         monkeypatch.setattr(law_keeper, "os", kill)
 
@@ -287,7 +285,7 @@ def test_the_keeper_asks_at_once_where_somebody_has_pressed_stop(
 ) -> None:
     """The loop looks at the flag once a tick, and the law does not return to it."""
     one = Watched(clock, monkeypatch, LawTimes(math.inf, 1.0, ""), is_real=is_real)
-    one.stop_by = "panel"
+    one.watch.flagged = "panel"
     began_s = clock[0]
     assert 1.0 <= one.taken_after_s(30.0) <= 1.0 + 3 * LOOK_EVERY_S
     [asked_s] = one.asked
