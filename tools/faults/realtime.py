@@ -318,12 +318,12 @@ def _law_row(name: str, way: str, code: str, status: int, *signals: signal.Signa
             case.host.send_signal(number)
             time.sleep(0.002)
 
-    by_signal = code == "INTERRUPTED"
+    by_signal = code != "LAW_TIME"  # else the law's time is what ends it
     return RealRow(
         name,
         f"a law of the user's own, `{way}`{' and signals' if signals else ''}",
         act,
-        SEEN if by_signal else _LEASE,
+        SEEN if code == "INTERRUPTED" else _LEASE,
         {"": (code,)},
         (status,),
         only=_LAW_DEVICES,
@@ -417,6 +417,8 @@ REAL_ROWS = (
     ),
     *_LAW_ROWS,
 )
+# no row of the page: the keeper stops the device here, and every other command has none
+KILLED_LAW = _law_row("law hangs, kill -9", "spins", "", -9, signal.SIGKILL)
 
 
 class EndedBefore(Exception):
@@ -513,9 +515,12 @@ def _events_at_end(folder: Path, row: RealRow, *, killed: bool) -> list[dict[str
 
     Raises RuntimeError.
     """
-    last = "fault" if row.law else "loop_died"
+
+    def is_last(event: Mapping[str, Any]) -> bool:
+        return event.get("by") == "keeper" if row.law else event["kind"] == "loop_died"
+
     deadline_s = time.monotonic() + _WAIT_S
-    while killed and not any(event["kind"] == last for event in _events(folder)):
+    while killed and not any(map(is_last, _events(folder))):
         if time.monotonic() > deadline_s:
             raise RuntimeError("nobody says that the loop died")
         time.sleep(0.01)
