@@ -164,13 +164,15 @@ def _stand_still(for_s: float) -> Callable[[Case], None]:
 
     def act(case: Case) -> None:
         stopped = [case.host.pid, *_children(case.host.pid), *([] if case.device is None else [case.device.pid])]
-        began_s = time.monotonic()
-        try:
-            _tell(stopped, signal.SIGSTOP)
-            time.sleep(for_s)
-        finally:
-            _tell(stopped, signal.SIGCONT)
-        if (stood_s := time.monotonic() - began_s) > for_s + _GRAIN_S:
+        with _going_first():
+            began_s = time.monotonic()
+            try:
+                _tell(stopped, signal.SIGSTOP)
+                time.sleep(for_s)
+            finally:
+                _tell(stopped, signal.SIGCONT)
+            stood_s = time.monotonic() - began_s
+        if case.device is not None and for_s < _LONGEST_GAP_S < stood_s:
             raise EndedBefore(f"this machine let it stand still for {1e3 * stood_s:.0f} ms, not {1e3 * for_s:.0f}")
 
     return act
@@ -307,7 +309,7 @@ _FROZEN_S = (0.04, 0.08, 0.15, 1.0)
 _SILENT = ("DEVICE_WATCHDOG", "LINK_TIMEOUT")
 # a device that stood still for a second may find its shaft outside before it finds that nobody spoke to it
 _FROZEN_CODES = (("",), ("",), _SILENT, (*_SILENT, "DEVICE_TRAVEL", "DEVICE_SENSOR"))
-_GRAIN_S = 0.005  # by which they may be longer
+_LONGEST_GAP_S = 0.085  # that leaves the next drive the time to come before the watchdog acts
 _STALLED = bound("no drive is older than the watchdog allows", watchdog=1, tick=2)
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
 
@@ -463,13 +465,14 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             config["daq"]["port"] = device.start(board, check(path)[0], folder)
             path.write_text(yaml.safe_dump(config), encoding="utf-8")
             experiment = check(path)[0]
-            with _rig(folder, "run" if row.law else "relay", *device.options) as host, _before(row):
-                if row.law:
-                    hung_s = _await_mark(mark, host)
-                else:
-                    time.sleep(phase * _await_cycle(folder, host))
-                happened_s = hung_s if row.counts_from_hang else time.monotonic()
-                row.act(Case(host, board, folder / "link-fault"))
+            with _rig(folder, "run" if row.law else "relay", *device.options) as host:
+                with _going_first() if row.law else contextlib.nullcontext():
+                    if row.law:
+                        hung_s = _await_mark(mark, host)
+                    else:
+                        time.sleep(phase * _await_cycle(folder, host))
+                    happened_s = hung_s if row.counts_from_hang else time.monotonic()
+                    row.act(Case(host, board, folder / "link-fault"))
                 output = host.communicate(timeout=_STARTS_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
             trace = _rows_as_trace(folder) if device.is_virtual else _trace(folder)
@@ -551,11 +554,8 @@ def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
 
 
 @contextlib.contextmanager
-def _before(row: RealRow) -> Iterator[None]:
-    """A law that spins at the loop's priority leaves little to this process, which has to send signals to it."""
-    if not row.law:
-        yield
-        return
+def _going_first() -> Iterator[None]:
+    """A priority above the loop's, for the block: a law that spins at that one leaves little to this process."""
     with contextlib.suppress(OSError):  # then the loop has no such priority either
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(70))
     try:
