@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-from faults import realtime
+from faults import realtime, strangers
 from faults.backends import (
     BACKENDS,
     BARE,
@@ -35,6 +35,7 @@ OTHERS_SHARE = 0.25
 ALIKE = (
     "host SIGINT", "host SIGTERM", "host overloaded", "clock stepped", "disk full", "folder unwritable",
     "folder unwritable, in the run", "recorder killed", "config changed in the run", "friction too high to start",
+    *strangers.ACTS,
 )  # fmt: skip
 
 
