@@ -501,6 +501,16 @@ def test_a_part_takes_the_place_of_its_lines_and_the_others_stay(tmp_path: Path)
     assert render_rows(lines, ROWS, BACKENDS) == PAGE.read_text(encoding="utf-8")
 
 
+def test_rows_in_real_time_take_the_place_of_their_own_in_the_order_of_the_matrix() -> None:
+    """`faults --real --keep`; what is no row any more goes."""
+    places = [("cable out", "board"), ("cable out", "chip"), ("port gone", "board")]
+    old = replace(kept.NONE, real=[["port gone", "board", "1 ms"], ["gone for good", "board", "2 ms"]])
+    new = old.with_real([("cable out", "chip", "3 ms")], places)
+    assert [tuple(cells) for cells in new.real] == [("cable out", "chip", "3 ms"), ("port gone", "board", "1 ms")]
+    again = new.with_real([("port gone", "board", "4 ms")], places)
+    assert [cells[2] for cells in again.real] == ["3 ms", "4 ms"]
+
+
 def test_an_injector_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:
     injector, experiment = new_injector(BOARD, BOARD.config(), tmp_path, 1)
     bare = BOARD.device(experiment)
