@@ -103,14 +103,17 @@ def test_neither_the_guard_nor_a_lost_frame_lets_a_stroke_last_longer_in_the_dev
     driver = serial_driver(e, Line(device, device, "virtual", emulated=True))
     info = driver.open()
     ends_s: list[float] = []  # of each pulse; nan: none, the drive was to go on
-    driver.write_pulse, send_pulse = (  # type: ignore[method-assign]
-        lambda u_V, longest_s: (ends_s.append(device.now_s() + longest_s), send_pulse(u_V, longest_s))[1],
-        driver.write_pulse,
-    )
-    driver.write, send = (  # type: ignore[method-assign]
-        lambda u_V: (ends_s.append(math.nan), send(u_V))[1],
-        driver.write,
-    )
+    send_pulse, send = driver.write_pulse, driver.write
+
+    def write_pulse(u_V: float, longest_s: float) -> None:
+        ends_s.append(device.now_s() + longest_s)
+        send_pulse(u_V, longest_s)
+
+    def write(u_V: float) -> None:
+        ends_s.append(math.nan)
+        send(u_V)
+
+    driver.write_pulse, driver.write = write_pulse, write  # type: ignore[method-assign]
     record = ListSink()
     loop = Loop(driver, device, _Clipping(guard_settings_of(e)), record, e.period_s, StopRequest())
     check = breakaway_check(e, info.drive_units)
