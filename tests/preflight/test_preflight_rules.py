@@ -174,7 +174,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "daq.watchdog_s",
         "must be 3 periods of 0.01 s at least, and 0.5 s at most, not 0.025 s",
     ),
-    "watchdog too long": ({"daq__watchdog_s": 0.505}, "daq.watchdog_s", "not 0.505 s"),
+    "watchdog too long": (
+        {"daq__watchdog_s": 0.505, "limits__max_speed_rad_s": 2.3, "relay__target__amplitude_rad": 0.2},
+        "daq.watchdog_s",
+        "not 0.505 s",
+    ),
     "time-out beyond the watchdog": (
         {"daq__timeout_s": 0.05, "daq__watchdog_s": 0.05},
         "daq.timeout_s",
