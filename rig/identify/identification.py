@@ -155,14 +155,14 @@ def identify(
     require_known(recordings, without)
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     asked = _Asked(recordings, wanted, bool(methods), choose_law, without)
-    found = _identified(asked, data)
-    if _rank(found)[0] == 0 or data.has_searches or not any(map(_was_known, recordings)):
-        return found
-    data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
-    if not data.take_searches():
-        return found
-    again = _identified(asked, data)  # the run knew its motor by both
-    return min(found, again, key=_rank)
+    found = _tried(asked, data)
+    if _rank(found)[0] > 0 and not data.has_searches and any(map(_was_known, recordings)):
+        data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
+        if data.take_searches():  # the run knew its motor by both
+            found = min(found, _tried(asked, data), key=_rank)
+    if isinstance(found, IdentifyError):
+        raise found
+    return found
 
 
 class _Asked(NamedTuple):
@@ -173,6 +173,14 @@ class _Asked(NamedTuple):
     by_name: bool
     choose_law: bool
     without: Sequence[str]
+
+
+def _tried(asked: _Asked, data: Measurements) -> Identification | IdentifyError:
+    """The identification from these data, or why there is none."""
+    try:
+        return _identified(asked, data)
+    except IdentifyError as error:
+        return error
 
 
 def _identified(asked: _Asked, data: Measurements) -> Identification:
@@ -212,9 +220,9 @@ def _was_known(recording: Recording) -> bool:
     return any(one.get("what") == "stop" and one.get("by") == "advice" for one in decided)
 
 
-def _rank(found: Identification) -> tuple[int, float]:
-    """Of the answer: 0 if ok, 1 doubtful, 2 refused; its widest relative interval."""
-    answer = found.leading
+def _rank(found: Identification | IdentifyError) -> tuple[int, float]:
+    """Of the answer: 0 if ok, 1 doubtful, 2 refused, 3 none; its widest relative interval."""
+    answer = None if isinstance(found, IdentifyError) else found.leading
     return (len(VERDICTS), math.inf) if answer is None else (VERDICTS.index(answer.verdict), answer.widest)
 
 

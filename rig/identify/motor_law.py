@@ -26,6 +26,7 @@ from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.departures.profile import profiles
+from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
 from rig.identify.noise import WHITE
@@ -334,16 +335,19 @@ def motor_law(
             break
         further = kept if left > 1 else ()
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
-    fit = with_own_noise(choice.fit)
+    of_windows = [*names, *(names[number] for _, number in further)]
+    parts = with_own_noise(choice.fit)
+    fit = joined(parts, of_windows)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(fit, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     by_size = profiles(fit, choice.laws, begun.chooser)
     lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad))
-    whole = replace(begun.whole, frames=fit.problem.cut.frames[: len(tests)])
+    whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     free_run = _free_run(fit, whole)
-    growth = (*(one for one in choice.growth if one[0] < free_run[0]), free_run)
+    length_s = whole.longest_s
+    growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
         return MotorLaw((), (), None, lines, growth, records, tuple(left_out))
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
@@ -353,20 +357,33 @@ def motor_law(
     return MotorLaw(
         tuple(_found(law, fit, covariance, gained(fit, bare[law.name])) for law in choice.laws),
         tuple(group for group in groups if len(group) > 1),
-        _estimate(fit, covariance, tested, plain, periods_s),
+        _estimate(fit, covariance, fit if fit is parts else free_run, tested, plain, periods_s),
         lines,
         growth,
         records,
         tuple(left_out),
-        _alone(fit, [*names, *(names[number] for _, number in further)]),
+        _alone(parts, of_windows),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
     )
 
 
-def _free_run(fit: Fit, whole: Cut) -> tuple[float, float]:
-    """Length of the longest test, s, and RMS residual of all, rad, each predicted whole from a start that is fitted."""
-    problem = replace(fit.problem, cut=whole, free=(), robust_rad=math.inf, noise=WHITE)
-    return whole.longest_s, solve(begin(problem, fit.motor)).rms_rad
+def joined(parts: Fit, of: Sequence[str]) -> Fit:
+    """The fit of the same records with no more starts than the motion had, if the motor bears it; else ``parts``.
+
+    of   for each window the name of its recording
+    Laws are chosen on pieces, and so are records that do not belong. But each piece's start takes two rows' worth of
+    what the record says: the live fit has no such pieces, and would know the motor better than this one.
+    """
+    whole = parts.problem.cut.joined(of)
+    if whole.begins.size == parts.problem.cut.begins.size:
+        return parts
+    fit = solve(begin(replace(parts.problem, cut=whole), parts.motor))
+    return fit if fit.arrived and bears(fit, parts) else parts
+
+
+def _free_run(fit: Fit, whole: Cut) -> Fit:
+    """The tests, each predicted whole: only its start is fitted."""
+    return solve(begin(replace(fit.problem, cut=whole, free=(), robust_rad=math.inf, noise=WHITE), fit.motor))
 
 
 def _record(series: TimeSeries) -> FittedRecord:
@@ -443,8 +460,10 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     return FoundLaw(law, size, (size - half, size + half), gain - price, numbers)
 
 
-def _estimate(fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]) -> Estimate:
-    """The estimate, with the residual of the tests: the first ``tested`` rows."""
+def _estimate(
+    fit: Fit, covariance: Array, shown: Fit, tested: int, plain: Estimate, periods_s: Sequence[float | None]
+) -> Estimate:
+    """The estimate, with the residual of the tests: the first ``tested`` rows of the fit ``shown``."""
     free, motor = fit.problem.free, fit.motor
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     core = [name for name in CORE_OF if name in free]
@@ -459,9 +478,9 @@ def _estimate(fit: Fit, covariance: Array, tested: int, plain: Estimate, periods
     errors = [*np.sqrt(np.diag(full))[:4].tolist(), delay_error]
     quantile = float(stdtrit(_freedom(fit), 0.975))
     noise = fit.problem.noise
-    cut = fit.problem.cut
-    residual = fit.residual_rad[:tested]
-    white = fit.problem.whitened(fit.residual_rad)[:tested]
+    cut = shown.problem.cut
+    residual = shown.residual_rad[:tested]
+    white = replace(shown.problem, noise=noise).whitened(shown.residual_rad)[:tested]
     return Estimate(
         plain.method,
         *values,

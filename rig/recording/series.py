@@ -22,6 +22,7 @@ LATENCY_PERIODS, LATENCY_S = 10.0, 0.2  # longest time from a sample to its row'
 # A serial link and a driver take this long at any sampling rate. Used if the recording is at least 100 times as long.
 LEAST_DELAY_S = 0.01
 TIMES_ERROR_S = 1e-4  # default error of t_u_s against t_s: a converter's step, a PWM period, an interrupt
+SEAM_PERIODS, SAME_PERIOD = 1.5, 0.01  # longest gap between two series that are one, and how their periods may differ
 ALIKE = 0.8  # correlation of a drive with itself, a period later, from which on it counts as periodic
 # No bench shows more or less in any unit. Squares and cubes within this range stay finite.
 LARGEST, SMALLEST = 1e12, 1e-12
@@ -195,6 +196,34 @@ class TimeSeries:
             even_s=None if self.even_s is None else self.even_s[cut],
             u_V=self.u_V[cut],
             first_row=self.first_row + first,
+        )
+
+    def followed_by(self, later: TimeSeries) -> TimeSeries | None:
+        """Both as one; None where rows are missing between them, or where they differ in more than their rows."""
+        alike = (
+            later.first_row == self.first_row + len(self)
+            and 0.0 < later.t_s[0] - self.t_s[-1] < SEAM_PERIODS * self.period_s
+            and abs(later.period_s - self.period_s) < SAME_PERIOD * self.period_s
+            and later.delay_s == self.delay_s
+            and self.edges is None is later.edges
+            and (self.t_u_s is None) is (later.t_u_s is None)
+            and (self.even_s is None) is (later.even_s is None)
+        )
+        if not alike:
+            return None
+
+        def both(first: Array | None, second: Array | None) -> Array | None:
+            return None if first is None or second is None else np.concatenate((first, second))
+
+        t_u_s = both(self.t_u_s, later.t_u_s)
+        return replace(
+            self,
+            t_s=np.concatenate((self.t_s, later.t_s)),
+            y_rad=np.concatenate((self.y_rad, later.y_rad)),
+            t_u_s=None if t_u_s is None else np.maximum.accumulate(t_u_s),  # each has a clock correction of its own
+            even_s=both(self.even_s, later.even_s),
+            u_V=np.concatenate((self.u_V, later.u_V)),
+            times_error_s=max(self.times_error_s, later.times_error_s),
         )
 
     def predictable(self, longest_delay_s: float) -> Window:

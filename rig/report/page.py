@@ -19,7 +19,7 @@ from rig.report import checked, fitted, friction_map, measured, narrowing, table
 from rig.report.fit import fits_of
 from rig.report.source import ReportedRun, load
 from rig.report.style import AbsentError, Picture, colour, style
-from rig.report.words import headline, rounded
+from rig.report.words import driven, headline, rounded
 from rig.results import LiveResult, RunResult
 
 REPORT = "report.html"
@@ -100,6 +100,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
             run=run,
             version=VERSION,
             headline=headline(run),
+            driven=driven(run),
             figures=draw(run, identification),
             estimates=tables.estimates(run),
             relays=tables.relays(run),
@@ -145,21 +146,33 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
                 return []
             return [drawn(lambda: narrowing.narrowing(run))]
 
+        def limit_cycles() -> dict[str, list[Figure]]:
+            if run.recording is not None and not relays:
+                return {"relays": [], "portraits": []}
+            return {
+                "relays": [drawn(lambda: measured.relay_tests(run))],
+                "portraits": [drawn(lambda: measured.portraits(run))],
+            }
+
+        def tracked() -> list[Figure]:
+            if run.recording is not None and not (run.result.tracking or run.spans("track") or run.config.tracks):
+                return []
+            return [drawn(lambda: checked.tracking(run))]
+
         cycles = [drawn(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
             "whole": [drawn(lambda: measured.whole_run(run))],
             "breakaway": [drawn(lambda: measured.breakaway(run))],
             "narrowing": narrowed(),
             "search": [drawn(lambda: measured.gain_search(run))],
-            "relays": [drawn(lambda: measured.relay_tests(run))],
-            "portraits": [drawn(lambda: measured.portraits(run))],
+            **limit_cycles(),
             "forest": [drawn(lambda: fitted.forest(run))],
             "budget": [drawn(lambda: fitted.budget(run))],
             "map": surveyed(),
             "transients": transients(),
-            "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
+            "cycles": cycles,
             "evidence": [Figure(None, trouble) if trouble else drawn(lambda: fitted.residuals(run, fits))],
-            "tracking": [drawn(lambda: checked.tracking(run))],
+            "tracking": tracked(),
             "tuned": [] if run.result.tuned is None else [drawn(lambda: tuned_loop.loop(run))],
             "loop": [drawn(lambda: checked.loop_timing(run))],
         }

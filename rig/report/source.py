@@ -179,6 +179,11 @@ class ReportedRun:
             raise AbsentError("There are no samples to draw (see the notes at the top).")
         return self.recording
 
+    @property
+    def has_tracked(self) -> bool:
+        """Whether a model has driven the bench along the trajectory."""
+        return any(tracked.rms_rad is not None for tracked in self.result.tracking.values())
+
     def spans(self, kind: str = "") -> list[Span]:
         """Contiguous visits to named stages, in order; ``kind``: only of that kind (``relay`` for ``relay-1``)."""
         if self.recording is None:

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 from rig.estimators import LEADING
 from rig.report.source import ReportedRun
+from rig.report.style import stage_kind
 from rig.results import BreakawayResult, EstimateResult, known
 from rig.results.answer_words import rounded as as_digits
 from rig.results.answer_words import share
@@ -77,6 +78,25 @@ class Headline:
     next_steps: tuple[Step, ...]
     method: str
     quantities: tuple[Quantity, ...]
+
+
+_DRIVEN = {
+    "breakaway": "a breakaway check",
+    "search": "a search",
+    "relay": "relay tests",
+    "strokes": "stroke tests",
+    "hysteretic": "a hysteretic relay",
+    "survey": "slow sweeps",
+    "law": "a law of your own",
+    "jog": "a jog",
+    "track": "tracking",
+}
+
+
+def driven(run: ReportedRun) -> str:
+    """What drove the motor of this run, for the page's head; empty if its samples are missing."""
+    kinds = dict.fromkeys(stage_kind(span.stage) for span in run.spans())
+    return ", ".join(words for kind, words in _DRIVEN.items() if kind in kinds)
 
 
 def rounded(value: float, half_width: float = math.nan) -> str:
@@ -191,6 +211,9 @@ def _command(*parts: str | Path) -> str:
 
 
 def _drive_with(run: ReportedRun) -> Step:
+    if run.has_tracked:
+        words = "Its models have driven the bench: see the tracking check. For a controller:"
+        return Step(words, _command("tune", run.folder))
     if not run.config.tracks:
         return Step("To drive the bench with this model, add a section `tracking` to the config and run it again.")
     if run.recording is None:

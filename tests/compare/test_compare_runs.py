@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from command_line import rig
-from compared_runs import METHOD, Told, write_run, write_samples
+from compared_runs import Told, write_run, write_samples
 
 import rig as api
 
@@ -124,7 +124,7 @@ def test_what_cannot_be_compared_is_left_out_and_said(tmp_path: Path) -> None:
     assert "no result.json" in why["killed"]
     assert "refused: too few cycles" in why["refused"]
     assert "runs/x" in why["tracked"]
-    assert f"no {METHOD} estimate" in why["unknown"]
+    assert "identified no motor" in why["unknown"]
     notes = "\n".join(found["notes"])
     assert "old: no budget" in notes
     assert "not ok: b" in notes

@@ -1,4 +1,4 @@
-"""What the live fit of everything driven calls enough is never refused afterwards, nor known much worse.
+"""What the live fit of everything driven calls enough is never refused afterwards, nor known worse.
 
 A run that ends because its motor is known has short tests: alone they may say too little for a fit to come to an end.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, break_away, simulated_bench
@@ -18,16 +20,18 @@ from rig.control.law import Rest
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.estimators import LEADING
 from rig.faults import Fault
-from rig.identify import identify
-from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.identify import Identification, IdentifyError, identify
+from rig.identify.departures.budget import TYPE_A
+from rig.identify.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.recording.recording import Recording
+from rig.recording.recording import Recording, assembled
+from rig.recording.series import FEWEST_ROWS
 from rig.results import RunEvent
-from stopping.in_memory import MemoryRecord
+from stopping.in_memory import NAMES, MemoryRecord
 
 ENOUGH_PERCENT = 1.0
-WIDER = 2.0  # of the live interval: the one afterwards knows of coloured noise, too
+WIDER = 1.1  # of the live interval: 2 of a normal distribution in place of 1.96, and the noise is measured anew
 
 
 def driven(motor: Motor, seed: int, test_s: float) -> Recording | None:
@@ -50,8 +54,9 @@ def driven(motor: Motor, seed: int, test_s: float) -> Recording | None:
         break_away(bench.loop)
         bench.loop.run(law(strokes(6, (0.8, 2.5)), StrokeTiming(6.0, 2.5)), "search")
         bench.loop.run(law(strokes(4, (1.5, 4.0)), StrokeTiming(test_s, 2.5)), "strokes-1")
+        known = record.recording()  # the rest after it comes too late to say anything
         bench.loop.run(Rest(0.5), "rest")
-        return record.recording()
+        return known
     return None
 
 
@@ -71,7 +76,14 @@ def as_known(recording: Recording) -> Recording:
     return replace(recording, events=(stop,))
 
 
-@settings(max_examples=8, deadline=None)
+def scatter(found: Identification) -> dict[str, float]:
+    """Of the answer: half width of tau, K and f_c by noise alone, as a share of each."""
+    assert found.answer is not None and found.motor_law is not None
+    line = next(entry for entry in found.motor_law.budget.entries if entry.source == TYPE_A)
+    return {name: getattr(line, name) / getattr(found.answer, name) for name in OF_PARAMETERS}
+
+
+@settings(max_examples=6, deadline=None)
 @given(
     tau_s=st.floats(0.03, 0.5),
     K_rad_s_V=st.floats(2.0, 20.0),
@@ -79,16 +91,36 @@ def as_known(recording: Recording) -> Recording:
     test_s=st.floats(0.2, 1.5),
     seed=st.integers(0, 10_000),
 )
-def test_what_was_enough_is_not_refused_afterwards_nor_known_much_worse(
+def test_what_was_enough_is_not_refused_afterwards_nor_known_worse(
     tau_s: float, K_rad_s_V: float, fc_V: float, test_s: float, seed: int
 ) -> None:
     recording = driven(Motor(tau_s, K_rad_s_V, coulomb(fc_V)), seed, test_s)
     known = None if recording is None else live(recording)
     if recording is None or known is None or known.worst_percent > ENOUGH_PERCENT:
         return
-    found = identify([as_known(recording)], (LEADING,), choose_law=False).estimates[LEADING]
-    assert found.verdict != "refused", found.reasons
-    for name, percent in known.half_percent.items():
-        low, high = found.ci95[name]
-        wide_percent = 100.0 * (high - low) / 2.0 / getattr(found, name)
-        assert wide_percent <= max(WIDER * percent, ENOUGH_PERCENT), name
+    found = identify([as_known(recording)], (LEADING,))
+    assert found.answer is not None and found.answer.verdict != "refused", found.answer
+    for name, share in scatter(found).items():
+        assert 100.0 * share <= WIDER * known.half_percent[name], name
+
+
+def test_stages_that_follow_each_other_are_one_motion() -> None:
+    """Each start of its own takes from what the record says: of this motor 1.5 times the live interval and more."""
+    recording = driven(Motor(0.42, 5.0, coulomb(0.36)), 627, 0.6)
+    assert recording is not None
+    known, found = live(recording), identify([as_known(recording)], (LEADING,))
+    assert known is not None
+    assert all(100.0 * share <= WIDER * known.half_percent[name] for name, share in scatter(found).items())
+
+
+def test_a_test_too_short_to_fit_does_not_cost_the_answer() -> None:
+    recording = driven(Motor(0.2, 8.0, coulomb(0.3)), 3, 0.2)
+    assert recording is not None
+    last = int(np.flatnonzero(recording.stage == "strokes-1")[0]) + FEWEST_ROWS
+    columns = {name: getattr(recording, name)[:last] for name in NAMES}
+    columns["t_u_s"] = np.full(last, np.nan)  # a device that does not tell: rows before the longest delay are lost
+    short = assembled(Path("short"), columns, range(1, last + 1), columns_present=NAMES)
+    with pytest.raises(IdentifyError, match="too few"):
+        identify([short], (LEADING,))
+    found = identify([as_known(short)], (LEADING,))
+    assert found.answer is not None and found.answer.verdict != "refused"

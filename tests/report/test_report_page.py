@@ -212,7 +212,8 @@ def test_headline_gives_the_values_with_interval_and_error_in_words(page: Page, 
     assert "63 % of its final speed in 170 ms" in page.words
     assert "95 %: 0.1694 to 0.1714 (± 0.6 %)" in page.words
     assert "+0.25 % off the emulated motor's value" in page.words  # 0.17042 against 0.17
-    assert f"rig track {complete / 'config.yaml'} --model {complete}" in page.words
+    assert f"For a controller: rig tune {complete}" in page.words
+    assert "rig track" not in page.words, "it has tracked"
 
 
 def test_reasons_and_what_was_not_run_are_said(page: Page) -> None:
@@ -246,9 +247,9 @@ def test_any_subset_of_files_makes_a_page_that_says_what_is_missing(run: Path, g
 @pytest.mark.parametrize(
     ("rows", "drawn", "not_drawn"),
     [
-        (3, "Position and drive over the whole run", "There was no relay test"),
-        (300, "Breakaway check", "There was no relay test, so there is no limit cycle to show"),
-        (800, "Gain search", "There was no relay test, so there is no averaged cycle"),
+        (3, "Position and drive over the whole run", ""),
+        (300, "Breakaway check", ""),
+        (800, "Gain search", ""),
         (1130, "Residual of the sampled data estimate", "no two settled cycles"),  # of the search
         (2000, "Residual of the sampled data estimate", "No model was driven along the trajectory"),
         (3500, "Tracking by feedback linearisation", "There was no relay test"),
@@ -263,6 +264,7 @@ def test_a_killed_run_shows_what_there_is(run: Path, rows: int, drawn: str, not_
     if rows < 1000:
         assert "No result: the run ended before it had one" in page.words
         assert f"run the experiment again: rig run {run / 'config.yaml'}" in page.words
+        assert "The limit cycle" not in page.words, "there was none yet"
     else:  # enough of what tells the motor is there: the page identifies it
         assert "For this page its recording was identified" in page.words
         assert "sampled data" in page.words

@@ -106,7 +106,7 @@ def test_a_wrong_value_in_result_is_left_out_and_named(folder: Path) -> None:
     assert run.result.estimates["sampled-data"].tau_s == 0.17
     assert run.result.estimates["sampled-data"].fc_V is None and run.result.estimates["sampled-data"].rows is None
     assert (list(run.result.estimates), run.result.relays, run.result.notes) == (["sampled-data"], (), ("a",))
-    said = " ".join(run.missing)
+    said = " ".join(run.missing + run.notes)
     for key in ("relays[0].h1_V is missing", "estimates.sampled-data.fc_V must", "estimates.own must", "notes[1] must"):
         assert f"result.json: {key}" in said
 

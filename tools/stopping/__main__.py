@@ -109,7 +109,7 @@ def main() -> int:
     text = page(told, given.percent, "make stopping" + "".join(options), made, len(jobs), shown)
     given.page.write_text(text, encoding="utf-8")
     print(text)
-    return int(any(one.is_worse(given.percent) for one in told[AFTERWARDS].values()))
+    return int(any(one.is_worse for one in told[AFTERWARDS].values()))
 
 
 def page(told: Told, percent: float, command: str, made: str, new: int, shown: Shown | None = None) -> str:
@@ -167,7 +167,7 @@ def _table(rows: Sequence[Row], percent: float, shown: Shown) -> list[str]:
         bound = at_most(len(wrong), len(rows))
         lines.append(f"| identified afterwards: called ok | {len(ok)} of {len(judged)} |")
         lines.append(f"| of these more than 5 % off | {len(wrong)}; with 95 % confidence at most {100 * bound:.2f} % |")
-        worse = sum(one.is_worse(percent) for one in judged)
+        worse = sum(one.is_worse for one in rows)
         told = any(one.scatter is not None for one in judged)  # rows of before do not say
         lines += [f"| known at the stop, and refused or known worse afterwards | {worse} |"] if told else []
         departing = [one for one in rows if one.kinds not in ((), (PLAIN,))]  # a run that failed was not called ok

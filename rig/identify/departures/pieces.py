@@ -105,6 +105,27 @@ class Cut:
             np.concatenate([weight for _, _, weight in pieces]),
         )
 
+    def joined(self, of: Sequence[str]) -> Cut:
+        """The same rows with as few pieces as can be: a stage's end is no rest, so what follows it has no new start.
+
+        of   for each window the name of its recording
+        Each window is one piece, in the frame of its first record.
+        """
+        order = sorted(range(len(self.windows)), key=lambda k: (of[k], self.windows[k].series.first_row))
+        windows: list[Window] = []
+        frames: list[Frame] = []
+        for k, before in zip(order, [None, *order], strict=False):
+            window, last = self.windows[k], windows[-1] if windows else None
+            follows = last is not None and before is not None and of[before] == of[k]
+            one = last.series.followed_by(window.series) if follows and last is not None else None
+            if one is None or last is None:
+                windows.append(window)
+                frames.append(self.frames[k])
+            else:
+                windows[-1] = Window(one, last.first, len(one))
+        ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
+        return Cut(tuple(windows), tuple(frames), ones, tuple(math.inf for _ in windows))
+
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
         rows = (_first_rows(w, min(length_s, most_s)) for w, most_s in zip(self.windows, self.most_s, strict=True))
