@@ -130,7 +130,8 @@ def test_a_bound_in_turns_holds_in_the_device_from_where_the_command_finds_the_s
 
 @pytest.mark.parametrize("limits", [{}, ENDLESS], ids=["limits", "endless"])
 def test_tests_until_the_motor_is_known_run_in_the_device_on_counts(tmp_path: Path, limits: dict[str, Any]) -> None:
-    relay = {"target": None, "cycles": None, "until": {"interval_percent": 0.1}, "where": "device"}
+    until = {"until": {"interval_percent": 0.1}, "where": "device"}
+    relay = dict.fromkeys(("target", "cycles", "second_ratio")) | until
     motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": 700.0 if limits else 0.1}
     outcome = run(tmp_path, changed(tmp_path, limits=limits, relay=relay, tracking=None, emulated={"motor": motor}))
     assert outcome["stopped"]["known"], outcome["stopped"]["why"]

@@ -111,7 +111,7 @@ def test_body_sizes_are_those_of_the_protocol() -> None:
         "HELLO": 0, "SETUP": 30, "ARM": 4, "READ": 0, "ACK": 1, "ACK_REPLY": 24, "DRIVE": 2, "STOP": 0,
         "HELLO_REPLY": 31, "SETUP_REPLY": 30, "ARM_REPLY": 1, "STATE": 24, "STOP_REPLY": 24, "NACK": 2,
         "RELAY": 18, "KEEP": 0, "RELAY_REPLY": 18, "STROKES": 56, "STROKES_REPLY": 56, "ZERO": 4, "ZERO_REPLY": 24,
-        "LOOPBACK": 1, "LOOPBACK_REPLY": 35,
+        "LOOPBACK": 1, "LOOPBACK_REPLY": 35, "PULSE": 4,
     }  # fmt: skip
     full = Block(0, 0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS)
     assert len(full.pack()) == frames.MAX_BODY == 58 and len(encode(Kind.BLOCK, 0, full.pack())) == 66
