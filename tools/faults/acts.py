@@ -67,6 +67,10 @@ def _late(share: float, number: int) -> Act:
     return act
 
 
+def _too_late(injector: FaultInjector) -> None:
+    injector.down = damage.late(injector.too_late_s)
+
+
 def _both(what: damage.Damage) -> Act:
     def act(injector: FaultInjector) -> None:
         injector.up = injector.down = what
@@ -249,7 +253,7 @@ ACTS: Mapping[str, Act] = {
     "duplicated replies": _down(lambda: damage.duplicated),
     "duplicated requests": _up(lambda: damage.duplicated),
     "replies late": _late(0.5, FOR_TICKS),
-    "replies too late": _late(2.0, 1 << 30),
+    "replies too late": _too_late,
     "one reply lost": _down(lambda: damage.first(1, damage.lost)),
     "replies lost": _down(lambda: damage.lost),
     "blocks lost": _down(lambda: damage.only(is_block, damage.lost)),

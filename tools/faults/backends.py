@@ -141,6 +141,10 @@ class Backend:
         answer_s = _on_the_wire_s(experiment) if modbus is None else longest_transaction_s(experiment.daq, modbus)
         return experiment.daq.timeout_s - answer_s
 
+    def too_late_s(self, experiment: Experiment) -> float:
+        """By how much a reply comes too late: it is waited for as long as the watchdog lets the drive act."""
+        return max(2.0 * self.spare_s(experiment), experiment.daq.watchdog_s)
+
     def times(self, experiment: Experiment, cycle_s: float) -> Times:
         """What bounds are made of."""
         strokes = breakaway_strokes(experiment)

@@ -368,7 +368,7 @@ def _measure(
     if row.early:
         config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
     injector, experiment = new_injector(backend, config, folder, rng.randrange(2**32))
-    injector.spare_s = backend.spare_s(experiment)
+    injector.spare_s, injector.too_late_s = backend.spare_s(experiment), backend.too_late_s(experiment)
     if row.early:
         row.act(injector)
         injector.schedule(0.0, lambda _: None)

@@ -67,6 +67,7 @@ class FaultInjector:
         self.stall_s: Callable[[random.Random], float] | None = None  # of the host, each time it has slept
         self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
         self.spare_s = 0.0  # of the time-out, beside the exchange
+        self.too_late_s = 0.0  # by which a reply comes after the watchdog
         self.hangs: tuple[str, ...] = ()  # what of the device's program may stand still, by name
         self.too_fast_rad_s = math.nan  # of a shaft whose encoder makes more edges than the chip counts
         self.home_in_vain: Callable[[], None] = lambda: None  # a `rig home` that fails

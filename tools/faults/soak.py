@@ -86,7 +86,7 @@ def spend(key: str, hours: float, seed: int) -> Day:
         while (injector.now_s() - began_s) < 3600.0 * hours:
             row = rng.choice(rows_for(backend)) if rng.random() < FAULTY else NOTHING
             injector = FaultInjector(device, language(experiment), limits, timeout_s, folder, rng.randrange(2**32))
-            injector.spare_s = backend.spare_s(experiment)
+            injector.spare_s, injector.too_late_s = backend.spare_s(experiment), backend.too_late_s(experiment)
             phase = rng.uniform(0.0, CYCLES - 5.0)
             injector.schedule(injector.now_s() + cycle_s + phase * (next_s - cycle_s), row.act)
             for words in _one(row, backend, phase, injector, times, experiment):
