@@ -13,7 +13,8 @@ from os import PathLike
 from typing import BinaryIO, Final
 
 _NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
-_ALWAYS: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NO_WAIT: Final = getattr(os, "O_NONBLOCK", 0)
+_ALWAYS: Final = _NO_WAIT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
 
 class UnfitError(OSError):
@@ -45,40 +46,51 @@ def open_plain(
     *,
     follows_links: bool = False,
     folder: int | None = None,
+    takes_pipe: bool = False,
 ) -> int:
     """A descriptor of a plain file.
 
     flags, mode    as for ``os.open``
     follows_links  whether the last part of ``path`` may be a link
     folder         descriptor of the folder that ``path`` is in; None: the present one
+    takes_pipe     whether it may be a pipe, which waits for its writer: for what a user names on the command line
 
     Raises NotPlainError for anything but a plain file, OSError where it cannot be opened.
     """
     try:  # opening a device may already do something: a serial port resets its board
-        _require_plain(os.stat(path, dir_fd=folder, follow_symlinks=follows_links), path)
+        status = os.stat(path, dir_fd=folder, follow_symlinks=follows_links)
+        is_pipe = takes_pipe and stat.S_ISFIFO(status.st_mode)
+        if not is_pipe:
+            _require_plain(status, path)
     except FileNotFoundError:
         if not flags & os.O_CREAT:
             raise
+        is_pipe = False
+    always = _ALWAYS & ~_NO_WAIT if is_pipe else _ALWAYS
     try:
-        descriptor = os.open(path, flags | _ALWAYS | (0 if follows_links else _NO_LINK), mode, dir_fd=folder)
+        descriptor = os.open(path, flags | always | (0 if follows_links else _NO_LINK), mode, dir_fd=folder)
     except OSError as error:
         if error.errno == errno.ELOOP and not follows_links:
             raise NotPlainError(path, *_LINK) from error
         raise
     try:
-        _require_plain(os.fstat(descriptor), path)
+        status = os.fstat(descriptor)
+        if not (is_pipe and stat.S_ISFIFO(status.st_mode)):
+            _require_plain(status, path)
     except NotPlainError:
         os.close(descriptor)
         raise
     return descriptor
 
 
-def read_plain(path: str | PathLike[str], most_bytes: int, *, follows_links: bool = False) -> bytes:
+def read_plain(
+    path: str | PathLike[str], most_bytes: int, *, follows_links: bool = False, takes_pipe: bool = False
+) -> bytes:
     """The content of a plain file of at most ``most_bytes``, as far as it has grown by now.
 
     Raises NotPlainError and OSError as ``open_plain``; TooLargeError.
     """
-    with os.fdopen(open_plain(path, follows_links=follows_links), "rb") as file:
+    with os.fdopen(open_plain(path, follows_links=follows_links, takes_pipe=takes_pipe), "rb") as file:
         return read_open(file, path, most_bytes)
 
 

@@ -140,7 +140,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
             raise RecordingError(
                 folder / name, "is missing", f"a run cannot be replayed without {kept}; copy the whole folder"
             )
-    e = config.load(folder / CONFIG)
+    e = config.load(folder / CONFIG, follows_links=False)
     script = _script(recording, e, own)
 
     order, units, clock_ratio = _device(recording)

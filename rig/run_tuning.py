@@ -127,7 +127,7 @@ def tune_run(folder: Path, asked: Asked, draws: int, bench: Experiment | None = 
         raise RecordingError(
             folder / CONFIG, "is missing: nothing says the bench's period, sensor and limits", "give --try CONFIG"
         )
-    e = config.load(folder / CONFIG) if bench is None else bench
+    e = config.load(folder / CONFIG, follows_links=False) if bench is None else bench
     motor = motor_of(result.answer)
     sensing = _sensing(e, result if bench is None or _same_sensor(folder, bench) else None)
     tuned, trial = _that_fits(e, asked, motor, sensing)
@@ -153,7 +153,7 @@ def _require_inside(bench: Experiment, prediction: Prediction) -> None:
 def _same_sensor(folder: Path, bench: Experiment) -> bool:
     """Whether a bench reads the shaft as finely as that of the run did; yes where the run's config does not say it."""
     with contextlib.suppress(ConfigError):
-        return config.load(folder / CONFIG).sensor.curve.lsb_rad == bench.sensor.curve.lsb_rad
+        return config.load(folder / CONFIG, follows_links=False).sensor.curve.lsb_rad == bench.sensor.curve.lsb_rad
     return True
 
 

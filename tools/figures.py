@@ -25,7 +25,7 @@ from rig.report.style import Picture
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs" / "figures"
-SIMULATED = str(ROOT / "config" / "quick.yaml")
+SIMULATED = str(ROOT / "config" / "simulated.yaml")
 PAGE_PX = (1000, 975)  # of the report: its headline and the table of estimates
 CHECK_ROW = (0.17, 6.5, 0.5, 0.8, 1.0)  # tau, K, fc, h1, h2 of docs/theory.md 3.4
 
@@ -41,15 +41,15 @@ def photograph(page: Path, to: Path) -> None:
 
 
 def report(to: Path) -> None:
-    """The top of the report of `rig run config/quick.yaml`."""
+    """The top of the report of `rig run config/simulated.yaml`."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "rig", "run", str(ROOT / "config" / "quick.yaml")]
+        command = [sys.executable, "-m", "rig", "run", str(ROOT / "config" / "simulated.yaml")]
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         photograph(next(Path(folder).glob("runs/*/report.html")), to)
 
 
 def design(to: Path) -> None:
-    """The picture of `rig design` for the motor of `rig run config/quick.yaml`."""
+    """The picture of `rig design` for the motor of `rig run config/simulated.yaml`."""
     _after_a_run(to, "design", SIMULATED, "--model", "run", "--to", to.name)
 
 
@@ -59,7 +59,7 @@ def tune(to: Path) -> None:
 
 
 def _after_a_run(to: Path, *command: str) -> None:
-    """The file that a command writes in the folder of `rig run config/quick.yaml`."""
+    """The file that a command writes in the folder of `rig run config/simulated.yaml`."""
     with tempfile.TemporaryDirectory() as folder:
         for words in (("run", SIMULATED), command):
             subprocess.run([sys.executable, "-m", "rig", *words], cwd=folder, check=True, capture_output=True)

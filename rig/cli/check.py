@@ -21,10 +21,11 @@ def check(config_path: Path, as_json: bool) -> None:
     Checks keys, units, limits, stopping distance and link budget, and prints what a run would do.
     """
     try:
-        if config.is_campaign(config_path):
-            lines = list(config.campaign_lines(config.load_campaign(config_path)))
+        document = config.read(config_path, takes_pipe=True)
+        if config.is_campaign(document):
+            lines = list(config.campaign_lines(config.load_campaign(document)))
         else:
-            lines = list(preflight.check(config_path)[1].lines)
+            lines = list(preflight.check(document)[1].lines)
     except config.ConfigError as error:
         fail_config(error, f"verdict: refused, {_counted(len(error.problems), 'problem')}; nothing would be run")
     notes = sum(line.startswith("note: ") for line in lines)

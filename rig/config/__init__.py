@@ -1,7 +1,7 @@
 """The schema of an experiment, and loading it with errors that name file, line and key."""
 
 from rig.config.campaign import Campaign, campaign_lines
-from rig.config.load import dump, is_campaign, json_schema, load, load_campaign, schema_text
+from rig.config.load import dump, is_campaign, json_schema, load, load_campaign, read, schema_text
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 
@@ -16,5 +16,6 @@ __all__ = [
     "json_schema",
     "load",
     "load_campaign",
+    "read",
     "schema_text",
 ]

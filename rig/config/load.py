@@ -16,7 +16,7 @@ from rig.config.schema import Experiment
 from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
 from rig.plain_file import UnfitError, read_plain
 
-Given = str | PathLike[str] | Mapping[str, Any]  # a file, or its keys with their values
+Given = str | PathLike[str] | Mapping[str, Any] | Document  # a file, its keys with their values, or what was read of it
 IN_PYTHON = "config"  # what a config is called that is in no file
 
 _Schema = TypeVar("_Schema", Experiment, Campaign)
@@ -35,25 +35,22 @@ def load(path: Given, *, follows_links: bool = True) -> Experiment:
 
 def load_with_places(path: Given, *, follows_links: bool = True) -> tuple[Experiment, Document]:
     """``load``, and the file that it came from, which knows the place of each key."""
-    if isinstance(path, Mapping):
-        document = Document(IN_PYTHON, dict(path))
-    else:
-        document = _read(path, follows_links=follows_links)
+    document = read(path, follows_links=follows_links)
     return _experiment(document), document
 
 
-def load_campaign(path: str | PathLike[str]) -> Campaign:
+def load_campaign(path: Given) -> Campaign:
     """The campaign in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it."""
-    document = _read(path)
+    document = read(path)
     if not _is_campaign(document) and "daq" in document.data:
         problem = Problem(("daq",), "this is one experiment, not a campaign", "run it with `rig run`")
         raise ConfigError([document.located(problem, at_key=True)])
     return _validated(document, Campaign)
 
 
-def is_campaign(path: str | PathLike[str]) -> bool:
+def is_campaign(path: Given) -> bool:
     """Whether a file is meant as a campaign: it says how many experiments. Raises ConfigError for what is no YAML."""
-    return _is_campaign(_read(path))
+    return _is_campaign(read(path))
 
 
 def dump(config: Experiment | Campaign) -> str:
@@ -75,10 +72,18 @@ def schema_text(of: type[Experiment] | type[Campaign] = Experiment) -> str:
     return json.dumps(json_schema(of), indent=2, ensure_ascii=False) + "\n"
 
 
-def _read(path: str | PathLike[str], *, follows_links: bool = True) -> Document:
+def read(path: Given, *, follows_links: bool = True, takes_pipe: bool = False) -> Document:
+    """The keys of a YAML file with their places, not judged yet. Raises ConfigError for what is no YAML.
+
+    takes_pipe  whether the file may be a pipe, as of ``<(...)``: it is read once, to its end
+    """
+    if isinstance(path, Document):
+        return path
+    if isinstance(path, Mapping):
+        return Document(IN_PYTHON, dict(path))
     file = str(path)
     try:
-        raw = read_plain(path, MOST_BYTES, follows_links=follows_links)
+        raw = read_plain(path, MOST_BYTES, follows_links=follows_links, takes_pipe=takes_pipe)
     except UnfitError as error:
         raise ConfigError([Problem((), error.cause, error.cure, file)]) from error
     except FileNotFoundError as error:

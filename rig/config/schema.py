@@ -113,7 +113,8 @@ class LoopSection(_Section):
     )
     law_cpu_s: Annotated[float, Field(gt=0, le=0.5)] | None = Field(
         None,
-        description="CPU time that one step of a law of your own may take; not in virtual time; default: half a period",
+        description="CPU time that one step of a law of your own may take; not in virtual time; default: half a "
+        "period, 2 ms at least",
     )
 
 

@@ -269,8 +269,10 @@ class BreakawayCheck(RestingCheck):
 
     @property
     def pulse_s(self) -> float:
-        """Longest time from the begin of this stroke's drive to its end, s: so a device that can ends it by itself."""
-        return self._meant_s + max(self._period_s, _LEAST_SPARE_S)
+        """From a stroke's last drive until it must have ended, s: a device that can ends it itself. 0.0: no stroke."""
+        if self._phase != "stroke":
+            return 0.0
+        return self._since_s + self._meant_s - self._asked[-1][0] + max(self._period_s, _LEAST_SPARE_S)
 
     def _watch_drive(self, sample: Sample) -> None:
         """Note when the stroke's drive began and ceased to act: a drive may be lost, or written late."""
@@ -300,7 +302,7 @@ class BreakawayCheck(RestingCheck):
         if queued or math.isnan(self._begun_s) or math.isnan(self._ended_s):
             return self._asked_s[1] - self._asked_s[0]
         # ticks before the first that the device can drive belong to the stroke
-        driven_s = next(t_s for t_s, u_V in self._asked if u_V != 0.0)
+        driven_s = next((t_s for t_s, u_V in self._asked if u_V != 0.0), self._asked_s[0])
         return self._ended_s - self._begun_s + driven_s - self._asked_s[0]
 
     def _is_lost(self) -> bool:

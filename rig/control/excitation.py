@@ -340,6 +340,10 @@ class RelayTest(RelayLaw[Relay]):
         if sample.t_s - self._start_s > self.timeout_s:
             seen = self.detector.cycles
             last = f"; last: {seen[-1].reason}" if seen and seen[-1].reason else ""
+            if self.detector.left_out:
+                last += (
+                    f"; {self.detector.left_out} more had a gap in the readings: see that the machine is not so busy"
+                )
             raise Fault(
                 "NO_CYCLE",
                 f"{len(seen)} periods in {self.timeout_s:.0f} s at h1 {self.relay.h1_V:.2f} V, "

@@ -22,7 +22,8 @@ class GuardSettings:
     reaction_s         time at full speed to add: a tick, the latency and the watchdog time. So the shaft stays inside
                        even if the host dies at this instant
     noise_rad          sensor noise, standard deviation, at least one LSB
-    free_rad_s         speed that the largest drive can give the shaft in the end; 0.0: unknown, max_speed_rad_s counts
+    free_rad_s         speed that the largest drive can give the shaft in the end; 0.0: unknown: max_speed_rad_s counts,
+                       and the guard brakes with the largest drive
     delay_s            time beyond its own tick until a drive shows in the reading: it is added to each of these times
     stuck_s, motion_rad  a drive well above static friction must move the shaft by motion_rad within stuck_s; or within
                        twice the longest time that the shaft has needed so far, but at most four times stuck_s
@@ -257,11 +258,24 @@ class Guard:
         outward = 1 if self.predicted_stop_rad > hard_high else -1 if self.predicted_stop_rad < hard_low else 0
         if not outward and self._is_too_fast:  # a gap let it: its drive must not go on
             outward = 1 if v > 0.0 else -1
-        if outward and u_V * outward > -s.limits.max_u_V:
-            u_V = -outward * s.limits.max_u_V if self.sign_proven else 0.0
+        brake_V = self._brake_V if soft_low <= y <= soft_high else s.limits.max_u_V
+        if outward and u_V * outward > -brake_V:
+            u_V = -outward * brake_V if self.sign_proven else 0.0
             flags |= FLAG_GUARD_BRAKED
             self.braked_ticks += 1
         return u_V, flags
+
+    @property
+    def _brake_V(self) -> float:
+        """The drive to brake with, V: one that cannot make the shaft faster the other way, however long it acts.
+
+        The velocity lags by more than a light motor needs to turn round under the largest drive: that would throw it to
+        and fro, faster each time; and in a gap the device holds the brake, too.
+        """
+        s = self.settings
+        if s.free_rad_s <= 0.0:
+            return s.limits.max_u_V
+        return min(abs(self.velocity_rad_s) / s.free_rad_s, 1.0) * s.limits.max_u_V
 
     def _check_polarity(self, sample: Sample, u_V: float) -> None:
         """Raise POLARITY if the shaft, beyond a soft limit, gets faster outward although the drive is inward."""

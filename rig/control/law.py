@@ -36,7 +36,7 @@ class Pulsed(Law, Protocol):
 
     @property
     def pulse_s(self) -> float:
-        """How long after its begin the drive that was just decided must have ended, s, > 0."""
+        """How long the drive that was just decided may act at most, s; 0.0: it may go on."""
         ...
 
 

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Final
@@ -35,15 +35,17 @@ from rig.signals import Sample
 _STARTS_S: Final = 30.0
 _CLOSES_S: Final = 5.0
 _VIRTUAL_LEASE_S: Final = 2.0
+_LEAST_CPU_S: Final = 0.002  # page faults and interrupts have cost a good law up to 0.7 ms in one step
 _LOOK_EVERY_STEPS: Final = 50
 _NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
 
 
 def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
     """The times of the config. The lease is as long as a device's watchdog waits, or twice the CPU time."""
-    cpu_s = e.loop.law_cpu_s
-    words = "loop.law_cpu_s" if cpu_s is not None else "loop.law_cpu_s, by default half a period"
-    bound_s = 0.5 * e.period_s if cpu_s is None else cpu_s
+    bound_s, words = e.loop.law_cpu_s, "loop.law_cpu_s"
+    if bound_s is None:
+        bound_s = max(0.5 * e.period_s, _LEAST_CPU_S)
+        words += f", by default half a period, {1e3 * _LEAST_CPU_S:g} ms at least"
     lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
     return LawTimes(math.inf if virtual else bound_s, _VIRTUAL_LEASE_S if virtual else lease_s, words)
 
@@ -51,15 +53,17 @@ def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
 class WatchedLaw(Timed):
     """The law, with a bound on the CPU time of each step, and a keeper for one that does not return.
 
-    law    the law
-    times  what a step may take
+    law         the law
+    times       what a step may take
+    check_stop  raises the fault of a stop that somebody asks for
     """
 
-    def __init__(self, law: Timed, times: LawTimes) -> None:
+    def __init__(self, law: Timed, times: LawTimes, check_stop: Callable[[], None] = lambda: None) -> None:
         super().__init__(law.law, law.duration_s, law.name)
         self.keeper: Keeper | None = None
         self.trouble = ""  # what is wrong with its watch
         self._times = times
+        self._check_stop = check_stop
         self._lease = LawLease(-1)
         self._steps = 0
         self._began_cpu_ns = 0
@@ -84,8 +88,13 @@ class WatchedLaw(Timed):
 
     def asked_to_end(self, number: int, frame: FrameType | None) -> None:
         """The handler of the keeper's signal: raises Stopped. Out of that step it does nothing."""
-        if is_of_own_law(frame) and self.keeper is not None and self.keeper.lease.is_asked:
-            raise Stopped(self._too_long("its step was ended: it had taken"))
+        if not (is_of_own_law(frame) and self.keeper is not None and self.keeper.lease.is_asked):
+            return
+        try:
+            self._check_stop()
+        except Fault as asked:
+            raise Stopped(asked) from None
+        raise Stopped(self._too_long("its step was ended: it had taken"))
 
     def _cpu_s(self) -> float:
         return 1e-9 * (time.thread_time_ns() - self._began_cpu_ns)
@@ -202,7 +211,7 @@ def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
     """The law under watch, for the block; its device is armed within it. Notes where nobody watches."""
     virtual = not isinstance(session.bench.clock, MonotonicClock)
     times = law_times(session.experiment, virtual=virtual)
-    one = WatchedLaw(law, times)
+    one = WatchedLaw(law, times, session.loop.check_stop)
     with ExitStack() as stack:
         if sys.platform.startswith("linux"):
             try:

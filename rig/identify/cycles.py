@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.mean_cycle import Cycle, Half, Wave, average
+from rig.model.cycle_detector import GAP_PERIODS, GAP_SHARE
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 
@@ -124,7 +125,16 @@ def find_cycle(series: TimeSeries) -> Cycle:
         )
     resolution = series.resolution_rad()
     first, stop = _settled(series, waves, resolution)
-    used = tuple(waves[first:stop])
+    whole = _whole(series, waves, starts, stops)
+    after_whole = [True, *whole[:-1]]
+    used = tuple(waves[k] for k in range(first, stop) if whole[k] and after_whole[k])
+    if len(used) < FEWEST_CYCLES:
+        used = tuple(waves[k] for k in range(first, stop) if whole[k])
+    if len(used) < FEWEST_CYCLES:
+        raise IdentifyError(
+            f"{series.name}: only {len(used)} of {stop - first} settled cycles have no gap between their rows",
+            "record longer (relay.cycles); `rig doctor` tells why this machine stands still",
+        )
     rows = (series.first_row + starts[first], series.first_row + stops[stop - 1] - 1)
     notes = (gains.note, f"{len(used)} settled cycles of {len(waves)}, rows {rows[0]} to {rows[1]}")
     cycle = average(used, gains.h1_V, gains.h2_V, series.period_s, resolution, rows, notes, series.t_u_s is not None)
@@ -201,6 +211,15 @@ def _flips(side: Array, acts_s: Array) -> list[int]:
             break
         rows = np.delete(rows, [shortest, shortest + 1])
     return [int(row) for row in rows]
+
+
+def _whole(series: TimeSeries, waves: list[Wave], starts: list[int], stops: list[int]) -> list[bool]:
+    """Of each cycle, whether it has no gap between its rows: in a gap the relay switches late."""
+    steps = np.diff(series.t_s)
+    return [
+        float(steps[max(a - 1, 0) : b + 1].max()) <= max(GAP_PERIODS * series.period_s, GAP_SHARE * wave.period_s)
+        for wave, a, b in zip(waves, starts, stops, strict=True)
+    ]
 
 
 def _settled(series: TimeSeries, waves: list[Wave], resolution_rad: float) -> tuple[int, int]:

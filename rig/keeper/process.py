@@ -3,6 +3,7 @@
 ``python -m rig.keeper.process MEMORY SIGNALS`` gets its settings as one line on standard input, and says that it
 is ready on standard output. MEMORY is the descriptor of the ``LawLease``. From the descriptor SIGNALS it reads the
 number of each signal of the loop's process: the system writes it there even where the law holds the interpreter.
+It looks at the run's stop flag, too, which the loop cannot while the law is at work.
 
 What counts against a law is its own: the CPU time of its thread, and the time that it sleeps. Time in which the machine
 gave the law no processor, or in which it was stopped, does not; nor does time in which this process itself was late.
@@ -20,6 +21,7 @@ import os
 import select
 import signal
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -29,6 +31,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rig.faults import Fault
 from rig.keeper.terms import END, READY, LawTimes, asks, too_long_words
 from rig.live.law_lease import LawLease
+from rig.live.stop_flag import AskedStop
 from rig.loop.stop_request import STOP_SIGNALS
 
 if TYPE_CHECKING:
@@ -90,7 +93,7 @@ class Loop:
 
 @dataclass
 class Charge:
-    """What one step of the law has used up so far, s; in virtual time since the signal.
+    """What one step of the law has used up so far, s; in virtual time since somebody asked for a stop.
 
     step      its number
     from_s    CPU time of the thread when it began
@@ -137,8 +140,15 @@ class Watch:
 
     def __init__(self, loop: Loop, lease: LawLease, signals: int) -> None:
         self.signal = ""  # the first that asked the loop to stop
+        self.flagged = ""  # who did by the stop flag
         self.charge: Charge | None = None
         self._loop, self._lease, self._signals = loop, lease, signals
+
+    def hear_of(self, flag: AskedStop) -> None:
+        """Look at the run's flag until somebody asks for a stop; in a thread of its own, since a disk may hang."""
+        while not self.flagged:
+            self.flagged = flag.by()
+            time.sleep(LOOK_EVERY_S)
 
     def serve(self) -> str:
         """Returns how it ended: "in order", "loop died", or "taken"."""
@@ -165,7 +175,7 @@ class Watch:
         """Look at the law once; ask it to end, or take the link, when it is time."""
         loop, times = self._loop, self._loop.times
         step = self._lease.at_work
-        if step == 0 or (not loop.is_real and not self.signal):
+        if step == 0 or (not loop.is_real and not self.signal and not self.flagged):
             self.charge = None
             return False
         state, ran_s = loop.thread()
@@ -173,13 +183,14 @@ class Watch:
             return False  # what ran may have been the loop's own
         charge = self.charge
         if charge is None or charge.step != step:
-            # in virtual time what the law did before the signal is no fault of it
+            # in virtual time what the law did before somebody asked for a stop is no fault of it
             self.charge = Charge(step, 1e-9 * self._lease.cpu_ns if loop.is_real else ran_s)
             return False
         charge.look(state, ran_s)
-        if not charge.asked and (charge.cpu_s > times.cpu_s or charge.used_s > _ASKS_AT * times.lease_s):
+        too_long = charge.cpu_s > times.cpu_s or charge.used_s > _ASKS_AT * times.lease_s
+        if not charge.asked and (self.flagged or too_long):
             charge.asked = True
-            if loop.is_real:  # else the signal itself has asked
+            if loop.is_real or self.flagged:  # else the signal itself has asked
                 self._lease.ask(step)
                 os.kill(loop.pid, asks())
             return False
@@ -199,6 +210,7 @@ def main(arguments: list[str]) -> int:
     with contextlib.suppress(OSError):  # it is gone already, which the watch sees
         os.write(1, READY)
     watch = Watch(loop, lease, signals)
+    threading.Thread(target=watch.hear_of, args=(AskedStop(loop.folder),), daemon=True).start()
     ended = watch.serve()
     if ended == "in order":
         return 0
@@ -260,7 +272,7 @@ def _stopper(folder: Path, link: int | None) -> Driver | None:
     from rig.backends.registry import backend_of
     from rig.recording.folder import CONFIG
 
-    e = config.load(folder / CONFIG)
+    e = config.load(folder / CONFIG, follows_links=False)
     return backend_of(e).stopper(e, link)
 
 
@@ -286,7 +298,8 @@ def _words(loop: Loop, watch: Watch, charge: Charge, confirmed: bool) -> str:
     else:
         what = f"the law {loop.law}: its step did not return within {loop.times.lease_s:g} s of its time"
         stopped = "nothing moves in virtual time"
-    heeded = f"it heeded no signal{f', nor {watch.signal}' if watch.signal else ''}, so rig's process was ended"
+    asked = watch.signal or (watch.flagged and f"the Stop by {watch.flagged}")
+    heeded = f"it heeded no signal{f', nor {asked}' if asked else ''}, so rig's process was ended"
     return f"{what}; {heeded}; {stopped}"
 
 

@@ -14,7 +14,7 @@ class LawTimes(NamedTuple):
     """What a step of the law may take, s.
 
     cpu_s    CPU time; infinite in virtual time, where no shaft waits for it
-    lease_s  time that it is at work or asleep, until the keeper takes the link; in virtual time from a signal on
+    lease_s  time that it is at work or asleep, until the keeper takes the link; in virtual time since a signal or Stop
     words    what bounds the CPU time, for people
     """
 

@@ -28,7 +28,12 @@ class Running(NamedTuple):
 
 def running(parent: Path) -> list[Running]:
     """What goes on in the folders of ``parent``, the newest run last; nothing where it cannot be read."""
-    return _of(parent, _folders(parent))
+    found: list[Running] = []
+    looked: set[str] = set()
+    while new := set(_folders(parent)) - looked:  # a run may have taken its flag along into a folder made meanwhile
+        found += _of(parent, new)
+        looked |= new
+    return sorted(found, key=lambda one: one.folder.name)
 
 
 class Lookout:

@@ -136,9 +136,7 @@ class StopFlag:
     def asked_by(self) -> str:
         """Who asked for a stop; empty: nobody did. A read of memory: the loop calls it each tick."""
         page = self._page
-        if page is None or not page[_ASKED_AT]:
-            return ""
-        return plain(page.read(_BY_AT, _BY_SIZE).split(b"\0", 1)[0].decode(errors="replace")) or "somebody"
+        return "" if page is None or not page[_ASKED_AT] else _by(page)
 
 
 def request_stop(folder: Path, by: str = "panel") -> Runner:
@@ -174,6 +172,26 @@ def runner_of(folder: Path) -> Runner | None:
             return _runner(page) if page.is_owned else None
     except (OSError, ValueError):
         return None
+
+
+class AskedStop:
+    """Whether the run in ``folder`` was asked to stop, as another process sees it.
+
+    Nothing where it has no flag, or where that cannot be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._page: OthersPage | None = None
+        with suppress(OSError, ValueError):
+            self._page = OthersPage(folder / NAME)
+
+    def by(self) -> str:
+        """Who asked, as of ``StopFlag.asked_by``. It may wait for the disk."""
+        page = self._page
+        with suppress(OSError):
+            if page is not None and page.read(_ASKED_AT, 1) not in (b"", b"\0"):
+                return _by(page)
+        return ""
 
 
 class Unrecorded:
@@ -214,6 +232,10 @@ def _named(folder: Path) -> re.Match[str]:
     if found is None:
         raise ValueError(f"{folder} is the folder of a run")
     return found
+
+
+def _by(page: MappedPage | OthersPage) -> str:
+    return plain(page.read(_BY_AT, _BY_SIZE).split(b"\0", 1)[0].decode(errors="replace")) or "somebody"
 
 
 def _runner(page: OthersPage) -> Runner | None:

@@ -178,7 +178,8 @@ class Loop:
         driver = self._driver
         if not (isinstance(law, Pulsed) and isinstance(driver, PulseDriver) and driver.pulses):
             return driver.write
-        return lambda u_V: driver.write(u_V) if u_V == 0.0 else driver.write_pulse(u_V, law.pulse_s)
+        # 0 V of the guard goes out as a pulse, too: after a DRIVE the pulse's time would begin anew
+        return lambda u_V: driver.write_pulse(u_V, law.pulse_s) if law.pulse_s > 0.0 else driver.write(u_V)
 
     def run_in_device(
         self,

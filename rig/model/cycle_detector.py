@@ -6,6 +6,10 @@ import itertools
 import math
 from typing import NamedTuple
 
+GAP_PERIODS = 2.5  # of the sampling: a longer step between two samples is a gap, unless it is short beside a cycle
+GAP_SHARE = 0.02
+_LEAST_SAMPLES = 30  # of the shortest period
+
 
 class DetectedCycle(NamedTuple):
     """One period, from one upward crossing of the integral to the next.
@@ -26,13 +30,16 @@ class DetectedCycle(NamedTuple):
 class CycleDetector:
     """Finds periods from samples of position and its integral, and applies the acceptance rule (docs/theory.md 4.3).
 
-    min_period_s        30 sampling periods
+    min_period_s        30 sampling periods, s
     min_amplitude_rad   20 LSB
     spread              how far three periods in a row may differ, as a share of a period, and still be settled
 
     ``settled`` becomes true after three accepted periods in a row that differ by at most ``spread``, and whose
     amplitudes differ by at most twice that share. It becomes false at a period that is not accepted, or whose length or
     amplitude differs from the one before by more than six times ``spread``.
+
+    A period with a gap between two samples is left out: the relay switched late in it, and its turning points may not
+    have been seen. It neither counts nor unsettles the others.
 
     A period starts where z crosses zero upwards. There y is large, so noise on y cannot make z chatter.
     Three events must follow in this order: RA (largest y), RB (y falls through zero), RC (z falls through zero).
@@ -45,6 +52,7 @@ class CycleDetector:
         self.spread = spread
         self.cycles: list[DetectedCycle] = []
         self.settled = False
+        self.left_out = 0  # periods with a gap
         self._last: tuple[float, float, float] | None = None
         self._start_s = math.nan
         self._begin(0.0)
@@ -55,10 +63,12 @@ class CycleDetector:
         self._y_down_s = math.nan
         self._y_up_s = math.nan
         self._z_down_s = math.nan
+        self._longest_step_s = 0.0
 
     def forget(self) -> None:
         """Drop the cycles found so far. Call it when the gains change."""
         self.cycles.clear()
+        self.left_out = 0
         self.settled = False
         self._start_s = math.nan
 
@@ -68,6 +78,7 @@ class CycleDetector:
         if last is None:
             return None
         t0, y0, z0 = last
+        self._longest_step_s = max(self._longest_step_s, t_s - t0)
         if y_rad > self._max[0]:
             self._max = (y_rad, t_s)
         if y_rad < self._min[0]:
@@ -84,10 +95,16 @@ class CycleDetector:
         crossing_s = t0 + (t_s - t0) * z0 / (z0 - z_rad_s)
         cycle = None if math.isnan(self._start_s) else self._judge(crossing_s)
         self._start_s = crossing_s
+        has_gap = cycle is not None and self._longest_step_s > max(
+            GAP_PERIODS * self.min_period_s / _LEAST_SAMPLES, GAP_SHARE * cycle.period_s
+        )
         self._begin(t_s)
-        if cycle is not None:
-            self.cycles.append(cycle)
-            self._update_settled()
+        self._longest_step_s = t_s - t0  # a gap about the crossing is in both periods
+        self.left_out += has_gap
+        if cycle is None or has_gap:
+            return None
+        self.cycles.append(cycle)
+        self._update_settled()
         return cycle
 
     def _judge(self, end_s: float) -> DetectedCycle:

@@ -31,6 +31,7 @@ from rig.plain_file import read_plain
 
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
 CALIBRATION: Final = Path("the calibration")  # stands for one of this panel that has no flag yet
+_MOST_LOOKS: Final = 5  # of a Stop
 _CONFIRMED_FOR_S: Final = 600.0
 _AS_WATCHED: Final = ("--pace", "1")  # of a device in virtual time; the time of any other has that pace
 
@@ -224,10 +225,10 @@ class Bench:
         reached: list[Path] = []
         failed: dict[Path, str] = {}
         waiting: set[int] = set()
-        for look in (None, self.look):  # first what is known, then what a look at all folders finds
-            if look is not None:
-                look()
-            failed = {}
+        for attempt in range(_MOST_LOOKS):  # first what is known, then what a look at all folders finds
+            if attempt > 0:
+                self.look()
+            failed, has_moved = {}, False
             own = {process.pid for process in self.opening}
             own |= set() if self.calibration is None else {self.calibration.pid}
             unrecorded = [one for one in self._unrecorded if one.runner.pid not in own]  # those get a signal
@@ -236,12 +237,16 @@ class Bench:
                     try:
                         if self._stop(one, by):
                             reached.append(one.folder)
+                        else:
+                            has_moved = True  # over, or its flag is in its run folder by now
                     except StopError as error:
                         failed[one.folder] = str(error)
             for process in self.opening if name is None else ():
                 if process.pid not in waiting:  # a second signal would cost it its report
                     process.interrupt()
                     waiting.add(process.pid)
+            if attempt > 0 and not has_moved:
+                break
         if self.calibration is not None and name is None:
             is_run = self.calibration.pid in {one.runner.pid for one in self._running if one.folder in reached}
             if self.calibration.works and not is_run:

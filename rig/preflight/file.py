@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from rig.config.load import Given, load_with_places
+from rig.config.load import Given, load_with_places, read
 from rig.config.problems import ConfigError
 from rig.config.schema import Experiment
 from rig.preflight.rules import Preflight, preflight
@@ -17,7 +17,7 @@ def check(path: Given, passing: Collection[str] = (), pace: float | None = None)
     passing  keys, written with dots, whose problems do not count; for commands that drive nothing
     Raises ConfigError as ``load`` does, and also if the experiment must not be run: with line and key of each problem.
     """
-    experiment, document = load_with_places(path)
+    experiment, document = load_with_places(read(path, takes_pipe=True))
     experiment = experiment.at_pace(pace)
     found = preflight(experiment)
     problems = [problem for problem in found.problems if problem.key not in passing]

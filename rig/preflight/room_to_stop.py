@@ -158,6 +158,9 @@ def watchdog_words(e: Experiment) -> str:
     if longest_s is None:
         return ""
     told = f"watchdog: {1e3 * watchdog_s:g} ms, through which a host that stands still does no harm"
+    if watchdog_s > longest_s * (1.0 + _ROUNDING):
+        left_ms, wanted_ms = 1e3 * max(room_for_delay_s(e), 0.0), 1e3 * _LEFT_FOR_DELAY_S
+        return f"{told}; room for {left_ms:.0f} ms of further delay is left, with {longest_s:g} s {wanted_ms:.0f} ms"
     if watchdog_s >= longest_s * (1.0 - _ROUNDING):
         return told
     longer = e.model_copy(update={"daq": e.daq.model_copy(update={"watchdog_s": longest_s})})

@@ -126,7 +126,7 @@ def plug_in(monkeypatch: pytest.MonkeyPatch, device: str, ids: tuple[int | None,
     monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device=device, vid=ids[0], pid=ids[1])])
     monkeypatch.setattr(
         "rig.backends.serial.opening.SerialPort",
-        lambda *_: SimpleNamespace(close=lambda: closed.append(True), now_s=lambda: 0.0),
+        lambda *_, **__: SimpleNamespace(close=lambda: closed.append(True), now_s=lambda: 0.0),
     )
     return closed
 

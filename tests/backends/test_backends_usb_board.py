@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import serial
 from command_line import rig
 from raised import fault_of
 from serial.tools import list_ports
@@ -32,12 +35,16 @@ class Ports:
         monkeypatch.setattr(list_ports, "comports", lambda: self._ports)
         monkeypatch.setattr(module, "_BY_ID", folder / "by-id")
         (folder / "by-id").mkdir()
-        for opening in ("serial", "modbus"):
-            monkeypatch.setattr(f"rig.backends.{opening}.opening.SerialPort", self._opens)
+        self.meanwhile: Callable[[], None] = lambda: None  # what happens while a port is opened
+        monkeypatch.setattr(serial, "Serial", self._opens)
 
-    def _opens(self, port: str, *_: object) -> SimpleNamespace:
+    def _opens(self, port: str, *_: object, **__: object) -> SimpleNamespace:
         self.opened.append(port)
-        return SimpleNamespace(close=lambda: None, now_s=lambda: 0.0, keep_on=lambda: None)
+        self.meanwhile()
+        descriptor = os.open(os.devnull, os.O_RDWR)
+        return SimpleNamespace(
+            fileno=lambda: descriptor, close=lambda: os.close(descriptor), set_low_latency_mode=lambda _: None
+        )
 
     def plug(self, **numbers: str | None) -> None:
         """From now on these are there: names of ports, and their serial numbers."""
@@ -84,6 +91,15 @@ def test_swapped_boards_are_refused_before_they_are_opened_and_the_right_one_is_
     assert ports.opened == [one], "to open a board resets it"
     with unopened(bench_at(str(lasting), MINE, config)):
         pass  # by its lasting name, wherever it is
+
+
+@pytest.mark.parametrize("config", ["uno", "modbus-rtu"])
+def test_a_board_that_comes_to_the_port_while_it_is_opened_is_refused(ports: Ports, config: str) -> None:
+    ports.plug(ttyACM0=MINE)
+    ports.meanwhile = lambda: ports.plug(ttyACM0=OTHER)
+    fault = fault_of(unopened(bench_at(ports.path("ttyACM0"), MINE, config)).__enter__)
+    assert fault.code == "OTHER_BOARD" and f"serial number {OTHER}" in fault.detail
+    assert ports.opened == [ports.path("ttyACM0")]
 
 
 @pytest.mark.parametrize("number", [None, "", "0001", OTHER])

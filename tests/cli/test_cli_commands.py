@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from command_line import rig
@@ -52,10 +53,21 @@ def test_check_passes_every_config_of_the_project(name: str) -> None:
     assert "stop" in result.stdout
 
 
+@pytest.mark.parametrize(("name", "words"), [("demo", "verdict: ok"), ("campaign", "rig campaign")])
+def test_a_config_may_come_from_a_pipe(tmp_path: Path, name: str, words: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writer = Thread(target=(tmp_path / "pipe").write_bytes, args=((ROOT / f"config/{name}.yaml").read_bytes(),))
+    writer.start()
+    result = rig("check", tmp_path / "pipe")
+    writer.join()
+    assert result.exit_code == 0, result.output
+    assert words in result.stdout
+
+
 def test_bad_configs_end_with_status_2_and_no_traceback(tmp_path: Path) -> None:
     missing = rig("run", tmp_path / "none.yaml")
     assert missing.exit_code == 2
-    text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")
+    text = (ROOT / "config/quick.yaml").read_text(encoding="utf-8")
     broken = tmp_path / "broken.yaml"
     broken.write_text(text.replace("until:", "untill:"), encoding="utf-8")
     for command in ("run", "check", "relay", "emulate"):

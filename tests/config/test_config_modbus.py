@@ -175,7 +175,7 @@ def test_what_else_is_refused(daq: dict[str, Any], key: str, words: str) -> None
 
 
 def test_a_watchdog_that_its_register_cannot_hold() -> None:
-    assert "0.01 units" in problems(example({"watchdog": {"address": 9, "unit_s": 10.0}}))["daq.watchdog_s"]
+    assert "0.012 units" in problems(example({"watchdog": {"address": 9, "unit_s": 10.0}}))["daq.watchdog_s"]
     with pytest.raises(ValidationError, match="not both"):
         example(device_watchdog_s=0.2)
 
@@ -317,7 +317,8 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
 
 def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:
     fixed = example({"watchdog": None}, device_watchdog_s=0.3)
-    assert guard_settings_of(fixed).reaction_s - guard_settings_of(example()).reaction_s == pytest.approx(0.2)
+    more_s = guard_settings_of(fixed).reaction_s - guard_settings_of(example()).reaction_s
+    assert more_s == pytest.approx(0.3 - example().daq.watchdog_s)
     text = "\n".join(preflight(fixed).lines)
     assert "sets 0 V after 300 ms of silence, as set on it" in text
     assert "no room to stop" in problems(fixed)["limits.max_speed_rad_s"]

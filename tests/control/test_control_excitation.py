@@ -113,3 +113,18 @@ def test_second_gains_change_the_amplitude_and_keep_the_period() -> None:
     assert second[0] / first[0] == pytest.approx(1.0, rel=0.2)
     # upwards it would leave the reach: it goes down by as much instead
     assert search.second_gains(3.0) == search.second_gains(1.0 / 3.0)
+
+
+def test_a_period_with_a_gap_neither_counts_nor_unsettles_the_others() -> None:
+    def periods(left_out: range) -> tuple[int, bool]:
+        detector = CycleDetector(min_period_s=0.3, min_amplitude_rad=0.08)
+        for k in range(1000):
+            if k not in left_out:
+                angle = 2.0 * math.pi * 0.01 * k
+                # it swings wider where nobody looks
+                wide = 2.0 if left_out and 0 <= k - left_out.stop < 20 else 1.0
+                detector.step(0.01 * k, wide * math.cos(angle), math.sin(angle) / 6.3)
+        return len(detector.cycles), detector.settled
+
+    whole, is_settled = periods(range(0))
+    assert is_settled and periods(range(620, 632)) == (whole - 1, True)

@@ -14,12 +14,13 @@ from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, simulate
 
 from rig.backends.simulated.driver import SimulatedLatency
 from rig.control.guard import Guard, VelocityWindow
-from rig.control.law import Constant
+from rig.control.law import Constant, Timed
+from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.model.bench import DriveWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Sample
+from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
 
 
 def reading(t_s: float, y_rad: float, counts: int | None = None) -> Sample:
@@ -138,6 +139,26 @@ def test_it_brakes_inward_on_the_predicted_stop_only_once_the_sign_is_proven(sid
         assert side * guard.predicted_stop_rad > LIMITS.hard_rad[1]
         assert u_V == expected_V
         assert flags & FLAG_GUARD_BRAKED
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_brake_does_not_throw_a_light_motor_to_and_fro(seed: int) -> None:
+    """A tick of its largest drive gives this one twice its largest speed: motor 48 of `make stalls`, without stalls."""
+    limits, motor = Limits((-0.55, 0.55), (-1.95, 1.95), 3.0, 0.25), Motor(0.11, 29.7, coulomb(0.419))
+    known = replace(
+        GUARD, limits=limits, max_speed_rad_s=4.64, coast_tau_s=0.11, reaction_s=0.31, free_rad_s=3.0 * motor.K_rad_s_V
+    )
+    bench = simulated_bench(seed=seed, guard=known, start_rad=0.0, motor=motor)
+    bench.guard.sign_proven = True
+    fastest = 0.0
+
+    def look(_: float) -> None:
+        nonlocal fastest
+        fastest = max(fastest, abs(bench.driver.bench.state.v))
+
+    with bench.loop.armed(limits):
+        bench.loop.run(Timed(DualChannelRelay(0.154, 0.59, 0.7), 6.0, "relay"), "relay-1", look)
+    assert bench.guard.braked_ticks > 0 and fastest < 1.4 * known.max_speed_rad_s
 
 
 def test_the_predicted_stop_counts_the_reaction_watchdog_and_all_and_the_way_that_the_shaft_coasts() -> None:
@@ -326,7 +347,7 @@ def test_a_shaft_that_a_gap_made_too_fast_is_braked_and_is_a_fault_only_if_it_st
         for k in range(12):
             u_V, flags = guard.allow(reading(0.2 + 0.01 * k, y_rad), 3.0)
             if k in (3, 4):
-                assert u_V == -LIMITS.max_u_V and flags & FLAG_GUARD_BRAKED
+                assert u_V == pytest.approx(-LIMITS.max_u_V * guard.velocity_rad_s / 20.0) and flags & FLAG_GUARD_BRAKED
             y_rad, v_rad_s = y_rad + 0.01 * v_rad_s, left * v_rad_s
         return guard
 

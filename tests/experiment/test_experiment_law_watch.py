@@ -30,6 +30,7 @@ from rig.keeper import process as law_keeper
 from rig.keeper.process import LOOK_EVERY_S, Charge
 from rig.keeper.terms import LawTimes, asks
 from rig.live.law_lease import LawLease
+from rig.live.stop_flag import request_stop
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,7 +81,10 @@ def driven(law: Timed) -> tuple[Fault | None, Any]:
 
 @pytest.mark.parametrize(
     ("given", "bound_s", "key"),
-    [({}, PERIOD_S / 2, "loop.law_cpu_s, by default half a period"), ({"law_cpu_s": 0.008}, 0.008, "loop.law_cpu_s")],
+    [
+        ({}, PERIOD_S / 2, "loop.law_cpu_s, by default half a period, 2 ms at least"),
+        ({"law_cpu_s": 0.008}, 0.008, "loop.law_cpu_s"),
+    ],
 )
 def test_the_cpu_time_of_a_step_is_bounded(
     monkeypatch: pytest.MonkeyPatch, given: dict[str, float], bound_s: float, key: str
@@ -106,6 +110,12 @@ def test_virtual_time_bounds_no_cpu_time_so_a_run_is_the_same_on_any_machine(mon
     assert virtual.cpu_s == math.inf
     fault, _ = driven(WatchedLaw(Timed(Takes(Clocks(monkeypatch), 60.0, 60.0), 0.3, "own"), virtual))
     assert fault is None
+
+
+def test_a_page_fault_ends_no_fast_loop() -> None:
+    config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
+    fast = load({**config, "period_s": 0.001})
+    assert law_times(fast, virtual=False).cpu_s == 0.002
 
 
 def test_the_lease_is_as_long_as_a_watchdog_waits_or_twice_the_cpu_time() -> None:
@@ -269,6 +279,19 @@ def test_in_virtual_time_the_keeper_waits_for_a_signal(clock: list[float], monke
     assert one.asked == [], "the signal itself has asked"
 
 
+@pytest.mark.parametrize("is_real", [True, False])
+def test_the_keeper_asks_at_once_where_somebody_has_pressed_stop(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch, is_real: bool
+) -> None:
+    """The loop looks at the flag once a tick, and the law does not return to it."""
+    one = Watched(clock, monkeypatch, LawTimes(math.inf, 1.0, ""), is_real=is_real)
+    one.watch.flagged = "panel"
+    began_s = clock[0]
+    assert 1.0 <= one.taken_after_s(30.0) <= 1.0 + 3 * LOOK_EVERY_S
+    [asked_s] = one.asked
+    assert asked_s - began_s <= 2.5 * LOOK_EVERY_S
+
+
 # ---------------------------------------------------------------------- the keeper's process
 
 
@@ -328,6 +351,15 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
     with hanging_laws.offered(again):
         assert command("replay", folder).exit_code == 0
     assert command("report", folder).exit_code == 0
+
+
+def test_a_stop_of_a_panel_ends_a_law_that_does_not_return(tmp_path: Path) -> None:
+    host = hanging(tmp_path, "spins")
+    [folder] = (tmp_path / "runs").glob("2*")
+    request_stop(folder)
+    said = host.communicate(timeout=120)[1]
+    assert host.returncode == 1 and "INTERRUPTED" in said and "Stop by panel" in said
+    assert [event.kind for event in rig.read(folder).events][-3:] == ["stop", "fault", "end"]
 
 
 def test_a_run_whose_loop_is_killed_leaves_no_keeper(tmp_path: Path) -> None:

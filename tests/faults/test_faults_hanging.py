@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from faults import realtime
-from faults.realtime import DEVICES, NO_WATCHDOG, REAL_ROWS, RealDevice
+from faults.realtime import DEVICES, KILLED_LAW, NO_WATCHDOG, REAL_ROWS, RealDevice
 
 pytestmark = [pytest.mark.realtime, pytest.mark.long]
 
@@ -21,10 +21,11 @@ pytestmark = [pytest.mark.realtime, pytest.mark.long]
         ("law hangs in C, SIGINT twice", NO_WATCHDOG),
         ("law hangs in C", DEVICES[0]),
         ("law hangs, SIGTERM", NO_WATCHDOG),
+        (KILLED_LAW.name, NO_WATCHDOG),
     ],
     ids=str,
 )
 def test_a_law_that_hangs_leaves_no_drive(name: str, device: RealDevice) -> None:
-    [row] = [row for row in REAL_ROWS if row.name == name]
+    [row] = [row for row in (*REAL_ROWS, KILLED_LAW) if row.name == name]
     found = realtime.measure(row, device, 0.0)
     assert found.trouble == ()

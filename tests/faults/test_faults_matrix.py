@@ -250,6 +250,22 @@ def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPat
     assert any("samples lost" in words for words in found.trouble)
 
 
+@pytest.mark.parametrize("device", [d for d in DEVICES if d.key in ("board", "tcp")], ids=lambda d: d.key)
+@pytest.mark.parametrize("lost", [(), (60,), (60, 61, 62)], ids=len)
+@pytest.mark.parametrize("in_pause", [0, 5])
+def test_a_pause_of_any_length_neither_looks_like_lost_samples_nor_hides_them(
+    device: realtime.RealDevice, lost: tuple[int, ...], in_pause: int
+) -> None:
+    """In real time. Of Modbus the readings in a pause are counted in the rows, and not in what the host was told."""
+    more = in_pause if device.key == "tcp" else 0
+    first = 51 + device.between
+    rows = [{"stage": "breakaway", "seq": str(k)} for k in range(1, 51)]
+    rows += [{"stage": "relay-1", "seq": str(k + more)} for k in range(first, 101) if k not in lost]
+    told = list(range(1, 101))
+    keys = realtime._keys(device, rows)
+    assert realtime._lost(told, 1, keys, None, killed=False) - device.between == len(lost)
+
+
 @pytest.mark.parametrize("stage", [REST, ARMING], ids=_id)
 def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.MonkeyPatch, stage: Stage) -> None:
     """On a device without limits of its own nobody else would stop a shaft that is pushed slowly over one."""
@@ -483,6 +499,16 @@ def test_a_part_takes_the_place_of_its_lines_and_the_others_stay(tmp_path: Path)
     assert len(worst.recorded(tmp_path / "worst.json")) == 2
     assert render_summary(lines, ROWS, BACKENDS) == SUMMARY.read_text(encoding="utf-8")
     assert render_rows(lines, ROWS, BACKENDS) == PAGE.read_text(encoding="utf-8")
+
+
+def test_rows_in_real_time_take_the_place_of_their_own_in_the_order_of_the_matrix() -> None:
+    """`faults --real --keep`; what is no row any more goes."""
+    places = [("cable out", "board"), ("cable out", "chip"), ("port gone", "board")]
+    old = replace(kept.NONE, real=[["port gone", "board", "1 ms"], ["gone for good", "board", "2 ms"]])
+    new = old.with_real([("cable out", "chip", "3 ms")], places)
+    assert [tuple(cells) for cells in new.real] == [("cable out", "chip", "3 ms"), ("port gone", "board", "1 ms")]
+    again = new.with_real([("port gone", "board", "4 ms")], places)
+    assert [cells[2] for cells in again.real] == ["3 ms", "4 ms"]
 
 
 def test_an_injector_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:

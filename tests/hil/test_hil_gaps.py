@@ -7,61 +7,19 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from virtual_host import BENCH, HELD, SETUP, VirtualHost, armed_host
+from test_hil_pulses import LIMITS, driver_on
+from virtual_host import HELD
 
-from rig.backends.driver import Timeouts
-from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.frames import FEATURE_PULSE, STATUS_ARMED, Kind, pack_pulse
-from rig.calibration import Calibration, DriveMap, Scaling
 from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
 from rig.faults import Fault
 from rig.preflight.breakaway_strokes import UNSEEN_RAD
 from rig.preflight.room_to_stop import longest_watchdog_s, room_rad, stopping_terms
-from rig.signals import Limits
 from stalls.hostile_host import HostileHost, Stalls
 from stalls.rows import config_of, row
 
 CAMPAIGN = Campaign(name="stalls", experiments=500, seed=3)
-LIMITS = Limits((-1.1, 1.1), (-1.9, 1.9), 3.0, 0.25)
-SCALING = Scaling(Calibration([(24, -2.0015625), (1000, 2.0015625)]), DriveMap(12.0), (5, 1018))
-
-
-def test_a_pulse_ends_at_the_pin_whatever_the_host_does() -> None:
-    host = armed_host(HELD)
-    assert VirtualHost(VirtualBoard(BENCH)).hello().features & FEATURE_PULSE
-    host.send(Kind.PULSE, pack_pulse(100, 30))
-    host.board.sleep_until(host.heard_s + 0.0295)
-    assert host.pin_V() > 0.0
-    host.wait(0.002)
-    assert host.pin_V() == 0.0 and host.state().status & STATUS_ARMED  # and it is no fault
-    host.send(Kind.PULSE, pack_pulse(100, 30))
-    host.board.sleep_until(host.heard_s + 0.001)
-    assert host.pin_V() == 0.0  # one that comes late drives no more
-
-
-def driver_on(board: VirtualBoard | HostileHost) -> SerialDriver:
-    driver = SerialDriver(board, SCALING, Timeouts(0.03), session=SETUP.session, emulated=True)
-    driver.open()
-    driver.arm(LIMITS)
-    return driver
-
-
-def test_a_pulse_that_the_device_has_ended_is_reported_as_it_acted() -> None:
-    board = VirtualBoard(HELD)
-    driver = driver_on(board)
-    driver.write(0.0)
-    driver.read()
-    driver.write_pulse(1.0, 0.02)
-    sent_s = board.now_s()
-    board.sleep_until(sent_s + 0.2)
-    began = driver.read()
-    driver.write(0.0)
-    board.sleep_until(board.now_s() + 0.01)
-    ended = driver.read()
-    assert began.u_V == pytest.approx(1.0, abs=0.02) and 0.0 < began.t_u_s - sent_s < 0.004
-    assert ended.u_V == 0.0 and ended.t_u_s - began.t_u_s == pytest.approx(0.02, abs=0.0015)
 
 
 class _LateHost(HostileHost):

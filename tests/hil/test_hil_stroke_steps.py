@@ -5,6 +5,7 @@ A drive rises within its stroke, and what is less than half a step of the device
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -28,7 +29,7 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.preflight.breakaway_strokes import breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of
-from rig.signals import Limits
+from rig.signals import FLAG_GUARD_CLIPPED, Limits, Sample
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SENSORS = {"potentiometer": CONFIG / "demo-chip.yaml", "encoder": CONFIG / "encoder.yaml"}
@@ -85,6 +86,40 @@ def driven(e: Experiment, device: Any) -> list[tuple[int, float]]:
     finally:
         driver.close()
     return list(strokes(row["asked_V"] for row in record.rows))
+
+
+class _Clipping(Guard):
+    """Takes one drive of three, as near a limit."""
+
+    def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
+        passed_V, flags = super().allow(sample, asked_V)
+        return (0.0, FLAG_GUARD_CLIPPED) if sample.seq % 3 == 0 else (passed_V, flags)
+
+
+def test_neither_the_guard_nor_a_lost_frame_lets_a_stroke_last_longer_in_the_device() -> None:
+    """Each frame of a stroke is a pulse, and whichever of them comes first names the same end."""
+    e = bench(21.0)
+    device = virtual_board(e)
+    driver = serial_driver(e, Line(device, device, "virtual", emulated=True))
+    info = driver.open()
+    ends_s: list[float] = []  # of each pulse; nan: none, the drive was to go on
+    driver.write_pulse, send_pulse = (  # type: ignore[method-assign]
+        lambda u_V, longest_s: (ends_s.append(device.now_s() + longest_s), send_pulse(u_V, longest_s))[1],
+        driver.write_pulse,
+    )
+    driver.write, send = (  # type: ignore[method-assign]
+        lambda u_V: (ends_s.append(math.nan), send(u_V))[1],
+        driver.write,
+    )
+    record = ListSink()
+    loop = Loop(driver, device, _Clipping(guard_settings_of(e)), record, e.period_s, StopRequest())
+    check = breakaway_check(e, info.drive_units)
+    with pytest.raises(Fault, match=r"NO_MOTION|LINK_TIMEOUT"), loop.armed(e.device_limits):
+        loop.run(check, "breakaway")
+    driver.close()
+    of_strokes = [list(ends) for is_none, ends in groupby(ends_s, math.isnan) if not is_none]
+    assert len(of_strokes) > 4 and max(map(len, of_strokes)) > 3
+    assert all(max(ends) - min(ends) < 0.5 * e.period_s for ends in of_strokes)
 
 
 def strokes(asked_V: Iterator[float]) -> Iterator[tuple[int, float]]:

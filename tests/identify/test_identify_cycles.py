@@ -261,3 +261,12 @@ def test_too_few_and_unsettled_cycles_are_refused() -> None:
     stretched = np.cumsum(np.diff(base.t_s, prepend=0.0) * np.linspace(1.0, 4.0, len(base)))
     with pytest.raises(IdentifyError, match="settled"):
         find_cycle(TimeSeries(stretched, base.y_rad, None, base.u_V))
+
+
+def test_a_cycle_with_a_gap_and_the_next_one_are_not_averaged() -> None:
+    """In a gap of the host the relay switches late; the cycle after it has not settled again."""
+    base = relay_record()
+    kept = np.ones(len(base), dtype=bool)
+    kept[700:712] = False
+    cut = TimeSeries(base.t_s[kept], base.y_rad[kept], base.t_u_s[kept], base.u_V[kept])  # type: ignore[index]
+    assert find_cycle(cut).cycles == find_cycle(base).cycles - 2

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from processes import PATIENCE_S
 
+from rig.live import running as running_module
 from rig.live.born import born
 from rig.live.own_folder import NAME
 from rig.live.running import Running, running
@@ -310,6 +311,36 @@ def test_a_view_that_fails_says_so_and_ends_no_look(tmp_path: Path, monkeypatch:
         bench.panel.watch.look()
         [(_, told)] = bench.panel.watch.scene.news
         assert "cannot be shown (OverflowError: cannot convert)" in told["what"]
+
+
+@pytest.mark.parametrize("at", ["the list of folders is read", "the flag is set"])
+def test_a_stop_reaches_a_run_that_takes_its_flag_into_its_folder_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str
+) -> None:
+    folder = tmp_path / "20260101T000000Z-run-x"
+    with StopFlag() as flag:
+        flag.open(tmp_path, "run")
+
+        def moves(*_: object) -> None:
+            if not folder.exists():
+                folder.mkdir()
+                flag.begin(folder)
+
+        bench = Bench(None, tmp_path)
+        of, name = (running_module, "_folders") if at == "the list of folders is read" else (module, "request_stop")
+        original = getattr(of, name)
+
+        def raced(*arguments: Any) -> Any:
+            if of is module:
+                moves()
+                return original(*arguments)
+            found = original(*arguments)
+            moves()
+            return found
+
+        monkeypatch.setattr(of, name, raced)
+        assert bench.stop() == StopAnswer((folder,), (), "")
+        assert flag.asked_by() == "panel"
 
 
 def test_a_stop_of_a_run_that_is_not_there_says_so(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -363,6 +364,23 @@ def test_a_plain_file_is_opened_and_nothing_else(tmp_path: Path) -> None:
         read_plain("/dev/zero", 5, follows_links=True)
     with pytest.raises(FileNotFoundError):
         open_plain(tmp_path / "none")
+
+
+def test_a_pipe_is_read_to_its_end_only_where_a_user_may_have_named_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(NotPlainError, match="pipe"):
+        read_plain(tmp_path / "pipe", 5)
+    for content, most_bytes in ((b"12345", 5), (b"123456", 5)):
+        writer = Thread(target=(tmp_path / "pipe").write_bytes, args=(content,))
+        writer.start()
+        if len(content) > most_bytes:
+            with pytest.raises(TooLargeError):
+                read_plain(tmp_path / "pipe", most_bytes, takes_pipe=True)
+        else:
+            assert read_plain(tmp_path / "pipe", most_bytes, takes_pipe=True) == content
+        writer.join()
+    with pytest.raises(NotPlainError, match="device"):
+        read_plain("/dev/zero", 5, takes_pipe=True)
 
 
 @pytest.mark.parametrize("swapped_in", [lambda p: p.symlink_to("file"), os.mkfifo])

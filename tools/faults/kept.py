@@ -132,6 +132,11 @@ class Lines:
         untold = {device: cases for device, cases in self.untold.items() if device in of_old_run}
         return replace(self, lines=new, times=times, untold=untold)
 
+    def with_real(self, cells: Iterable[Sequence[object]], places: Iterable[tuple[str, str]]) -> Lines:
+        """These, with rows in real time that were measured now; of all only those of these places, in their order."""
+        rows = {tuple(row[:2]): row for row in (*self.real, *cells)}
+        return replace(self, real=[rows[place] for place in places if place in rows])
+
     def only(self, places: Iterable[Key]) -> Lines:
         """Those that are still in the matrix."""
         wanted = set(places)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
-from faults import realtime
+from faults import realtime, strangers
 from faults.backends import (
     BACKENDS,
     BARE,
@@ -23,10 +24,10 @@ from faults.backends import (
 )
 from faults.case import Found, measure, times, undisturbed
 from faults.kept import Key, Line
-from faults.realtime import DEVICES, REAL_ROWS, RealFound
+from faults.realtime import DEVICES, REAL_ROWS, EndedBefore, RealDevice, RealFound, RealRow
 from faults.rows import ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
-from shared.cases import in_order
+from shared.cases import in_order, spread
 
 PHASES = 4  # of the limit cycle
 OTHERS_SHARE = 0.25
@@ -34,7 +35,18 @@ OTHERS_SHARE = 0.25
 ALIKE = (
     "host SIGINT", "host SIGTERM", "host overloaded", "clock stepped", "disk full", "folder unwritable",
     "folder unwritable, in the run", "recorder killed", "config changed in the run", "friction too high to start",
+    *strangers.ACTS,
 )  # fmt: skip
+
+
+class Unmeasured(NamedTuple):
+    """A row in real time whose runs all ended before anything was done to them."""
+
+    row: str
+    device: str
+    why: str
+
+
 _BY_KEY = {backend.key: backend for backend in BACKENDS}
 _BY_NAME = {row.name: row for row in ROWS}
 
@@ -126,20 +138,20 @@ def in_virtual_time(
     ]
 
 
-def in_real_time(phases: int) -> list[RealFound]:
-    """Faults of the host's process and its link, at so many phases of the limit cycle.
+def real_places(rows: Sequence[RealRow] = REAL_ROWS) -> list[tuple[RealRow, RealDevice]]:
+    """Each row in real time on each device that it is tried on."""
+    return [(row, device) for row in rows for device in DEVICES if row.is_for(device)]
+
+
+def in_real_time(places: Sequence[tuple[RealRow, RealDevice]], phases: int) -> Iterator[RealFound | Unmeasured]:
+    """Faults of the host's process and its link, at so many phases of the limit cycle, as they get ready.
 
     Two cases run at a time, since they mostly sleep. Cases that load the machine run alone.
     """
-    cases = [
-        (number, which, k, phases)
-        for number, row in enumerate(REAL_ROWS)
-        for which, device in enumerate(DEVICES)
-        if row.is_for(device)
-        for k in range(phases)
-    ]
+    cases = [(REAL_ROWS.index(row), DEVICES.index(device), k, phases) for row, device in places for k in range(phases)]
     together = [case for case in cases if not REAL_ROWS[case[0]].alone]
-    return in_order(_real, together, jobs=2) + [_real(*case) for case in cases if case not in together]
+    yield from (found for _, found in spread(_real, together, jobs=2))
+    yield from (_real(*case) for case in cases if case not in together)
 
 
 def _virtual(name: str, key: str, stage_key: str, k: int, phases: int) -> Found:
@@ -150,8 +162,12 @@ def _virtual(name: str, key: str, stage_key: str, k: int, phases: int) -> Found:
     return measure(_BY_NAME[name], _BY_KEY[key], phase_at(k, phases), stage, restarts)
 
 
-def _real(number: int, which: int, k: int, phases: int) -> RealFound:
-    return realtime.measure(REAL_ROWS[number], DEVICES[which], phase_at(k, phases), restarts=k == 0)
+def _real(number: int, which: int, k: int, phases: int) -> RealFound | Unmeasured:
+    row, device = REAL_ROWS[number], DEVICES[which]
+    try:
+        return realtime.measure(row, device, phase_at(k, phases), restarts=k == 0)
+    except EndedBefore as error:
+        return Unmeasured(row.name, device.key, str(error))
 
 
 @lru_cache

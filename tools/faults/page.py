@@ -78,7 +78,7 @@ def _real_cells(found: Sequence[RealFound]) -> tuple[object, ...]:
     worst = max(found, key=lambda one: one.off_s - one.bound_s)
     shown = sorted({f"{one.code or '-'}, {one.status}" for one in found})
     runs_on = "runs on; " if worst.code == "" and worst.status >= 0 else ""
-    broken = "" if all(one.off_s <= one.bound_s for one in found) else " **broken**"
+    broken = " **broken**" if any(one.trouble for one in found) else ""
     return (
         worst.row,
         worst.device,

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml
 _DEVICE_PERIOD_S = 0.01  # of its trace
 _WAIT_S = 60.0
-_STARTS_S = 180.0  # `rig run` with its keeper, on a busy machine
+_STARTS_S = 180.0  # to start, and to get to a limit cycle, on a busy machine
 _ATTEMPTS = 3
 
 
@@ -164,13 +164,24 @@ def _stand_still(for_s: float) -> Callable[[Case], None]:
 
     def act(case: Case) -> None:
         stopped = [case.host.pid, *_children(case.host.pid), *([] if case.device is None else [case.device.pid])]
-        for pid in stopped:
-            os.kill(pid, signal.SIGSTOP)
-        time.sleep(for_s)
-        for pid in stopped:
-            os.kill(pid, signal.SIGCONT)
+        with _going_first():
+            began_s = time.monotonic()
+            try:
+                _tell(stopped, signal.SIGSTOP)
+                time.sleep(for_s)
+            finally:
+                _tell(stopped, signal.SIGCONT)
+            stood_s = time.monotonic() - began_s
+        if case.device is not None and for_s < _LONGEST_GAP_S < stood_s:
+            raise EndedBefore(f"this machine let it stand still for {1e3 * stood_s:.0f} ms, not {1e3 * for_s:.0f}")
 
     return act
+
+
+def _tell(pids: Sequence[int], number: signal.Signals) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):  # it has just ended
+            os.kill(pid, number)
 
 
 def _children(pid: int) -> list[int]:
@@ -295,6 +306,10 @@ DEVICES = (
 )  # fmt: skip
 _PROCESSES = tuple(device.key for device in DEVICES if not device.is_virtual and not device.is_bare)
 _FROZEN_S = (0.04, 0.08, 0.15, 1.0)
+_SILENT = ("DEVICE_WATCHDOG", "LINK_TIMEOUT")
+# a device that stood still for a second may find its shaft outside before it finds that nobody spoke to it
+_FROZEN_CODES = (("",), ("",), _SILENT, (*_SILENT, "DEVICE_TRAVEL", "DEVICE_SENSOR"))
+_LONGEST_GAP_S = 0.085  # that leaves the next drive the time to come before the watchdog acts
 _STALLED = bound("no drive is older than the watchdog allows", watchdog=1, tick=2)
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
 
@@ -318,12 +333,12 @@ def _law_row(name: str, way: str, code: str, status: int, *signals: signal.Signa
             case.host.send_signal(number)
             time.sleep(0.002)
 
-    by_signal = code == "INTERRUPTED"
+    by_signal = code != "LAW_TIME"  # else the law's time is what ends it
     return RealRow(
         name,
         f"a law of the user's own, `{way}`{' and signals' if signals else ''}",
         act,
-        SEEN if by_signal else _LEASE,
+        SEEN if code == "INTERRUPTED" else _LEASE,
         {"": (code,)},
         (status,),
         only=_LAW_DEVICES,
@@ -403,20 +418,19 @@ REAL_ROWS = (
     *(
         RealRow(
             f"whole machine frozen, {1e3 * for_s:.0f} ms",
-            "all processes of host and device stop together",
+            "all processes of host and device stop together; on the board the motor goes on meanwhile",
             _stand_still(for_s),
             _STALLED,
-            {
-                "virtual, paced": ("",),
-                "": ("DEVICE_WATCHDOG", "LINK_TIMEOUT", *(("",) if for_s < 0.1 else ())),
-            },
+            {"virtual, paced": ("",), "": codes},
             (0, 1),
             only=("board", "virtual, paced"),
         )
-        for for_s in _FROZEN_S
+        for for_s, codes in zip(_FROZEN_S, _FROZEN_CODES, strict=True)
     ),
     *_LAW_ROWS,
 )
+# no row of the page: the keeper stops the device here, and every other command has none
+KILLED_LAW = _law_row("law hangs, kill -9", "spins", "", -9, signal.SIGKILL)
 
 
 class EndedBefore(Exception):
@@ -453,14 +467,15 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             config["daq"]["port"] = device.start(board, check(path)[0], folder)
             path.write_text(yaml.safe_dump(config), encoding="utf-8")
             experiment = check(path)[0]
-            with _rig(folder, "run" if row.law else "relay", *device.options) as host, _before(row):
-                if row.law:
-                    hung_s = _await_mark(mark, host)
-                else:
-                    time.sleep(phase * _await_cycle(folder, host))
-                happened_s = hung_s if row.counts_from_hang else time.monotonic()
-                row.act(Case(host, board, folder / "link-fault"))
-                output = host.communicate(timeout=_WAIT_S)[0]
+            with _rig(folder, "run" if row.law else "relay", *device.options) as host:
+                with _going_first() if row.law else contextlib.nullcontext():
+                    if row.law:
+                        hung_s = _await_mark(mark, host)
+                    else:
+                        time.sleep(phase * _await_cycle(folder, host))
+                    happened_s = hung_s if row.counts_from_hang else time.monotonic()
+                    row.act(Case(host, board, folder / "link-fault"))
+                output = host.communicate(timeout=_STARTS_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
             trace = _rows_as_trace(folder) if device.is_virtual else _trace(folder)
             (folder / "link-fault").unlink(missing_ok=True)
@@ -498,7 +513,7 @@ def _rig(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 def _restart(folder: Path) -> str:
     with _rig(folder, "jog", "--u-V", "0.8", "--seconds", "0.2") as host:
-        output = host.communicate(timeout=_WAIT_S)[0]
+        output = host.communicate(timeout=_STARTS_S)[0]
     return "moves" if host.returncode == 0 and " rad" in output else f"refused: {output[-200:]}"
 
 
@@ -513,9 +528,12 @@ def _events_at_end(folder: Path, row: RealRow, *, killed: bool) -> list[dict[str
 
     Raises RuntimeError.
     """
-    last = "fault" if row.law else "loop_died"
+
+    def is_last(event: Mapping[str, Any]) -> bool:
+        return event.get("by") == "keeper" if row.law else event["kind"] == "loop_died"
+
     deadline_s = time.monotonic() + _WAIT_S
-    while killed and not any(event["kind"] == last for event in _events(folder)):
+    while killed and not any(map(is_last, _events(folder))):
         if time.monotonic() > deadline_s:
             raise RuntimeError("nobody says that the loop died")
         time.sleep(0.01)
@@ -529,7 +547,7 @@ def _rows(folder: Path) -> list[dict[str, str]]:
 
 def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
     """Until FIRST_CYCLE is over; its length, s. Raises EndedBefore."""
-    deadline_s = time.monotonic() + _WAIT_S
+    deadline_s = time.monotonic() + _STARTS_S
     while True:
         cycles = [event for event in _events(folder) if event["kind"] == "cycle"]
         if len(cycles) >= FIRST_CYCLE:
@@ -541,11 +559,8 @@ def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
 
 
 @contextlib.contextmanager
-def _before(row: RealRow) -> Iterator[None]:
-    """A law that spins at the loop's priority leaves little to this process, which has to send signals to it."""
-    if not row.law:
-        yield
-        return
+def _going_first() -> Iterator[None]:
+    """A priority above the loop's, for the block: a law that spins at that one leaves little to this process."""
     with contextlib.suppress(OSError):  # then the loop has no such priority either
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(70))
     try:
@@ -615,7 +630,7 @@ def _judged(row: RealRow, device: RealDevice, phase: float, experiment: Experime
     bound_s = row.bound.seconds(times) + late_s
     lost = 0
     if not row.law and not device.is_virtual:  # the reading of a hang is no row, and none before it is lost
-        lost = _lost(run.told, device.apart, run.rows, run.fault, killed=run.killed) - device.between
+        lost = _lost(run.told, device.apart, _keys(device, run.rows), run.fault, killed=run.killed) - device.between
     low, high = experiment.limits.hard_rad
     trouble = []
     if not off_s <= bound_s:
@@ -676,19 +691,31 @@ def _device_late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
     return max(max(1e-6 * float(r["io_us"]) for r in run.rows[:-1]) - exchange_s, 0.0)
 
 
-def _lost(
-    told: list[int], apart: int, rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool
-) -> int:
+def _keys(device: RealDevice, rows: list[dict[str, str]]) -> list[int]:
+    """The keys of the rows, as in what the host has received.
+
+    A Modbus driver counts its readings in a pause, too: the longer the pause, the more. Of these there are as many here
+    as if the pause had been too short for any.
+    """
+    keys = [int(row["seq"]) for row in rows]
+    first = next((k for k, row in enumerate(rows) if kind_of(row["stage"]) is StageKind.RELAY), 0)
+    if "modbus" not in device.backend.traits or first == 0:
+        return keys
+    in_pause = keys[first] - keys[first - 1] - 1 - device.between
+    return keys[:first] + [key - in_pause for key in keys[first:]]
+
+
+def _lost(told: list[int], apart: int, keys: list[int], fault: Mapping[str, Any] | None, *, killed: bool) -> int:
     """Samples that the host received and the recording lacks.
 
+    keys   of the rows
     apart  least distance between the keys of two samples; what is nearer was asked for again, and answered twice
 
     The last one of a killed host may have been received and not yet looked at; of a run without a fault it is no row;
     and after a time-out it came too late.
     """
-    first = int(rows[0]["seq"])
-    recorded = {int(row["seq"]) for row in rows}
-    told = told[told.index(first) :]
+    recorded = set(keys)
+    told = told[told.index(keys[0]) :]
     missing = [seq for seq in told if recorded.isdisjoint(range(seq - apart + 1, seq + apart))]
     too_late = fault is not None and fault["code"] in ("LINK_TIMEOUT", "LINK_REPLY")
     may_miss = killed or fault is None or too_late or "counts" in str(fault["detail"])

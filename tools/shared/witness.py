@@ -1,11 +1,12 @@
 """Whether this machine stood still: a process beside a run in real time that sees nothing of the run.
 
-On each core that it may use it sleeps on an absolute grid, at the priority of rig's loop, and writes down when it came
-late. A pseudo-terminal's bytes are carried by workers of the kernel, which may have to wait where no process of that
-priority does: with ``pty`` it also sends itself a byte at each tick, and writes down how long that was under way.
+On each core that it may use it sleeps on an absolute grid, and notes when it came late. Its priority is above all that
+rig has, and it prints nothing before its end: so it takes neither rig's sums nor its own waits for the machine's. A
+pseudo-terminal's bytes are carried by workers of the kernel, which may have to wait where no process of that priority
+does: with ``pty`` it also sends itself a byte at each tick, and notes how long that was under way.
 
-``python witness.py PTY``, PTY 0 or 1: prints ``ready``, then a line for each stall: when it began, s of the monotonic
-clock, and its length, s. It ends with its standard input.
+``python witness.py PTY``, PTY 0 or 1: prints ``ready``; when its standard input ends, a line for each stall: when it
+began, s of the monotonic clock, and its length, s.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 TICK_S = 0.005
-SEEN_S = 0.010  # shorter ones are not written down
-PRIORITY = 60  # of rig's loop
+SEEN_S = 0.010  # shorter ones are not noted
+PRIORITY = 75  # rig's loop has 60, its keeper 61, emulated devices have 70
 
 
 class Stall(NamedTuple):
@@ -73,20 +74,16 @@ def longest_s(stalls: list[Stall]) -> float:
     return max((stall.lasted_s for stall in stalls), default=0.0)
 
 
-def _watch(core: int, over: threading.Event, done_s: Callable[[], float]) -> None:
-    """Sleep on the grid on that core, and write down what came late. ``done_s``: when the tick is done, s."""
+def _watch(core: int, over: threading.Event, done_s: Callable[[], float], stalls: list[Stall]) -> None:
+    """Sleep on the grid on that core, and note what came late. ``done_s``: when the tick is done, s."""
     os.sched_setaffinity(0, {core})  # of this thread
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    except PermissionError:
-        sys.stderr.write("no real-time priority: the witness sees what an ordinary process sees\n")
     due_s = time.monotonic()
     while not over.is_set():
         due_s += TICK_S
         time.sleep(max(due_s - time.monotonic(), 0.0))
         late_s = done_s() - due_s
         if late_s > SEEN_S:
-            os.write(1, f"{due_s:.6f} {late_s:.6f}\n".encode())
+            stalls.append(Stall(due_s, late_s))
             due_s += late_s
 
 
@@ -108,12 +105,16 @@ def _own_pty() -> Callable[[], float]:
 
 def main() -> None:
     """Watch until standard input ends."""
-    over = threading.Event()
+    try:  # all threads alike: one that holds the interpreter is not to wait for an ordinary process
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except PermissionError:
+        sys.stderr.write("no real-time priority: the witness sees what an ordinary process sees\n")
+    over, stalls = threading.Event(), list[Stall]()
     cores = sorted(os.sched_getaffinity(0))
     watched: list[tuple[int, Callable[[], float]]] = [(core, time.monotonic) for core in cores]
     if sys.argv[1] == "1":
         watched.append((cores[0], _own_pty()))
-    threads = [threading.Thread(target=_watch, args=(core, over, done_s)) for core, done_s in watched]
+    threads = [threading.Thread(target=_watch, args=(core, over, done_s, stalls)) for core, done_s in watched]
     os.write(1, b"ready\n")
     for thread in threads:
         thread.start()
@@ -121,6 +122,8 @@ def main() -> None:
     over.set()
     for thread in threads:
         thread.join()
+    for stall in stalls:
+        print(f"{stall.began_s:.6f} {stall.lasted_s:.6f}")
 
 
 if __name__ == "__main__":

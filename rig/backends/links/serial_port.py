@@ -10,6 +10,7 @@ import sys
 import time
 
 from rig.backends.links.holder import holder_of_file
+from rig.backends.links.usb_port import check_board
 from rig.faults import Fault
 
 _READ_BYTES = 512
@@ -23,12 +24,15 @@ class SerialPort:
     root's.
 
     parity       N, E or O
+    usb_serial   number on USB that it has to have; None: any
     low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
                  and some USB chips have no such mode
-    Raises Fault LINK_OPEN if the port cannot be opened.
+    Raises Fault LINK_OPEN if the port cannot be opened; OTHER_BOARD as ``check_board``.
     """
 
-    def __init__(self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1) -> None:
+    def __init__(
+        self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1, usb_serial: str | None = None
+    ) -> None:
         if sys.platform == "win32":
             raise Fault(
                 "LINK_OPEN",
@@ -37,12 +41,18 @@ class SerialPort:
             )
         import serial  # not everywhere can it be loaded
 
+        check_board(port, usb_serial)  # first: opening a port resets most boards
         try:
             self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
             raise Fault("LINK_OPEN", f"{port}: {_why_not_open(port, error)}") from error
         self._port = port
         self._fd: int = self._serial.fileno()
+        try:
+            check_board(port, usb_serial)  # again: the boards may have been plugged in anew meanwhile
+        except Fault:
+            self._serial.close()
+            raise
         self._keep_others_out(keeps=True)
         try:
             self._serial.set_low_latency_mode(True)

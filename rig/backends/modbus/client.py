@@ -18,6 +18,7 @@ from rig.faults import Fault
 
 ATTEMPTS = 3  # of a request outside the tick
 _UNASKED_BYTES = 5  # the shortest reply; fewer between two exchanges are noise on the line
+_TOO_SOON = 0.5  # of the fastest exchange: no device replies within it
 _ENDLESS_BYTES = 2000  # of a line that is never quiet
 
 
@@ -60,6 +61,14 @@ class Reply(NamedTuple):
     executed_s: float
     round_trip_s: float
     reckoned_s: float
+
+
+class _Sent(NamedTuple):
+    """A request that left between two times, s, and its length."""
+
+    from_s: float
+    by_s: float
+    bytes: int
 
 
 class ModbusClient:
@@ -148,14 +157,15 @@ class ModbusClient:
 
     # ------------------------------------------------------------------ bytes
 
-    def _send(self, request: Request) -> tuple[float, int]:
-        """Send a request; when, and how many bytes."""
+    def _send(self, request: Request) -> _Sent:
+        """Send a request."""
         self._number = self._number % 0xFFFF + 1
         data = self._framing.encode(request.pdu, self._line.unit, self._number)
         sent_s = self._transport.now_s()
         self._transport.write(data)
-        self._quiet_until_s = sent_s + self._line.wire_s(len(data)) + self._line.pause_s
-        return sent_s, len(data)
+        by_s = self._transport.now_s()
+        self._quiet_until_s = by_s + self._line.wire_s(len(data)) + self._line.pause_s
+        return _Sent(sent_s, by_s, len(data))
 
     def _drain(self) -> int:
         """Throw away what came unasked, and let the line be silent as long as it must; how many bytes."""
@@ -176,17 +186,16 @@ class ModbusClient:
             self._counts["stale_bytes"] += len(data)
             self._quiet_until_s = self._transport.now_s() + self._line.pause_s
 
-    def _await(self, request: Request, timeout_s: float, sent: tuple[float, int], *, strict: bool) -> Reply:
+    def _await(self, request: Request, timeout_s: float, sent: _Sent, *, strict: bool) -> Reply:
         """The reply to a request; raises as ``in_tick``.
 
         strict  the first thing that comes is the reply, or a fault; else what does not fit is thrown away
         """
         transport = self._transport
-        sent_s, sent_bytes = sent
         self._counts["exchanges"] += 1
-        until_s = sent_s + timeout_s
+        until_s = sent.by_s + timeout_s
         data = b""
-        received_s = sent_s
+        received_s = sent.by_s
         objection: Fault | None = None
         is_read = True  # all of ``data`` has been looked at
         while True:
@@ -213,7 +222,7 @@ class ModbusClient:
                 if fault.code == "MODBUS_EXCEPTION":
                     raise
             else:
-                return self._accepted(frame, data, sent_s, sent_bytes, received_s, strict=strict)
+                return self._accepted(frame, data, sent, received_s, strict=strict)
             if strict:
                 raise objection
             # over TCP replies that were late come together, and the one to this request is the last
@@ -229,9 +238,7 @@ class ModbusClient:
             "LINK_TIMEOUT", f"no reply from unit {self._line.unit} within {timeout_s * 1e3:g} ms, asked for {about}"
         )
 
-    def _accepted(
-        self, frame: Frame, data: bytes, sent_s: float, sent_bytes: int, received_s: float, *, strict: bool
-    ) -> Reply:
+    def _accepted(self, frame: Frame, data: bytes, sent: _Sent, received_s: float, *, strict: bool) -> Reply:
         extra = len(data) - frame.length
         if extra:
             self._counts["stale_bytes"] += extra
@@ -240,15 +247,17 @@ class ModbusClient:
                     f"{extra} bytes beyond the reply: another master, or two answers to one request; the reply is "
                     f"{data[: frame.length].hex(' ')}"
                 )
-        took_s = received_s - sent_s
-        to_device_s, reckoned_s = self._reckoned_s(sent_bytes, frame.length)
+        to_device_s, reckoned_s = self._reckoned_s(sent.bytes, frame.length)
+        # a host that stood still while it sent, did so before the request left, unless the reply was there too soon
+        since_s = sent.by_s if received_s - sent.by_s >= _TOO_SOON * self._pace * reckoned_s else sent.from_s
+        took_s = received_s - since_s
         # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits for the
         # adapter, the system's buffers and this process (measured in docs/modbus.md); of an exchange quicker than the
         # sum both ways were
         until_executed_s = self._pace * to_device_s
         if reckoned_s > 0.0:
             until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
-        return Reply(frame.pdu, sent_s + until_executed_s, took_s, reckoned_s)
+        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s)
 
     def _reckoned_s(self, sent_bytes: int, received_bytes: int) -> tuple[float, float]:
         """What an exchange takes by the config: until the device executes it, and until the reply is here."""

@@ -13,7 +13,6 @@ from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.words import in_virtual_time
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
-from rig.backends.links.usb_port import check_board
 from rig.backends.modbus.client import ModbusLine
 from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
@@ -46,8 +45,7 @@ def _transport(e: Experiment, port: str) -> Transport:
     modbus = _modbus_of(e)
     if is_tcp(port):
         return TcpTransport(*tcp_address(port), e.daq.open_timeout_s, modbus.unit)
-    check_board(port, e.daq.usb_serial)
-    return SerialPort(port, e.daq.baud, modbus.parity[0].upper(), modbus.stop_bits)
+    return SerialPort(port, e.daq.baud, modbus.parity[0].upper(), modbus.stop_bits, e.daq.usb_serial)
 
 
 def modbus_driver(

@@ -126,6 +126,13 @@ class _Pulse(NamedTuple):
     is_first: bool
 
 
+class _Ended(NamedTuple):
+    """A pulse that the device has ended by itself: its drive, V, and when it ended, s of the host."""
+
+    u_V: float
+    t_s: float
+
+
 @dataclass(frozen=True)
 class ByHand:
     """What a hand has done to the shaft of an encoder before the device is opened.
@@ -192,7 +199,7 @@ class SerialDriver:
         self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
         self._t_u_s = math.nan
         self._pulse: _Pulse | None = None  # sent last, if no other drive was
-        self._pulse_ended_s = math.nan  # by the device itself, not reported yet
+        self._ended: _Ended | None = None  # and that the device has ended it is not reported yet
         self._asked_again = 0
         self._again_in_a_row = 0
         self._drives_lost = 0
@@ -321,7 +328,7 @@ class SerialDriver:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
-        self._pulse, self._pulse_ended_s = None, math.nan
+        self._pulse = self._ended = None
         self._lost_in_a_row = 0
         self._again_in_a_row = 0
         self._driven = False
@@ -374,9 +381,7 @@ class SerialDriver:
         u_V = self.drive_map.to_volts(state.drive)
         if self._driven and state.t_drive_us != self._t_drive_us:
             self._t_drive_us = state.t_drive_us
-            u_V = self._drive_since(self._clock.to_host_s(state.t_drive_us, now_s), u_V)
-        elif self._pulse is None and not math.isnan(self._pulse_ended_s):
-            self._t_u_s, self._pulse_ended_s = self._pulse_ended_s, math.nan
+            self._note_drive(self._clock.to_host_s(state.t_drive_us, now_s), u_V)
         tachometer = self.tachometer
         return Sample(
             self._clock.to_host_s(state.t_sample_us, now_s),
@@ -386,22 +391,21 @@ class SerialDriver:
             if tachometer is None or state.tach == frames.NO_TACHOMETER
             else tachometer.to_rad_per_s(state.tach),
             self._t_u_s if self._driven else math.nan,
-            u_V,
+            u_V if self._ended is None else self._ended.u_V,
             packet.seq,
         )
 
-    def _drive_since(self, t_u_s: float, u_V: float) -> float:
-        """Take a new time of effect, and the drive since then, V. Returns the drive to report, with ``_t_u_s``.
+    def _note_drive(self, t_u_s: float, u_V: float) -> None:
+        """Take a new time of effect, and the drive since then, V.
 
-        A pulse that the device has ended is reported as it acted; its end follows with the next drive, which is 0 V.
+        A pulse that the device has ended is reported as it acted, until the next drive is sent: then its end is.
         """
-        pulse, self._pulse_ended_s = self._pulse, math.nan
-        if u_V == 0.0 and pulse is not None and pulse.sent_s < t_u_s:
+        pulse, self._ended = self._pulse, None
+        if u_V == 0.0 and pulse is not None and pulse.u_V != 0.0 and pulse.sent_s < t_u_s:
             self._t_u_s = t_u_s - pulse.longest_s if pulse.is_first else max(pulse.sent_s, self._t_u_s)
-            self._pulse_ended_s = t_u_s
-            return pulse.u_V
-        self._t_u_s = t_u_s
-        return u_V
+            self._ended = _Ended(pulse.u_V, t_u_s)
+        else:
+            self._t_u_s = t_u_s
 
     def _ask_state(self) -> Packet:
         """READ, until the device answers: again at once after a damaged frame, or when most of the time-out is over.
@@ -415,7 +419,7 @@ class SerialDriver:
         ends_s = self._ends_s(sent_s)
         until_s = sent_s + _ASK_AGAIN * self._timeout_s
         while True:
-            damage_ends = len(seqs) < _READS_AT_ONCE and until_s < ends_s
+            damage_ends = len(seqs) < _READS_AT_ONCE
             packet = self._exchange.wait(seqs, Kind.STATE, min(until_s, ends_s), damage_ends=damage_ends)
             if packet is not None:
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
@@ -446,8 +450,7 @@ class SerialDriver:
         Beyond the drive that it is armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
         """
         self._pulse = None
-        self._heard_s = self._exchange.now_s()
-        self._unconfirmed = self._exchange.send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
+        self._send_drive(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
 
     def write_pulse(self, u_V: float, longest_s: float) -> None:
         """As ``write``; the device ends the drive ``longest_s`` after the first of them, in whole ms, rounded up.
@@ -460,11 +463,16 @@ class SerialDriver:
         if not 0 <= longest_ms <= _LONGEST_PULSE_MS:
             raise ValueError(f"a pulse lasts 0 to {_LONGEST_PULSE_MS} ms, not {longest_ms}")
         units = self.drive_map.to_units(u_V)
-        self._heard_s = self._exchange.now_s()
-        self._unconfirmed = self._exchange.send(Kind.PULSE, frames.pack_pulse(units, longest_ms))
+        self._send_drive(Kind.PULSE, frames.pack_pulse(units, longest_ms))
         self._pulse = _Pulse(
             self.drive_map.to_volts(units), self._exchange.now_s(), 1e-3 * longest_ms, is_first=self._pulse is None
         )
+
+    def _send_drive(self, kind: Kind, body: bytes) -> None:
+        if self._ended is not None:
+            self._t_u_s, self._ended = self._ended.t_s, None
+        self._heard_s = self._exchange.now_s()
+        self._unconfirmed = self._exchange.send(kind, body)
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.

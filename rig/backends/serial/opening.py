@@ -16,7 +16,7 @@ from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.shaft import traced
 from rig.backends.links.serial_port import SerialPort
-from rig.backends.links.usb_port import check_adapter, check_board
+from rig.backends.links.usb_port import check_adapter
 from rig.backends.serial.driver import ByHand, SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.chip_board import ChipBoard
@@ -68,8 +68,7 @@ def _virtual_line(e: Experiment, port: str) -> Line:
 
 
 def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
-    check_board(port, e.daq.usb_serial)
-    transport = SerialPort(port, e.daq.baud)
+    transport = SerialPort(port, e.daq.baud, usb_serial=e.daq.usb_serial)
     if e.sensor.encoder is not None:
         transport.keep_on()
     if not emulated:

@@ -823,6 +823,15 @@ def test_a_garbled_reply_is_asked_for_again_at_once_and_is_never_another_reading
     assert driver.link_statistics["timeouts"] == 0
 
 
+def test_two_garbled_replies_in_a_row_are_asked_for_again_at_once_though_nothing_is_armed() -> None:
+    port, driver = opened()
+    for _ in range(2):
+        port.expect(Kind.READ, b"", (0.001, b"\x55\0"))
+    port.expect_read(counts=223)
+    assert driver.read().y_counts == 223
+    assert driver.link_statistics["timeouts"] == 0
+
+
 def test_three_garbled_replies_end_in_the_time_out() -> None:
     port, driver = armed()
     for _ in range(3):
