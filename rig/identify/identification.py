@@ -206,7 +206,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if asked.choose_law:
-        _add_motor_law(data, found, each)
+        _add_motor_law(data, found, each, any(map(_was_known, recordings)))
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_friction_law(data, static, found)
@@ -371,10 +371,13 @@ def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], f
         return
 
 
-def _add_motor_law(data: Measurements, found: Identification, each: Sequence[RecordingEstimate]) -> None:
+def _add_motor_law(
+    data: Measurements, found: Identification, each: Sequence[RecordingEstimate], was_known: bool
+) -> None:
     """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
 
-    each   what each recording alone says; empty if there is one
+    each        what each recording alone says; empty if there is one
+    was_known   whether the tests of one ended because its live fit knew the motor
     The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
     """
     plain = _leading(data, found)
@@ -385,7 +388,9 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
         _doubt(found, spoiled)
         return
     try:
-        law = motor_law(data.tests, plain, data.periods_s, data.stated, data.further, data.recording_of)
+        law = motor_law(
+            data.tests, plain, data.periods_s, data.stated, data.further, data.recording_of, was_known=was_known
+        )
     except IdentifyError as error:
         _doubt(found, error.cause)
         return

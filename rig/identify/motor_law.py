@@ -308,6 +308,8 @@ def motor_law(
     stated: Sequence[StatedErrors] = (StatedErrors(),),
     further: Sequence[Further] = (),
     recording_of: Sequence[str] | None = None,
+    *,
+    was_known: bool = False,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
@@ -315,6 +317,7 @@ def motor_law(
     stated        what is known of the benches that recorded them; at least one
     further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
+    was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
@@ -337,25 +340,26 @@ def motor_law(
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     of_windows = [*names, *(names[number] for _, number in further)]
     parts = with_own_noise(choice.fit)
-    fit = joined(parts, of_windows)
+    fit = joined(parts, of_windows) if was_known else parts
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
-    bare = bare_fits(fit, choice.laws, begun.chooser)
+    covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
+    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
+    bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
-    by_size = profiles(fit, choice.laws, begun.chooser)
-    lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad))
+    by_size = profiles(parts, choice.laws, begun.chooser)
+    own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
+    lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad), own)
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
         return MotorLaw((), (), None, lines, growth, records, tuple(left_out))
-    covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
     return MotorLaw(
-        tuple(_found(law, fit, covariance, gained(fit, bare[law.name])) for law in choice.laws),
+        tuple(_found(law, fit, covariance, gained(parts, bare[law.name])) for law in choice.laws),
         tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, fit if fit is parts else free_run, tested, plain, periods_s),
         lines,

@@ -76,19 +76,26 @@ class Budget:
         return {name: math.hypot(*(getattr(entry, name) for entry in self.entries)) for name in OF}
 
 
-def budget(nuisances: Nuisances, by_size: Sequence[Profile], instead: Sequence[InPlace], scales: ScaleErrors) -> Budget:
+def budget(
+    nuisances: Nuisances,
+    by_size: Sequence[Profile],
+    instead: Sequence[InPlace],
+    scales: ScaleErrors,
+    scatter: Array | None = None,
+) -> Budget:
     """The budget of a fit with its chosen laws.
 
     nuisances   the laws that it has not
     by_size     laws in which the motion is not linear, size by size
     instead     those that could stand in place of a chosen one
     scales      how well the bench's volt, radian and second are known
+    scatter     (3,) variances of tau, K and friction by the noise alone; None: those of the fit
     """
     shifts = Shifts.of(nuisances)
     hidden = Hidden.of(shifts, nuisances.each, by_size)
     motor = nuisances.fit.motor
     entries = [
-        Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter)).tolist()),
+        Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter if scatter is None else scatter)).tolist()),
         *hidden.lines(),
         *instead_of(instead),
         *absolute(motor, scales),
