@@ -39,7 +39,7 @@ def test_the_whole_experiment_on_the_pico_finds_the_truth(tmp_path: Path) -> Non
 
 def test_the_relay_in_the_pico_finds_the_truth(tmp_path: Path) -> None:
     gains = [{"h1_V": 0.42, "h2_V": 0.84}]
-    outcome = run_on("emulated-pico", tmp_path, demo(), until=None, where="device", gains=gains, cycles=7)
+    outcome = run_on("emulated-pico", tmp_path, demo(), target=None, where="device", gains=gains, cycles=7)
     finds_the_truth(outcome, 0.01)
     assert outcome["link"]["bad_frames"] == 0 and not outcome["faults"]
     assert outcome["loop"]["device"]["missed"] == 0
