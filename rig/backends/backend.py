@@ -285,9 +285,9 @@ def usb_notes(e: Experiment) -> Iterator[str]:
     port = e.daq.port
     if port is None or not port.startswith("/") or e.daq.usb_serial is not None:
         return
-    from rig.backends.links.usb_port import is_usb_name, usb_port
+    from rig.backends.links.usb_port import UsbPort, is_usb_name, usb_port
 
-    found = usb_port(port)
+    found = usb_port(port) if Path(port).exists() else UsbPort(port)
     if found.vid_is_known and found.serial_number is None:
         yield (
             f"the USB adapter at {port} has no serial number of its own: rig takes whatever board is plugged in there "

@@ -77,6 +77,12 @@ def test_a_mat_file_has_columns_with_units_and_nested_structs(run_folder: Path, 
     assert plain["meta"]["period_s"] == 0.01
 
 
+def as_written(result: dict[str, Any]) -> dict[str, Any]:
+    """Without the answer, which the reader makes of a result that has none."""
+    assert result["answer"]["verdict"] == RESULT["estimates"]["sampled-data"]["verdict"]
+    return {key: part for key, part in result.items() if key != "answer"}
+
+
 def test_an_npz_file_opens_without_pickle(run_folder: Path, tmp_path: Path) -> None:
     export(run_folder, tmp_path / "a.npz")
     recording = read_run(run_folder)
@@ -85,7 +91,7 @@ def test_an_npz_file_opens_without_pickle(run_folder: Path, tmp_path: Path) -> N
             ours = getattr(recording, name)
             assert found[name].dtype == ours.dtype
             assert np.array_equal(found[name], ours, equal_nan=name != "stage" and ours.dtype.kind == "f")
-        assert json.loads(str(found["result"]))["result"] == RESULT
+        assert as_written(json.loads(str(found["result"]))["result"]) == RESULT
         assert json.loads(str(found["units"]))["units"]["u_V"] == "V"
         assert json.loads(str(found["events"]))["events"] == [event.as_json() for event in recording.events]
 
@@ -96,7 +102,7 @@ def test_a_json_file_is_one_strict_object(run_folder: Path, tmp_path: Path) -> N
     recording = read_run(run_folder)
     assert found["samples"]["t_s"] == recording.t_s.tolist()
     assert found["samples"]["yd_rad"][0] is None
-    assert found["result"] == RESULT
+    assert as_written(found["result"]) == RESULT
     assert (found["run"], found["units"]["z_rad_s"]) == (run_folder.name, "rad s")
 
 

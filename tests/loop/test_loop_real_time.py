@@ -114,6 +114,7 @@ def test_an_exception_in_the_block_gives_everything_back(monkeypatch: pytest.Mon
 
 def test_refusals_reach_meta_result_and_the_user(tmp_path: Path) -> None:
     config = yaml.safe_load((ROOT / "config" / "demo.yaml").read_text())
+    config["daq"]["port"] = "emulated-realtime"
     config["loop"] = {"cpu": 4000, "spin_us": 50.0}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
     command = [sys.executable, "-m", "rig", "jog", str(tmp_path / "config.yaml"), "--u-V", "0.1", "--seconds", "0.2"]

@@ -63,7 +63,7 @@ def test_on_windows_all_but_the_devices_of_linux(tmp_path: Path) -> None:
     assert (tmp_path / "run.mat").stat().st_size > 10_000
     assert str(Path("runs") / run.name / "report.html") in said.splitlines()
     assert "s  search" in errors  # the stages, from a process of its own
-    assert "config/quick.yaml: it runs everywhere" in errors
+    assert "config/simulated.yaml: it runs everywhere" in errors
     assert "on Windows a device on Modbus TCP, or daq.driver: simulated" in errors
     assert "run it on Linux" in errors
 

@@ -127,7 +127,7 @@ def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp
     assert Path(where.strip()).is_relative_to(home)
     assert "simulated" in rig("config", "list")
     rig("config", "copy", "simulated", "--to", "mine.yaml")
-    assert (tmp_path / "mine.yaml").read_text(encoding="utf-8") == (ROOT / "config" / "quick.yaml").read_text(
+    assert (tmp_path / "mine.yaml").read_text(encoding="utf-8") == (ROOT / "config" / "simulated.yaml").read_text(
         encoding="utf-8"
     )
     assert "verdict: ok" in rig("check", "mine.yaml")
