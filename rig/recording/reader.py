@@ -22,7 +22,6 @@ from rig.recording.log_format import LogFormat
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.recording import Recording
 from rig.recording.text_file import (
-    MOST_LINES,
     content_of,
     is_folder,
     line_of,
@@ -36,6 +35,7 @@ from rig.results.reading import remarks, salvaged
 from rig.signals import plain
 from rig.strict_json import JsonError
 
+_MOST_EVENTS: Final = 100_000  # a run has some hundreds; each becomes an object
 _MOST_BYTES: Final = 20_000_000  # of a file beside the rows; ours have some thousands
 
 _P = TypeVar("_P", bound=Part)
@@ -119,8 +119,8 @@ def read_events(
     whole, torn = without_torn_line(path, content)
     events: list[RunEvent] = []
     wrong: list[str] = []
-    if whole.count(b"\n") > MOST_LINES:
-        raise RecordingError(path, f"has more than {MOST_LINES} lines", "cut it, or delete it")
+    if whole.count(b"\n") > _MOST_EVENTS:
+        raise RecordingError(path, f"has more than {_MOST_EVENTS} lines", "cut it, or delete it")
     for number, line in enumerate(whole.split(b"\n"), 1):
         if not line.strip():
             continue

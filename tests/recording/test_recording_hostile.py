@@ -270,6 +270,16 @@ def test_rows_that_are_no_rows_are_named_by_their_line(tmp_path: Path) -> None:
         read_run(folder)
 
 
+def test_more_events_than_any_run_has_are_refused_and_not_made(tmp_path: Path) -> None:
+    folder = run_of(tmp_path)
+    event = b'{"t_s": 0.0, "kind": "stop", "confirmed": true}\n'
+    (folder / "events.jsonl").write_bytes(event * 100_000)
+    assert len(read_run(folder).events) == 100_000
+    (folder / "events.jsonl").write_bytes(event * 1_000_000)
+    with pytest.raises(RecordingError, match="more than 100000 lines"):
+        read_run(folder)
+
+
 def test_very_many_wrong_values_are_counted_not_listed(tmp_path: Path) -> None:
     folder = run_of(tmp_path)
     (folder / "meta.json").write_text(

@@ -32,6 +32,7 @@ _UNHURRIED_S = 0.1  # least time-out of a request outside the tick; a stop uses 
 _STOPPING_S = 0.02  # longest wait for a stop: three of them are shorter than most watchdogs
 _INTRODUCTIONS = 20  # reads that measure the round trip
 _LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
+_LATE_REPLIES = 3  # in a row: the link is not fit for the period
 _LONGEST_WATCHDOG_S = 1.0  # that the config allows
 _SILENCE_MARGIN_S = 0.1  # beyond a watchdog's time: a device has its own clock, and its own cycle
 _OWN_ECHOES = 2  # what echoes of a late reply, or of a write that was not executed, differ by at most
@@ -89,6 +90,7 @@ class ModbusDriver:
         self._written: list[tuple[Register, list[int]]] = []  # settings that it has confirmed in this session
         self._max_units = 0
         self._seq = 0
+        self._late_in_a_row = 0  # replies that came after the time-out
         self._sequence = 0  # as last written with a drive; its echo must be this
         self._echo: float | None = None  # as last read since it was armed, or since the stop after that
         self._units = 0  # drive as last commanded
@@ -516,13 +518,22 @@ class ModbusDriver:
     def _exchange(self, request: Request) -> Reply:
         """The exchange of a tick. While armed it waits for as long as the device's watchdog lets the last drive act.
 
-        One request is under way at a time, so what comes late can only be its reply.
+        One request is under way at a time, so what comes late can only be its reply. Where one reply after the other is
+        late, the link is not fit for the period: LINK_TIMEOUT.
         """
         wait_s = self._timeout_s
         if self._armed and self.failsafe is not None:
             held_s = self._transport.now_s() - self._driven_s
             wait_s = max(wait_s, min(self.failsafe.time_s, _LONGEST_WATCHDOG_S) - held_s)
-        return self._client.in_tick(request, wait_s, after_silence=self._armed)
+        reply = self._client.in_tick(request, wait_s, after_silence=self._armed)
+        self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._timeout_s else 0
+        if self._late_in_a_row >= _LATE_REPLIES:
+            raise Fault(
+                "LINK_TIMEOUT",
+                f"{_LATE_REPLIES} replies in a row took longer than daq.timeout_s, {1e3 * self._timeout_s:g} ms: the "
+                f"last one {1e3 * reply.round_trip_s:.0f} ms",
+            )
+        return reply
 
     def _writing_drive(self, units: int) -> Request:
         return writing(self._written_span, self._drive_words(units))
