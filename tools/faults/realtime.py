@@ -663,7 +663,7 @@ def _off_s(row: RealRow, run: _Ended) -> float:
     acted_s = [float(r["t_u_s"]) for r in run.rows if r["t_u_s"]]
     if run.code == "" and run.status >= 0:
         relay = [float(r["t_u_s"]) for r in run.rows if r["t_u_s"] and kind_of(r["stage"]) is StageKind.RELAY]
-        return max(b - a for a, b in itertools.pairwise(relay))
+        return max((b - a for a, b in itertools.pairwise(relay)), default=float("inf"))
     began_s = run.happened_s
     if row.alone:  # the run went on until a fault ended it: since the last drive, which the trace has in its own time
         driven_s = next(float(r["t_u_s"]) for r in run.rows if r["t_u_s"] and float(r["u_V"]) != 0.0)
@@ -687,8 +687,8 @@ def _device_late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
     """By how much this machine let the device wait in that run, s. Not in its last row: what happened may be in it."""
     if device.is_kept:
         seen = [one for one in run.trace if one[0] >= run.happened_s - 0.1]
-        return max(max(b[0] - a[0] for a, b in itertools.pairwise(seen)) - _DEVICE_PERIOD_S, 0.0)
-    return max(max(1e-6 * float(r["io_us"]) for r in run.rows[:-1]) - exchange_s, 0.0)
+        return max(max((b[0] - a[0] for a, b in itertools.pairwise(seen)), default=0.0) - _DEVICE_PERIOD_S, 0.0)
+    return max(max((1e-6 * float(r["io_us"]) for r in run.rows[:-1]), default=0.0) - exchange_s, 0.0)
 
 
 def _keys(device: RealDevice, rows: list[dict[str, str]]) -> list[int]:
