@@ -715,7 +715,8 @@ def _lost(told: list[int], apart: int, keys: list[int], fault: Mapping[str, Any]
     and after a time-out it came too late.
     """
     recorded = set(keys)
-    told = told[told.index(keys[0]) :]
+    # the first reading may have been asked for again, and be another of its answers
+    told = told[next((k for k, seq in enumerate(told) if seq > keys[0] - apart), len(told)) :]
     missing = [seq for seq in told if recorded.isdisjoint(range(seq - apart + 1, seq + apart))]
     too_late = fault is not None and fault["code"] in ("LINK_TIMEOUT", "LINK_REPLY")
     may_miss = killed or fault is None or too_late or "counts" in str(fault["detail"])
