@@ -118,5 +118,5 @@ def certain_but_for_laws(found: Estimate) -> bool:
     """Ok, or doubtful for nothing but laws: at one size of drive nobody can tell drag or sag from tau and K."""
     return found.verdict == "ok" or (
         found.verdict == "doubtful"
-        and all("(u95); ok asks for 2.5 %" in reason or "%; ok bears 1 %" in reason for reason in found.reasons)
+        and all("(at 95 %); ok asks for 2.5 %" in reason or "%; ok bears 1 %" in reason for reason in found.reasons)
     )

@@ -310,7 +310,7 @@ def test_another_method_alone_is_judged_by_the_same_budget() -> None:
 
 
 def test_without_a_budget_nothing_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*given: object) -> None:
+    def fails(*given: object, **named: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
     monkeypatch.setattr(sys.modules["rig.identify.identification"], "motor_law", fails)

@@ -577,7 +577,7 @@ def test_the_bridge_is_for_real_serial_ports_alone() -> None:
         assert words in problem.hint
     for port in ("emulated", "emulated-realtime", "emulated-chip", "emulated-chip-realtime"):
         assert preflight(experiment(daq__port=port)).problems == ()
-    (problem,) = preflight(experiment(daq__port="emulated-real-time")).problems
+    problem, *_ = preflight(experiment(daq__port="emulated-real-time")).problems
     assert problem.key == "daq.port" and "emulated-realtime" in problem.hint
     assert [p.key for p in preflight(experiment(daq__port="tcp://10.0.0.1")).problems if "bridge" in p.key] == []
 
