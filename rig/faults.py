@@ -27,12 +27,12 @@ FAULTS: dict[str, FaultEntry] = {
     "SECOND_MASTER": FaultEntry(
         "somebody else drives this device, too",
         "end the other run, or stop it in its panel; on a Modbus device look for another machine or PLC that writes to "
-        "it, then start again",
+        "it; then type `rig run CONFIG` again",
     ),
     "OTHER_BOARD": FaultEntry(
         "another board is at this port than the one that the config is for",
-        "do what is said here, or plug the boards in as they were. The limits and the calibration of one bench are "
-        "wrong for another: take no number over for a bench that has not been calibrated",
+        "do what is said here, correct daq.port, or plug the boards in as they were. The limits and the calibration of "
+        "one bench are wrong for another: take no number over for a bench that has not been calibrated",
     ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",
@@ -253,8 +253,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SUSPENDED": FaultEntry(
         "the machine was suspended during the run; its clock stood still, the device's did not",
-        "keep it awake and start the run again: `systemd-inhibit --what=sleep:idle rig run CONFIG`, or switch suspend "
-        "off; a device with a watchdog was at 0 V meanwhile, one without may have held its last drive",
+        "keep it awake and start again: type `rig run CONFIG` behind `systemd-inhibit --what=sleep:idle`, or switch "
+        "suspend off. A device with a watchdog was at 0 V meanwhile, one without may have held its last drive",
     ),
     "LAW_FAILED": FaultEntry(
         "the law failed, or asked for a drive that is no number",

@@ -131,7 +131,7 @@ def scheduling() -> Iterator[Finding]:
 
 def kernel_workers(root: Path = ROOT) -> Finding:
     """Whether a killed run has left the kernel's worker threads at the priority of `raise_workers`."""
-    stats = (_text(root / f"proc/{worker}/stat") or "" for worker in workers(root / "proc"))
+    stats = (_text(root / f"proc/{worker.number}/stat") or "" for worker in workers(root / "proc"))
     # proc(5): after the name in brackets, which may have blanks in it, fields 3 and on; 41 is the policy
     policies = (text.rpartition(")")[2].split()[38:39] for text in stats)
     raised = sum(policy == [_FIFO] for policy in policies)

@@ -31,13 +31,13 @@ def experiment(name: str, **daq: Any) -> Experiment:
 def bare() -> Experiment:
     e = yaml.safe_load(rig.ready("modbus-rtu").read_text(encoding="utf-8"))["daq"]["modbus"]
     kept = {name: e["registers"][name] for name in ("drive", "sequence", "position")}
-    return experiment("modbus-rtu", port="emulated-virtual", accept_no_watchdog=True, modbus={**e, "registers": kept})
+    return experiment("modbus-rtu", port="emulated", accept_no_watchdog=True, modbus={**e, "registers": kept})
 
 
 CASES: dict[str, Callable[[], tuple[Experiment, Any]]] = {
     "board": lambda: (experiment("demo"), VirtualBoard(DEMO, 3)),
     "chip": lambda: (experiment("demo"), VirtualChip(DEMO, 3)),
-    "block": lambda: (e := experiment("modbus-rtu", port="emulated-virtual"), emulated_io_block(e)),
+    "block": lambda: (e := experiment("modbus-rtu", port="emulated"), emulated_io_block(e)),
     "block without watchdog": lambda: (e := bare(), emulated_io_block(e)),
 }
 

@@ -115,7 +115,8 @@ def test_nothing_is_written_without_a_yes(tmp_path: Path) -> None:
         done = calibrated(file, answers, "angles")
         assert (done.exit_code, words in done.output) == (1, True), done.output
     assert file.read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["answers.txt", "simulated.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["answers.txt", "runs", "simulated.yaml"]
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [".panel"], "the lock of those who start"
 
 
 def test_what_cannot_begin(tmp_path: Path) -> None:

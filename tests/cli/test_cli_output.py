@@ -170,10 +170,10 @@ def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tm
     said = [re.fullmatch(r" +[0-9]+\.[0-9] s  (.*)", line) for line in done.stderr.splitlines()]
     assert [line[1] for line in said if line] == ["breakaway", "relay-1", "identify"]
     assert all(said), done.stderr
-    [relay] = (tmp_path / "runs").glob("*-relay-simulated")
+    [relay] = (tmp_path / "runs").glob("*-relay-quick")
     assert rig("jog", path, "--u-V", "0.8", "--out", tmp_path / "runs").exit_code == 0
-    [jog] = (tmp_path / "runs").glob("*-jog-simulated")
-    assert re.fullmatch(r"\d{8}T\d{6}Z-jog-simulated", jog.name)
+    [jog] = (tmp_path / "runs").glob("*-jog-quick")
+    assert re.fullmatch(r"\d{8}T\d{6}Z-jog-quick", jog.name)
 
     # rows of a record: those alone, by the numbers that messages and result.json have
     first, last = json.loads((relay / "result.json").read_text())["estimates"]["sampled-data"]["rows"]

@@ -72,7 +72,7 @@ def test_a_bare_board_is_measured_and_a_report_written(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["doctor", "--loopback", "emulated-chip", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "D9  o-----o A3" in done.stdout.splitlines()[3]
-    (folder,) = tmp_path.iterdir()
+    (folder,) = tmp_path.glob("*-loopback-*")
     report = json.loads((folder / "report.json").read_text())
     assert report["ok"] and report["emulated"] and report["board"]["name"] == "uno"
     measured = report["measured"]

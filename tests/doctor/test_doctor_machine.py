@@ -124,6 +124,7 @@ def test_modem_manager_is_found_by_its_process(tmp_path: Path) -> None:
 def stat(worker: int, name: str, policy: int, priority: int) -> str:
     """/proc/PID/stat: 52 fields, of which 40 is the real-time priority and 41 the policy."""
     fields = ["S", *map(str, range(4, 40)), str(priority), str(policy), *["0"] * 11]
+    fields[6] = str(0x00200000)  # PF_KTHREAD
     assert len(fields) == 50
     return f"{worker} ({name}) {' '.join(fields)}"
 

@@ -36,7 +36,7 @@ PERIOD_S = 0.01
 def experiment(requests: str = "read-write", **registers: Any) -> Experiment:
     """The RTU example in virtual time; ``registers`` with None are left out."""
     data = load(CONFIGS / "modbus-rtu.yaml").model_dump(mode="json", exclude_none=True)
-    data["daq"]["port"] = "emulated-virtual"
+    data["daq"]["port"] = "emulated"
     if requests == "separate":
         data["period_s"], data["daq"]["watchdog_s"] = 0.02, 0.2
     section = data["daq"]["modbus"] | {"requests": requests}
