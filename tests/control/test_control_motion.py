@@ -135,15 +135,16 @@ def test_how_long_a_cycle_may_stand(cycles: list[DetectedCycle], allowed_s: floa
 def test_a_cycle_that_stands_by_itself_may_go_on_to_do_so(stand_s: float, allowed_s: float) -> None:
     watch = CycleWatch(0.08)
     for k in range(2):
-        watch.step(Sample(0.0 + k, 1.0, 0), 0.4)
-        watch.step(Sample(stand_s + k, 1.0, 0), 0.4)
-        watch.step(Sample(0.5 + k, -1.0, 0), 0.4)
+        for n in range(100):
+            stands = n <= round(100 * stand_s)
+            watch.step(Sample(k + 0.01 * n, 1.0 if stands else 0.5 * (-1) ** n, 0), 0.4)
         watch.end_period(cycle(1.0, 0.5))
     assert watch.longest_s == pytest.approx(stand_s) and watch.allowed_s == pytest.approx(allowed_s)
     watch.step(Sample(2.0, 1.0, 0), 0.4)
     # that the relays' integral ends a period meanwhile, a long one, changes nothing
     watch.end_period(cycle(1.5, 0.5))
-    watch.step(Sample(2.0 + 0.99 * allowed_s, 1.0, 0), -1.35)
+    for n in range(1, round(99 * allowed_s)):
+        watch.step(Sample(2.0 + 0.01 * n, 1.0, 0), -1.35)
     with pytest.raises(Fault, match="SENSOR_STUCK"):
         watch.step(Sample(2.0 + 1.01 * allowed_s, 1.0, 0), -1.35)
 

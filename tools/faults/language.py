@@ -102,13 +102,15 @@ class SerialLanguage:
         return packet.seq if packet is not None and packet.kind == Kind.READ else None
 
     def drive_V(self, request: bytes) -> float | None:
-        """DRIVE; a STOP is 0 V; RELAY, STROKES and KEEP let the device choose."""
+        """DRIVE, or PULSE while it lasts; a STOP is 0 V; RELAY, STROKES and KEEP let the device choose."""
         packet = _packet(request)
         if packet is not None and packet.kind in (*_STARTS, Kind.KEEP):
             self._next_block = 0 if packet.kind in _STARTS else self._next_block
             return math.nan
-        if packet is None or packet.kind not in (Kind.DRIVE, Kind.STOP):
+        if packet is None or packet.kind not in (Kind.DRIVE, Kind.PULSE, Kind.STOP):
             return None
+        if packet.kind == Kind.PULSE:
+            return frames.unpack_drive(packet.body[:2]) * self._unit_V
         return frames.unpack_drive(packet.body) * self._unit_V if packet.kind == Kind.DRIVE else 0.0
 
     def is_stop(self, request: bytes) -> bool:

@@ -38,6 +38,9 @@ ALIKE = (
     *strangers.ACTS,
 )  # fmt: skip
 
+# what strangers do to files, and a suspend: no device has a part in it
+HOST_ALONE = (*strangers.ACTS, "host suspended, 5 s")
+
 
 class Unmeasured(NamedTuple):
     """A row in real time whose runs all ended before anything was done to them."""
@@ -59,15 +62,15 @@ def is_alike(row: Row) -> bool:
 def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
     """The stages in which a row is tried on a device.
 
-    What strangers do to files: the board and the Uno's chip. Every other row on every device: the relay cycle; but what
-    is the loop's own matter not on those whose board or test alone is another, and on the Pico with an encoder only
-    what an encoder changes. The board: all stages. Other devices: also the stages in which they differ from the board.
-    These are the chip's own inputs and resets, what a block without limits does not see, and on the I/O block all that
-    may happen while it is disarmed or armed again, since its requests differ then from those of a tick.
+    What happens to the host alone: the board and the Uno's chip. Every other row on every device: the relay cycle; but
+    what is the loop's own matter not on those whose board or test alone is another, and on the Pico with an encoder
+    only what an encoder changes. The board: all stages. Other devices: also the stages in which they differ from the
+    board. These are the chip's own inputs and resets, what a block without limits does not see, and on the I/O block
+    all that may happen while it is disarmed or armed again, since its requests differ then from those of a tick.
     """
     is_own = any(trait in ("encoder", "pico") for trait in (*row.only, *row.other))
     is_for_one = is_alike(row) and "encoder" not in row.only
-    if row.name in strangers.ACTS and backend not in (BOARD, CHIP):  # files alone: no device has a part in it
+    if row.name in HOST_ALONE and backend not in (BOARD, CHIP):
         stages: tuple[Stage, ...] = ()
     elif (backend in (CHIP_STROKES, PICO, PICO_ENCODER) and is_for_one) or (backend is PICO_ENCODER and not is_own):
         stages = ()
