@@ -517,8 +517,13 @@ def _restart(folder: Path) -> str:
     return "moves" if host.returncode == 0 and " rad" in output else f"refused: {output[-200:]}"
 
 
+def _of_run(folder: Path, name: str) -> Iterator[Path]:
+    """A file of the run that something happens to; not that of the jog after it."""
+    return (path for path in folder.glob(f"*-runs/*/{name}") if path.parts[-3] != "jog-runs")
+
+
 def _events(folder: Path) -> list[dict[str, Any]]:
-    files = list(folder.glob("*-runs/*/events.jsonl"))
+    files = list(_of_run(folder, "events.jsonl"))
     lines = files[0].read_text(encoding="ascii").split("\n")[:-1] if files else []
     return [json.loads(line) for line in lines]
 
@@ -541,7 +546,7 @@ def _events_at_end(folder: Path, row: RealRow, *, killed: bool) -> list[dict[str
 
 
 def _rows(folder: Path) -> list[dict[str, str]]:
-    with next(folder.glob("*-runs/*/samples.csv")).open(encoding="ascii") as file:
+    with next(_of_run(folder, "samples.csv")).open(encoding="ascii") as file:
         return list(csv.DictReader(file))
 
 
