@@ -390,6 +390,7 @@ REAL_ROWS = (
         {"": ("",)},
         (0,),
         alone=True,
+        only=_PROCESSES,
     ),
     RealRow(
         "another board under the same name",
