@@ -9,6 +9,7 @@ import numpy as np
 from synthetic import LSB_RAD, dcr, motor
 
 from rig.identify.estimate import Estimate
+from rig.identify.verdict import ASKED
 from rig.model.motor import Motor, State
 
 Law = Callable[[float, float, float], float]
@@ -115,8 +116,16 @@ __all__ = [
 
 
 def certain_but_for_laws(found: Estimate) -> bool:
-    """Ok, or doubtful for nothing but laws: at one size of drive nobody can tell drag or sag from tau and K."""
+    """Ok, or doubtful for nothing but laws: at one size of drive nobody can tell drag or sag from tau and K.
+
+    The words are the same for scatter and for laws, so the scatter alone must be what ok asks for.
+    """
+    scatter = [
+        0.5 * (found.ci95[name][1] - found.ci95[name][0]) / abs(getattr(found, name))
+        for name in ("tau_s", "K_rad_s_V", "fc_V")
+    ]
     return found.verdict == "ok" or (
         found.verdict == "doubtful"
+        and max(scatter) <= ASKED
         and all("(at 95 %); ok asks for 2.5 %" in reason or "%; ok bears 1 %" in reason for reason in found.reasons)
     )

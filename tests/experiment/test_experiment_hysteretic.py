@@ -96,7 +96,7 @@ def test_identify_by_least_squares_alone_from_the_folder(ready_run: tuple[Result
     assert alone.exit_code == 0, alone.output
     (estimate,) = json.loads(alone.stdout)["estimates"].values()
     assert estimate["fc_V"] == outcome["estimates"]["least-squares"]["fc_V"]
-    shown = rig("identify", outcome["folder"], "--method", "least-squares")
+    shown = rig("identify", outcome["folder"], "--method", "least-squares", "--verbose")
     row = next(line for line in shown.stdout.splitlines() if line.startswith("least-squares  "))
     assert row.split()[1:3] == ["-", "-"]  # tau and K
 

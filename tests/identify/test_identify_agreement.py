@@ -83,7 +83,7 @@ def test_one_motor_is_seldom_called_two() -> None:
 
 def test_identify_says_it_and_calls_the_estimate_doubtful(tmp_path: Path) -> None:
     paths = [write_csv(tmp_path / f"{name}.csv", samples(name)) for name in ("a", "b", "odd")]
-    result = rig("identify", *paths, "--method", "sampled-data")
+    result = rig("identify", *paths, "--method", "sampled-data", "--verbose")
     assert result.exit_code == 0, result.output
     assert f"sampled-data: {paths[2]} does not belong with the others" in result.stdout
     assert f"`rig identify {paths[0]} {paths[1]}`" in result.stdout

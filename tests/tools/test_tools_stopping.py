@@ -54,14 +54,15 @@ def test_healthy_motors_that_are_hard_to_see_are_known_in_time(number: int, most
     assert one.beyond_rad == 0.0
 
 
+@pytest.mark.parametrize("number", [12, 37, 55])
 @pytest.mark.parametrize("brakes", [True, False])
 def test_a_test_that_is_broken_off_leaves_the_shaft_within_the_soft_limits(
-    monkeypatch: pytest.MonkeyPatch, *, brakes: bool
+    monkeypatch: pytest.MonkeyPatch, number: int, *, brakes: bool
 ) -> None:
     """A model with a third of the motor's gain: the shaft is too far out and too fast when rig notices."""
     if not brakes:  # the shaft would coast out
         monkeypatch.setattr(until, "SlowDown", lambda guard, rest_s, *more: Rest(rest_s))
-    one = draw(CAMPAIGN, 5)
+    one = draw(CAMPAIGN, number)
     bench = Bench(0.01, one.delay_s, 0.003, CAMPAIGN.sensor.lsb_rad, one.offset_rad)
     tests = RelaySection(until=UntilSection(interval_percent=1.0, longest_s=6.0))
     e = config_of(one, bench).model_copy(update={"relay": tests})
@@ -118,7 +119,7 @@ def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> 
     ]
     gains = {0: {}, 1: {"sag": 1e3}, 2: {"sag": 1e3}, 3: {"lag": 1.0}, 4: {"sag": 1e3}}
     shown = {(False, number): those for number, those in gains.items()}
-    told = {command.PLAIN: {}, command.KNOWN: {}, command.DEPARTING: {one.number: one for one in rows}}
+    told: command.Told = {group: {} for group in command.TITLES} | {command.DEPARTING: {one.number: one for one in rows}}
     text = command.page(told, 0.4, "make stopping", "", 5, shown)
     assert "| departures called ok | 75.0 % of 4 |" in text
     assert "| laws named, of those that the run's tests can show | 1 of 1: 100.0 % |" in text

@@ -142,8 +142,9 @@ class Backend:
         return experiment.daq.timeout_s - answer_s
 
     def too_late_s(self, experiment: Experiment) -> float:
-        """By how much a reply comes too late: it is waited for as long as the watchdog lets the drive act."""
-        return max(2.0 * self.spare_s(experiment), experiment.daq.watchdog_s)
+        """By how much a reply comes too late: where the loop drives it waits as long as the watchdog lets the drive act."""
+        twice_s = 2.0 * self.spare_s(experiment)
+        return twice_s if experiment.relay.where == "device" else max(twice_s, experiment.daq.watchdog_s)
 
     def times(self, experiment: Experiment, cycle_s: float) -> Times:
         """What bounds are made of."""

@@ -78,7 +78,7 @@ def tick(line: TcpBlock, driver: ModbusDriver) -> None:
 
 
 FAULTS: dict[str, tuple[Answer, str, str]] = {
-    "late": (lambda h, p: [(0.012, h + p)], "LINK_TIMEOUT", "no reply"),
+    "later than the watchdog": (lambda h, p: [(0.3, h + p)], "LINK_TIMEOUT", "no reply"),
     "none": (lambda h, p: [], "LINK_TIMEOUT", "position, holding register 16"),
     "of the request before": (
         lambda h, p: [(0.0, (int.from_bytes(h[:2], "big") - 1).to_bytes(2, "big") + h[2:] + p)],
