@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from rig.errors import RigError
+from rig.faults import Fault
 from rig.live.born import born
 from rig.live.shared_page import MappedPage, OthersPage
 from rig.signals import plain
@@ -123,10 +124,18 @@ class StopFlag:
             self._page.write(0, _head(zero_s, period_s))
 
     def tell_drive(self, *, is_on: bool) -> None:
-        """Tell whether a drive may be on from now on: before it is armed, and once the device has confirmed 0 V."""
-        with suppress(OSError):  # on a disk that has become read-only nobody learns more than before
+        """Tell whether a drive may be on from now on: before it is armed, and once the device has confirmed 0 V.
+
+        Raises Fault RECORDER_DEAD where nobody would learn that it is on, as on a disk that has become read-only. The
+        other way is only cautious.
+        """
+        try:
             if self._page is not None:
                 self._page.write(_DRIVE_AT, _ON if is_on else _OFF)
+        except OSError as error:
+            if is_on:
+                cause = f"the stop flag cannot be written, so no Stop would know of the drive: {error.strerror}"
+                raise Fault("RECORDER_DEAD", cause) from error
 
     def forget(self) -> None:
         """A Stop was obeyed: what comes next may drive again. Raises OSError."""

@@ -105,8 +105,8 @@ class Loop:
 
         Between two blocks the device is in a pause. A fault in the pause is raised here, by ``check_stop``, or by the
         driver when it arms. After the last block ``close`` ends the pause.
-        Raises Fault STOP_UNCONFIRMED, SUSPENDED, and what the driver and ``check_stop`` raise; ValueError in real time
-        without a stop flag.
+        Raises Fault STOP_UNCONFIRMED, SUSPENDED, RECORDER_DEAD, and what the driver and ``check_stop`` raise;
+        ValueError in real time without a stop flag.
         """
         with self._suspend_watch.told():
             yield from self._armed(limits)

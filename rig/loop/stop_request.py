@@ -39,7 +39,7 @@ class StopRequest:
             raise Stopped(Fault("INTERRUPTED", self.reason))
 
     def tell_drive(self, *, is_on: bool) -> None:
-        """Tell others whether a drive may be on."""
+        """Tell others whether a drive may be on. Raises Fault as ``StopFlag.tell_drive``."""
         if self.flag is not None:
             self.flag.tell_drive(is_on=is_on)
 

@@ -166,6 +166,30 @@ def test_a_folder_that_cannot_hold_the_flag_costs_the_flag_and_says_so(
     assert sorted(path.name for path in outcome.folder.iterdir() if path.name.startswith((".", "stop"))) == []
 
 
+def test_nothing_is_driven_where_a_stop_would_read_that_nothing_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
+) -> None:
+    """The disk becomes read-only while the device is opened: the flag still says that the drive is off."""
+    told = StopFlag.tell
+    write = shared_page.MappedPage.write
+    driven: list[float] = []
+
+    def read_only(page: shared_page.MappedPage, at: int, data: bytes) -> None:
+        raise OSError(30, "Read-only file system")
+
+    def tell(flag: StopFlag, zero_s: float, period_s: float) -> None:
+        told(flag, zero_s, period_s)
+        monkeypatch.setattr(shared_page.MappedPage, "write", read_only)
+
+    monkeypatch.setattr(StopFlag, "tell", tell)
+    monkeypatch.setattr(SimulatedDriver, "write", lambda driver, u_V: driven.append(u_V))
+    outcome = script.jog(experiment, 0.3, 0.1, tmp_path)
+    monkeypatch.setattr(shared_page.MappedPage, "write", write)
+    assert outcome.fault is not None and outcome.fault.code == "RECORDER_DEAD"
+    assert "Read-only file system" in outcome.fault.detail
+    assert driven == []
+
+
 HOLDS = """
 import sys, time
 from pathlib import Path

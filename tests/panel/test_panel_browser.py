@@ -136,7 +136,7 @@ def test_past_runs_are_laid_over_each_other_and_reports_opened(seen: dict[str, A
     compared = seen["overlay"]["compared"]
     assert "Do they differ by more than their noise explains? Yes" in compared
     assert "Left out: 20260101T000000Z-run-before" in compared
-    assert seen["report"]["title"].endswith("run-simulated")
+    assert seen["report"]["title"].endswith("run-quick")
     assert (seen["report"]["sandbox"], seen["report"]["stop"]) == ("", True)
 
 

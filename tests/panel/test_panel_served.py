@@ -27,6 +27,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from rig.live.running import running
+from rig.live.stop_flag import is_recorded
 from rig.panel.sockets import MOST_CONNECTIONS
 
 pytestmark = pytest.mark.realtime
@@ -277,8 +278,9 @@ def test_a_calibrations_strokes_end_when_the_panel_freezes_and_it_says_so_afterw
         panel.post("/api/calibration/answer", question=question["number"], **given)
 
     def drives() -> bool:
-        with suppress(OSError, IndexError):  # it has no row yet
-            return any(_last_drive(one.folder) for one in running(bench / "runs"))
+        for one in filter(lambda one: is_recorded(one.folder), running(bench / "runs")):
+            with suppress(OSError, IndexError):  # it has no row yet
+                return _last_drive(one.folder) != 0.0
         return False
 
     panel.post("/api/calibration/begin")
@@ -290,7 +292,7 @@ def test_a_calibrations_strokes_end_when_the_panel_freezes_and_it_says_so_afterw
             break
         answer("and then", answer="again")  # on a busy machine the panel was late, too
     panel.process.send_signal(signal.SIGSTOP)
-    wait_until(lambda: not running(bench / "runs"))
+    wait_until(lambda: not [one for one in running(bench / "runs") if is_recorded(one.folder)])
     panel.process.send_signal(signal.SIGCONT)
     wait_until(lambda: shown()["question"] is not None)
     assert shown()["said"][-1]["words"] == "the panel fell silent: the drive is at 0 V"

@@ -119,7 +119,9 @@ def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> 
     ]
     gains = {0: {}, 1: {"sag": 1e3}, 2: {"sag": 1e3}, 3: {"lag": 1.0}, 4: {"sag": 1e3}}
     shown = {(False, number): those for number, those in gains.items()}
-    told: command.Told = {group: {} for group in command.TITLES} | {command.DEPARTING: {one.number: one for one in rows}}
+    told: command.Told = {group: {} for group in command.TITLES} | {
+        command.DEPARTING: {one.number: one for one in rows}
+    }
     text = command.page(told, 0.4, "make stopping", "", 5, shown)
     assert "| departures called ok | 75.0 % of 4 |" in text
     assert "| laws named, of those that the run's tests can show | 1 of 1: 100.0 % |" in text

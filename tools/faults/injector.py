@@ -291,7 +291,8 @@ class FaultInjector:
             next_s = self._step(now_s, min([until_s, *(due_s for due_s, _, _ in self._held)]))
             if (whole_s := now_s + self._language.to_come_s()) > now_s:  # one look for many bytes
                 now_s = self.device.sleep_until(self._to_device_s(min(next_s, whole_s))) - self._asleep_s
-            self._take(self.device.read(next_s - now_s))
+            # the sum of two clocks may round to no wait at all, and then time would stand still
+            self._take(self.device.read(next_s - now_s + (_ROUNDING_S if self._asleep_s else 0.0)))
             self._look()
 
     def close(self) -> None:

@@ -38,9 +38,6 @@ ALIKE = (
     *strangers.ACTS,
 )  # fmt: skip
 
-# what strangers do to files, and a suspend: no device has a part in it
-HOST_ALONE = (*strangers.ACTS, "host suspended, 5 s")
-
 
 class Unmeasured(NamedTuple):
     """A row in real time whose runs all ended before anything was done to them."""
@@ -70,7 +67,7 @@ def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
     """
     is_own = any(trait in ("encoder", "pico") for trait in (*row.only, *row.other))
     is_for_one = is_alike(row) and "encoder" not in row.only
-    if row.name in HOST_ALONE and backend not in (BOARD, CHIP):
+    if row.name in strangers.ACTS and backend not in (BOARD, CHIP):
         stages: tuple[Stage, ...] = ()
     elif (backend in (CHIP_STROKES, PICO, PICO_ENCODER) and is_for_one) or (backend is PICO_ENCODER and not is_own):
         stages = ()
