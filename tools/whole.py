@@ -25,6 +25,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +37,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BUSY_LOOPS = 4
 STOPPED_S = (0.04, 1.0)  # shortest and longest
 BETWEEN_S = (0.3, 2.0)
+PACED_AT_ONCE = 5  # each sleeps most of its time
 
 
 class Ended(NamedTuple):
@@ -147,13 +149,18 @@ def _virtual(times: int, folder: Path, config: Path) -> bool:
 
 
 def _paced(times: int, folder: Path, config: Path) -> bool:
-    runs, stops = [end(start(config, folder / "unpaced"))], list[float]()
-    for _ in range(times):
-        run = start(config, folder / "paced", "--pace", "1")
+    stops = list[float]()
+
+    def one(number: int) -> Ended:
+        run = start(config, folder / f"paced-{number}", "--pace", "1")
         with stopped_now_and_then(run) as lengths_s:
-            runs.append(end(run))
-        stops += lengths_s
-    first, *paced = runs
+            ended = end(run)
+        stops.extend(lengths_s)
+        return ended
+
+    first = end(start(config, folder / "unpaced"))
+    with ThreadPoolExecutor(PACED_AT_ONCE) as pool:
+        paced = list(pool.map(one, range(times)))
     longest = max(run.time["longest_stall_s"] for run in paced)
     print(
         f"paced: stopped {len(stops)} times, {min(stops):.2f} to {max(stops):.2f} s; "

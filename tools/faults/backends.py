@@ -142,7 +142,7 @@ class Backend:
         return experiment.daq.timeout_s - answer_s
 
     def too_late_s(self, experiment: Experiment) -> float:
-        """By how much a reply comes too late: where the loop drives it waits as long as the watchdog lets the drive act."""
+        """By how much a reply comes too late: a loop that drives waits as long as the watchdog lets the drive act."""
         twice_s = 2.0 * self.spare_s(experiment)
         return twice_s if experiment.relay.where == "device" else max(twice_s, experiment.daq.watchdog_s)
 
