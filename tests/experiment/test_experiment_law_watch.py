@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -393,3 +394,28 @@ def test_a_run_without_its_keeper_goes_on_and_says_so(tmp_path: Path) -> None:
     assert run.failure == "" and run.result is not None
     assert any("no process watches the law" in note and "status -9" in note for note in run.result.notes)
     assert keepers_of(os.getpid()) == [] and signal.getsignal(asks()) is signal.SIG_DFL
+
+
+def test_where_a_motor_could_move_no_law_goes_on_without_its_keeper(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bounded = law_times(load(rig.ready("simulated")), virtual=True)._replace(cpu_s=60.0)
+    monkeypatch.setattr(law_watch, "law_times", lambda *_, **__: bounded)
+    run = rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path / "killed")
+    assert "LAW_UNWATCHED" in run.failure and "status -9" in run.failure
+    assert [event.kind for event in run.events][-3:] == ["stop", "fault", "end"]
+
+
+def test_where_a_motor_could_move_no_law_begins_without_its_keeper(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    bounded = law_times(load(rig.ready("simulated")), virtual=True)._replace(cpu_s=60.0)
+    monkeypatch.setattr(law_watch, "law_times", lambda *_, **__: bounded)
+    monkeypatch.setattr(law_watch, "Keeper", full)
+    with pytest.raises(Fault, match="LAW_UNWATCHED.*Resource temporarily unavailable"):
+        rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path)
+    [samples] = tmp_path.glob("*/samples.csv")
+    assert len(samples.read_text(encoding="utf-8").splitlines()) == 1, "a header, and no row"
