@@ -415,7 +415,7 @@ def test_where_a_motor_could_move_no_law_begins_without_its_keeper(
     bounded = law_times(load(rig.ready("simulated")), virtual=True)._replace(cpu_s=60.0)
     monkeypatch.setattr(law_watch, "law_times", lambda *_, **__: bounded)
     monkeypatch.setattr(law_watch, "Keeper", full)
-    with pytest.raises(Fault, match="LAW_UNWATCHED.*Resource temporarily unavailable"):
+    with pytest.raises(Fault, match=r"LAW_UNWATCHED.*Resource temporarily unavailable"):
         rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path)
     [samples] = tmp_path.glob("*/samples.csv")
     assert len(samples.read_text(encoding="utf-8").splitlines()) == 1, "a header, and no row"
