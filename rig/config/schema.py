@@ -576,6 +576,11 @@ class TrackingSection(_Section):
     trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)] = Field(
         description="the reference: a sum of sines about the centre of travel"
     )
+    offset_rad: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(
+        0.0,
+        description="the reference begins so far from the shaft: the report shows how the error dies away, measured "
+        "and as (35) has it",
+    )
     turn_rad_s: float = Field(
         0.0,
         description="without travel limits: the reference turns on at this speed, from where each check begins, with "

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.problems import ConfigError
+from rig.config.schema import TrackingSection
 from rig.config.yaml12 import parse
 from rig.estimators import ESTIMATORS
 from rig.faults import FAULTS
@@ -49,6 +50,7 @@ class Settings:
     soft_rad, hard_rad   travel limits
     wanted_amplitude_rad, wanted_period_s, tolerance   the cycle that the gain search looks for
     tracks               whether there is a trajectory to track
+    decay                offset from which each check begins, rad, and k1, 1/s, and k2, 1/s^2, of (34); None without one
     text                 the file as it is; "" if there is none
     """
 
@@ -59,6 +61,7 @@ class Settings:
     wanted_period_s: float | None = None
     tolerance: float | None = None
     tracks: bool = False
+    decay: tuple[float, float, float] | None = None
     is_there: bool = False
     text: str = ""
 
@@ -306,6 +309,7 @@ def _settings(folder: Path, missing: list[str]) -> Settings:
         wanted_period_s=_number(at("relay", "target", "period_s")),
         tolerance=_number(at("relay", "target", "tolerance")),
         tracks=bool(at("tracking")),
+        decay=_decay(at("tracking")),
         is_there=bool(value),
         text=text,
     )
@@ -316,6 +320,15 @@ def _number(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) < LARGEST else None
+
+
+def _decay(tracking: Any) -> tuple[float, float, float] | None:
+    """Offset, k1 and k2 of a config's tracking section, where it has an offset."""
+    given = tracking if isinstance(tracking, dict) else {}
+    default = TrackingSection.model_fields
+    offset_rad = _number(given.get("offset_rad"))
+    k1, k2 = (_number(given.get(name, default[name].default)) for name in ("k1_1_s", "k2_1_s2"))
+    return (offset_rad, k1, k2) if offset_rad and k1 and k1 > 0.0 and k2 and k2 > 0.0 else None
 
 
 def _pair(value: Any) -> tuple[float, float] | None:

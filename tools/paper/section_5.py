@@ -29,6 +29,8 @@ from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor
 from rig.recording.reader import read_run
 from rig.recording.stage import Stage
+from rig.report import checked
+from rig.report.source import load as load_run
 from rig.report.style import Picture, colour
 from rig.results import TrackingResult, known
 from shared.table import Cell, Table, fixed, number, share, significant
@@ -73,6 +75,7 @@ class Trial:
     tracks       the check by (33)-(35), friction compensated by the sign of the reference
     law_rms_rad  RMS error with the sign of the estimated velocity, as in (33)
     plain        the paper's iteration, for each relay test
+    decay        how the error dies away from an offset, beside (35)
     """
 
     seed: int
@@ -81,6 +84,7 @@ class Trial:
     law_rms_rad: dict[str, float]
     plain: tuple[Iteration, ...]
     cycles: tuple[Cycle, ...]
+    decay: Picture
 
     def rms_rad(self, method: str) -> float:
         """RMS of the shaft's own tracking error, rad."""
@@ -154,7 +158,8 @@ def _trial(config: Experiment, seed: int, runs: Path, *, law: bool) -> Trial:
     tracks = {m: _track(outcome.folder, m, outcome.result.tracking) for m in TRACKED}
     tracks[PLAIN] = _plain_track(config, found, estimates[PLAIN], outcome.folder, runs)
     by_law = _by_estimated_sign(config, found, outcome.folder, runs) if law else {}
-    return Trial(seed, estimates, tracks, by_law, plain, tuple(found.cycles.values()))
+    decay = checked.decay(load_run(outcome.folder))
+    return Trial(seed, estimates, tracks, by_law, plain, tuple(found.cycles.values()), decay)
 
 
 def motor_of(config: Experiment) -> Motor:
@@ -257,6 +262,7 @@ def section(result: Result) -> Section:
         Heading("Verification by feedback linearisation (Fig. 17 and 18 of the paper)"),
         _tracking_table(result),
         _tracking_figure(result),
+        result.first.decay,
         Remark(
             better.agreement,
             f"With the program's triple relay the comparison {better.says('comes', 'does not come')} out as in the "
