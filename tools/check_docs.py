@@ -28,7 +28,7 @@ FILE = re.compile(r"`([\w-]+\.py)(?:::(\w+))?`")
 # something in a file: `Loop.armed` in `rig/loop/runner.py`
 PLACE = re.compile(r"`(?:\w+\.)*(\w+)` in `((?:rig|tests|tools|firmware)/[\w./-]+\.\w+)`")
 # these tell of the project as it was when they were written
-HISTORY = ("docs/decisions/", "docs/mutant-table.md", "CHANGELOG.md")
+HISTORY = ("docs/decisions/", "docs/evidence/mutant-table.md", "CHANGELOG.md")
 
 THEORY = ROOT / "docs" / "theory.md"
 # "docs/theory.md 4.2", "docs/theory.md 3.1, 4.3 and 6.2", "docs/theory.md, section 7.1"
