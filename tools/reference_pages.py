@@ -1,4 +1,4 @@
-"""The reference of the documentation, made from the source: commands, keys, faults, Python; and the gallery.
+"""The reference of the documentation, made from the source: commands, keys, results, faults, Python; the gallery.
 
 ``python tools/reference_pages.py FOLDER``; `make docs` does it by itself.
 """
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from results_page import in_order, kind
+from results_page import in_order, kind, page_text
 from rig import config
 from rig.faults import FAULTS
 from shared import page
@@ -45,7 +45,14 @@ def write_pages(folder: Path, gallery: Path) -> None:
     gallery   where reports are, if they were made
     """
     folder.mkdir(exist_ok=True)
-    pages = {"commands": COMMANDS, "keys": keys(), "faults": faults(), "python": PYTHON, "gallery": reports(gallery)}
+    pages = {
+        "commands": COMMANDS,
+        "keys": keys(),
+        "results": page_text(),
+        "faults": faults(),
+        "python": PYTHON,
+        "gallery": reports(gallery),
+    }
     for name, text in pages.items():
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
