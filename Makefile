@@ -60,12 +60,12 @@ format: .venv/.ready  ## format the Python code
 bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 	PYTHONPATH=tools .venv/bin/python -m bench
 
-campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/real-motors-table.md; it resumes
+campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/evidence/real-motors-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
 	    $(if $(RUNS),--runs) $(if $(KIND),--kind "$(KIND)") $(if $(RECHECK),--recheck $(RECHECK)) $(if $(PAGE),--page $(PAGE))
 
-stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
+stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/evidence/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(AFTERWARDS),--afterwards $(AFTERWARDS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
 	    $(if $(PERCENT),--percent $(PERCENT)) $(if $(PAGE),--page $(PAGE))
@@ -73,24 +73,24 @@ stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds o
 free-running: .venv/.ready  ## how often the breakaway check names a bridge that runs free, and falsely one that brakes
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python tools/free_running_rates.py $(if $(MOTORS),--motors $(MOTORS)) $(if $(SEED),--seed $(SEED))
 
-compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and what it finds: docs/compare-table.md; it resumes
+compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and what it finds: docs/evidence/compare-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m comparing \
 	    $(if $(SAME),--same $(SAME)) $(if $(DRIFTED),--drifted $(DRIFTED)) $(if $(LAWS),--laws $(LAWS)) $(if $(SEED),--seed $(SEED))
 
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
 	PYTHONPATH=tools .venv/bin/python -m emps
 
-tune: .venv/.ready  ## loops tuned on identified motors, tried on the true ones: docs/tune-table.md; it resumes
+tune: .venv/.ready  ## loops tuned on identified motors, tried on the true ones: docs/evidence/tune-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m tune \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
 
-tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs/tracking-table.md
+tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs/evidence/tracking-table.md
 	PYTHONPATH=tools .venv/bin/python tools/tracking_table.py
 
-design: .venv/.ready  ## how soon designed tests tell enough, beside a free optimum: docs/design-table.md
+design: .venv/.ready  ## how soon designed tests tell enough, beside a free optimum: docs/evidence/design-table.md
 	PYTHONPATH=tools .venv/bin/python tools/design_table.py
 
-stalls: .venv/.ready firmware  ## random motors, driven by a host that stands still at random: docs/stalls-table.md; it resumes
+stalls: .venv/.ready firmware  ## random motors, driven by a host that stands still at random: docs/evidence/stalls-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stalls \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(CHIPS),--chips $(CHIPS)) $(if $(SEED),--seed $(SEED)) $(if $(JOBS),--jobs $(JOBS)) \
 	    $(if $(PAGE),--page $(PAGE))
@@ -101,7 +101,7 @@ paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/rep
 figures: .venv/.ready  ## the figures of README and docs/theory.md: docs/figures
 	PYTHONPATH=tools .venv/bin/python tools/figures.py
 
-safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip; BOARD=pico: on the Pico's: docs/safety-table.md
+safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip; BOARD=pico: on the Pico's: docs/evidence/safety-table.md
 	PYTHONPATH=tools .venv/bin/python -m safety $(if $(BOARD),--board $(BOARD))
 
 soak: .venv/.ready firmware  ## HOURS=8 of the devices' time, run after run, with faults at random; half an hour or so
@@ -113,10 +113,10 @@ whole: .venv/.ready firmware  ## whether TIMES=20 runs of the demo end whole: be
 fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each target; counts are printed
 	PYTHONPATH=tools .venv/bin/python -m fuzz --seconds $(or $(SECONDS_EACH),60)
 
-faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and what the bench does: docs/fault-table.md, docs/fault-rows.md
+faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and what the bench does: docs/evidence/fault-table.md, docs/evidence/fault-rows.md
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m faults
 
-mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: each must fail a test: docs/mutant-table.md
+mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: each must fail a test: docs/evidence/mutant-table.md
 	PYTHONPATH=tools .venv/bin/python -m mutants
 
 firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/rig_pico.uf2), and the emulated board and chips

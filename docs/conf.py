@@ -31,30 +31,18 @@ nb_execution_timeout = 900
 autodoc_typehints = "none"  # the signature has them
 autodoc_member_order = "bysource"
 
-# A page also links to files beside docs/, for readers of the repository. The site has no such pages: it names them.
-_ELSEWHERE = re.compile(r"\[([^\]]*)\]\((\.\./[^)#\s]*|examples/[^)#\s]*)(?:#[^)\s]*)?\)")
-
 
 def _named(match: re.Match[str]) -> str:
-    words, path = match.group(1), match.group(2).removeprefix("../")
+    """A link to a file that is no page: its words, and its path in the repository."""
+    words, path = match.group(1), match.group(2).replace("../", "")
     return words if path.rstrip("/").endswith(words.strip("`").rstrip("/")) else f"{words} (`{path}`)"
 
 
-_DECISIONS = """
-```{toctree}
-:hidden:
-:glob:
-
-*
-```
-"""
-
-
 def _read(_app: Sphinx, page: str, text: list[str]) -> None:
-    if page == "decisions/README":
-        text[0] += _DECISIONS
-    if not page.startswith(("decisions/", "reference/")):
-        text[0] = _ELSEWHERE.sub(_named, text[0])
+    """A page also links to files beside docs/. The site has no such pages: it names them."""
+    if not page.startswith("reference/"):
+        beside = "../" * (page.count("/") + 1)
+        text[0] = re.sub(rf"\[([^\]]*)\]\(((?:{beside}|examples/)[^)#\s]*)(?:#[^)\s]*)?\)", _named, text[0])
 
 
 _ROW = re.compile(r"^(\S.*?) {2,}(\S.*)$")  # of a table in a docstring: a name, and what it is

@@ -28,7 +28,11 @@ FILE = re.compile(r"`([\w-]+\.py)(?:::(\w+))?`")
 # something in a file: `Loop.armed` in `rig/loop/runner.py`
 PLACE = re.compile(r"`(?:\w+\.)*(\w+)` in `((?:rig|tests|tools|firmware)/[\w./-]+\.\w+)`")
 # these tell of the project as it was when they were written
-HISTORY = ("docs/decisions/", "docs/mutant-table.md", "CHANGELOG.md")
+HISTORY = ("docs/evidence/mutant-table.md", "CHANGELOG.md")
+
+# pages that a command writes say what made them instead
+EVIDENCE = ROOT / "docs" / "evidence"
+READER = re.compile(r"# .*\n\nFor \S")
 
 THEORY = ROOT / "docs" / "theory.md"
 # "docs/theory.md 4.2", "docs/theory.md 3.1, 4.3 and 6.2", "docs/theory.md, section 7.1"
@@ -89,6 +93,9 @@ def problems(path: Path) -> list[str]:
     """What does not hold in one document."""
     text = path.read_text(encoding="utf-8")
     found = list(broken_links(path, text))
+    is_page = path.is_relative_to(ROOT / "docs") and (path.parent != EVIDENCE or path.name == "README.md")
+    if is_page and not READER.match(text):
+        found.append("the line below its title does not say for whom it is: For everybody who ...")
     if not path.as_posix().startswith(tuple((ROOT / name).as_posix() for name in HISTORY)):
         found += [f"names {name}, which is not there" for name in PATH.findall(text) if not (ROOT / name).exists()]
         found += lost_places(text)

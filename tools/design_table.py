@@ -1,4 +1,4 @@
-"""docs/design-table.md: how soon designed tests tell enough, on random motors, beside a free optimum: ``make design``.
+"""docs/evidence/design-table.md: how soon designed tests tell enough, beside a free optimum: ``make design``.
 
 The motors are the first of config/campaign.yaml's grid. Every figure is a Cramer-Rao bound by exact simulation, with
 the delay unknown. The free optimum drives any voltage at each sample, of a motor that is exactly known: a local search
@@ -34,7 +34,7 @@ from shared.cases import in_order
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs/design-table.md"
+PAGE = ROOT / "docs/evidence/design-table.md"
 MOTORS = 30
 WANTED_PERCENT = 1.0
 DOUBTS_PERCENT = (1.0, 10.0, 20.0, 30.0)

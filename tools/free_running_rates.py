@@ -3,7 +3,7 @@
     python tools/free_running_rates.py [--motors N] [--seed SEED]
 
 Random motors, the check's law against the bench's model at the config's period. Prints a table
-for docs/decisions/free-running-by-strokes.md. A motor that its config's rules refuse, or that ends in a fault, has not
+for docs/decisions.md. A motor that its config's rules refuse, or that ends in a fault, has not
 passed.
 """
 

@@ -1,4 +1,4 @@
-"""The reference of the documentation, made from the source: commands, keys, faults, Python; and the gallery.
+"""The reference of the documentation, made from the source: commands, keys, results, faults, Python; the gallery.
 
 ``python tools/reference_pages.py FOLDER``; `make docs` does it by itself.
 """
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from results_page import in_order, kind
+from results_page import in_order, kind, page_text
 from rig import config
 from rig.faults import FAULTS
 from shared import page
@@ -18,7 +18,8 @@ from shared.table import markdown
 
 COMMANDS = """# Commands and options
 
-Made from the commands themselves. What they say, and what options mean everywhere: [commands](../commands.md).
+For everybody who looks up an option. Made from the commands themselves.
+What they say, and what options mean everywhere: [commands](../commands.md).
 
 ```{eval-rst}
 .. click:: rig.cli:main
@@ -28,7 +29,7 @@ Made from the commands themselves. What they say, and what options mean everywhe
 """
 PYTHON = """# Python
 
-Made from the docstrings. With examples: [Python](../api.md).
+For everybody who looks up a function. Made from the docstrings. With examples: [Python](../api.md).
 
 ```{eval-rst}
 .. automodule:: rig.api
@@ -44,7 +45,14 @@ def write_pages(folder: Path, gallery: Path) -> None:
     gallery   where reports are, if they were made
     """
     folder.mkdir(exist_ok=True)
-    pages = {"commands": COMMANDS, "keys": keys(), "faults": faults(), "python": PYTHON, "gallery": reports(gallery)}
+    pages = {
+        "commands": COMMANDS,
+        "keys": keys(),
+        "results": page_text(),
+        "faults": faults(),
+        "python": PYTHON,
+        "gallery": reports(gallery),
+    }
     for name, text in pages.items():
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
@@ -55,17 +63,17 @@ def faults() -> str:
     """A table of all faults: code, cause, cure."""
     rows = [(f"`{code}`", entry.cause, entry.cure) for code, entry in FAULTS.items()]
     table = markdown(("code", "what happened", "what to do"), rows)
-    return f"# Faults\n\nWhat ends a run, why, and what to do.\n\n{table}\n"
+    return f"# Faults\n\nFor everybody whose run has ended early: what ends a run, why, and what to do.\n\n{table}\n"
 
 
 def reports(gallery: Path) -> str:
     """Links to the reports of the gallery, or how to make them."""
-    titles = gallery / "titles.json"
+    titles, head = gallery / "titles.json", "# Gallery of reports\n\nFor everybody who wants to see a report.\n\n"
     if not titles.exists():
-        return "# Gallery of reports\n\nThis build has none: `make docs` makes them.\n"
+        return f"{head}This build has none: `make docs` makes them.\n"
     named = json.loads(titles.read_text(encoding="utf-8"))
     links = "\n".join(f'<li><a href="../{name}.html">{title}</a></li>' for name, title in named.items())
-    return f"# Gallery of reports\n\nWhat `rig run` reports of four emulated benches.\n\n<ul>\n{links}\n</ul>\n"
+    return f"{head}What `rig run` reports of four emulated benches.\n\n<ul>\n{links}\n</ul>\n"
 
 
 def keys() -> str:
@@ -75,7 +83,7 @@ def keys() -> str:
     text = [
         "# Keys of a config",
         "",
-        "Every key, its default and its range. `rig config list` names ready configs.",
+        "For everybody who writes a config: every key, its default, its range. `rig config list` names ready configs.",
         "",
     ]
     text += ["## The config", "", _table(schema)]

@@ -1,4 +1,7 @@
-"""docs/results.md and the JSON Schemas beside it, made from the models: ``python tools/results_page.py``."""
+"""The keys of meta.json and result.json, from the models: for the reference, and as the JSON Schemas in docs/.
+
+``python tools/results_page.py`` writes the schemas.
+"""
 
 from __future__ import annotations
 
@@ -10,43 +13,47 @@ from typing import Any
 from rig.results import Part, RunMeta, RunResult
 from rig.results.json_schema import schema_text
 from shared import page
+from shared.table import markdown
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-PAGE = "results.md"
 ANYTHING = "JsonValue"  # how the schema calls any value of JSON
 SCHEMAS: dict[str, type[Part]] = {"meta-schema.json": RunMeta, "result-schema.json": RunResult}
 
 
 def main() -> int:
-    """Write the page and the schemas."""
-    page.write(DOCS / PAGE, page_text())
+    """Write the schemas."""
     for name, model in SCHEMAS.items():
         page.write(DOCS / name, schema_text(model))
     return 0
 
 
 def page_text() -> str:
-    """The page: a table for each file, then one for each part, in the order in which they are met."""
-    sections: list[dict[str, object]] = []
+    """A page of the reference: a table for each file, then one for each part, in the order in which they are met."""
+    text = [
+        "# Keys of meta.json and result.json",
+        "",
+        "For everybody who reads a run folder with a program. *Always*: this version always writes the key. How rig",
+        "reads these files: [results](../results.md).",
+    ]
     told: set[str] = set()
     for title, model in (("meta.json", RunMeta), ("result.json", RunResult)):
         schema = json.loads(schema_text(model))
         parts = schema.pop("$defs", {})
-        sections.append({"title": f"## {title}", "rows": _rows(schema)})
+        text += ["", f"## {title}", "", _table(schema)]
         for name in in_order(schema, parts):
             if name not in told:
                 told.add(name)
-                part = parts[name]
-                sections.append({"title": f"### {name}", "words": part["description"], "rows": _rows(part)})
-    return page.render(DOCS.parent / "tools" / f"{PAGE}.j2", sections=sections)
+                text += ["", f"### {name}", "", parts[name]["description"], "", _table(parts[name])]
+    return "\n".join(text) + "\n"
 
 
-def _rows(schema: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+def _table(schema: dict[str, Any]) -> str:
     required = schema.get("required", [])
-    return [
+    rows = [
         (f"`{key}`", kind(of), "yes" if key in required else "", of.get("description", ""))
         for key, of in schema["properties"].items()
     ]
+    return markdown(("key", "value", "always", "what"), rows)
 
 
 def kind(of: dict[str, Any]) -> str:

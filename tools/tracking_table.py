@@ -1,4 +1,4 @@
-"""docs/tracking-table.md: tracking with and without the laws that rig finds, bench by bench: ``make tracking``.
+"""docs/evidence/tracking-table.md: tracking with and without the laws that rig finds: ``make tracking``.
 
 Each bench is config/simulated.yaml with another motor. It is identified once. Then its shaft tracks the config's
 trajectory with the model of that identification, with its laws and without them, at several seeds of the noise.
@@ -25,7 +25,7 @@ from rig.results import TrackingResult, known
 from shared import page
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs/tracking-table.md"
+PAGE = ROOT / "docs/evidence/tracking-table.md"
 SEEDS = (1, 2, 3)
 # Keys of emulated.motor, and of its section parts.
 BENCHES: dict[str, tuple[Mapping[str, float], Mapping[str, float]]] = {

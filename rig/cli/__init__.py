@@ -45,7 +45,7 @@ from rig.package import VERSION
 
 
 class _Commands(click.Group):
-    """Commands that a Ctrl-C ends with one line, not a traceback, while no run's loop is going."""
+    """Commands in groups. A Ctrl-C ends them with one line, not a traceback, while no run's loop is going."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -54,6 +54,13 @@ class _Commands(click.Group):
             click.echo("rig: interrupted; no drive is on", err=True)
             ctx.exit(EXIT_FAILED)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Each command with the whole first sentence of its help, group by group."""
+        widest = max(map(len, self.commands))
+        for title, commands in _GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(str(of.name).ljust(widest), (of.help or "").split("\n\n")[0]) for of in commands])
+
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(VERSION, prog_name="rig")
@@ -61,31 +68,30 @@ def main() -> None:
     """Identify and control a friction-impeded DC motor by relay feedback."""
 
 
-for _command in (
-    calibrate.calibrate,
-    campaign.campaign,
-    check.check,
-    compare.compare,
-    config.ready_configs,
-    design.design,
-    doctor.doctor,
-    emulate.emulate,
-    export.export,
-    flash.flash,
-    home.home,
-    identify.identify,
-    init.init,
-    jog.jog,
-    list.list_runs,
-    panel.panel,
-    predict.predict,
-    relay.relay,
-    replay.replay,
-    report.report,
-    run.run,
-    schema.schema,
-    survey.survey,
-    track.track,
-    tune.tune,
-):
-    main.add_command(_command)
+_GROUPS = {
+    "Try it, without hardware": (config.ready_configs, emulate.emulate, predict.predict),
+    "Measure a motor": (
+        run.run,
+        identify.identify,
+        relay.relay,
+        survey.survey,
+        design.design,
+        track.track,
+    ),
+    "Use what was measured": (report.report, list.list_runs, compare.compare, tune.tune, export.export),
+    "A bench of your own": (
+        init.init,
+        flash.flash,
+        doctor.doctor,
+        calibrate.calibrate,
+        home.home,
+        jog.jog,
+        check.check,
+        panel.panel,
+        schema.schema,
+    ),
+    "Evidence": (replay.replay, campaign.campaign),
+}
+for _commands in _GROUPS.values():
+    for _command in _commands:
+        main.add_command(_command)

@@ -33,7 +33,7 @@ from rig.signals import plain
 def calibrate(
     config_path: Path, steps: tuple[str, ...], answers: Path | None, out: Path, pace: float | None, as_json: bool
 ) -> None:
-    """Measure sensor, travel and drive of a bench, and put the results into CONFIG.
+    """Measure what a config must say of sensor, travel and drive.
 
     Asks you to turn the shaft by hand to known angles and to its stops. Then, only after you have said yes, it drives
     the motor to and fro in short strokes. It refuses what cannot be true, and says which wires to look at. At the end

@@ -56,7 +56,7 @@ def compare(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Compare runs: is it one motor?
+    """Tell whether several runs are of one motor.
 
     Two answers: do the runs differ by more than their noise explains, and by more than one motor does from run to run?
     What is common to them, such as supply and calibration, cancels. Of three runs or more rig names the odd one, and

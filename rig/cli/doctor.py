@@ -35,7 +35,7 @@ from rig.terminal import show_finding
 @OUT
 @JSON
 def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud: str, out: Path, as_json: bool) -> None:
-    """Measure whether this machine and the link hold the period; or, with --loopback, what a bare board does.
+    """Measure whether this machine and the link hold the period.
 
     Without CONFIG: this machine. With CONFIG: also the link to its device. Says what is in the way, and what to type.
     It opens and reads the device, but never arms it: nothing moves. Exit status 1 if the period will not hold.

@@ -36,10 +36,11 @@ def export(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Write a run to one file that other programs open, or its motor as a model that another tool loads.
+    """Write a run, or its motor, for another program.
 
-    A file holds samples, events and result; a .csv file holds the samples. A model has the numbers of the motor with
-    units and intervals, its laws, and where it comes from.
+    One file that other programs open, or a model that another tool loads. A file holds samples, events and result; a
+    .csv file holds the samples. A model has the numbers of the motor with units and intervals, its laws, and where it
+    comes from.
     """
     from rig.export import FORMATS, TOOLS
 

@@ -20,12 +20,12 @@ from rig.recording.folder import json_text
 @PACE
 @JSON
 def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | None, as_json: bool) -> None:
-    """Set the zero of an encoder, which counts from wherever it was switched on.
+    """Set the zero of an encoder.
 
-    By hand: turn the shaft to its zero, and press Enter. With an end switch (sensor.encoder.home): rig drives the shaft
-    to the switch, and back inside. The device keeps the zero until its next reset, a fault of the encoder, or the next
-    homing: that forgets it first, so that one that fails leaves none. Nothing is recorded: --out is the folder of the
-    panels that can stop it.
+    It counts from wherever it was switched on. By hand: turn the shaft to its zero, and press Enter. With an end
+    switch (sensor.encoder.home): rig drives the shaft to the switch, and back inside. The device keeps the zero until
+    its next reset, a fault of the encoder, or the next homing: that forgets it first, so that one that fails leaves
+    none. Nothing is recorded: --out is the folder of the panels that can stop it.
     """
     experiment = checked_bench(config_path, pace)
     from rig.experiment import zero

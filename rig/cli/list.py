@@ -27,10 +27,10 @@ from rig.terminal import show_runs
 )  # fmt: skip
 @JSON
 def list_runs(folder: Path, where: Sequence[str], sort: Sequence[str], as_json: bool) -> None:
-    """List the runs of a folder, one line each. Default: runs.
+    """List the runs of a folder, one line each.
 
-    The fields for --where and --sort are the keys of --json. The file .rig-index.jsonl in the folder holds what was
-    read, so that the next time is quicker. You may delete it at any time.
+    Default: runs. The fields for --where and --sort are the keys of --json. The file .rig-index.jsonl in the folder
+    holds what was read, so that the next time is quicker. You may delete it at any time.
     """
     from rig.catalogue.index import catalogue
     from rig.catalogue.query import QueryError, selected

@@ -39,10 +39,11 @@ def panel(
     tls_key: Path | None,
     password_file: Path | None,
 ) -> None:
-    """Show the bench live in a browser: start a config, jog, stop, look at past runs.
+    """Show a bench live in a browser, and drive it from there.
 
-    With a CONFIG the page can start it. With a RUN it shows that run, live if it goes on. It also shows what `rig run`
-    does in another terminal with the same --out. The panel is a process of its own: whatever ends it, a run goes on.
+    With a CONFIG the page can start it, jog and stop. With a RUN it shows that run, live if it goes on. It also shows
+    what `rig run` does in another terminal with the same --out. The panel is a process of its own: whatever ends it,
+    a run goes on.
     """
     from rig.panel.access import Access, AccessError, Address, require_safe
 

@@ -23,7 +23,7 @@ from rig.results import RunMeta, RunResult
 )  # fmt: skip
 @click.option("--campaign", "of_campaign", is_flag=True, help="The same as --of campaign.")
 def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
-    """Write a JSON Schema of a config, for editors, or of a run's files."""
+    """Write a JSON Schema of a config, or of a run's files."""
     if of_campaign and of not in ("config", "campaign"):
         fail(EXIT_BAD_INPUT, f"--campaign and --of {of} name two schemas", "leave one of them out")
     if of in ("meta", "result"):

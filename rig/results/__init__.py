@@ -1,5 +1,5 @@
 """The files of a run as typed models: meta.json is a ``RunMeta``, result.json a ``RunResult``, a line of events.jsonl a
-``RunEvent``. Each field says what its key means; docs/results.md is made from that.
+``RunEvent``. Each field says what its key means; the reference of `make docs` is made from that.
 """
 
 from rig.results.answer import Answer, answer_of, chosen

@@ -160,7 +160,7 @@ class FrictionLawResult(Part):
 class FoundLawResult(Part):
     """A law that the tests show beyond tau, K and Coulomb friction."""
 
-    name: Text = Field(description="dead_band, gain_by_sign, sag, lag, ... (docs/results.md)")
+    name: Text = Field(description="dead_band, gain_by_sign, sag, lag, ... (docs/theory.md 12.1)")
     value: Number = Field(None, description="its size: its number, or the root sum of squares of its numbers")
     unit: Text = Field("", description="of the value; 1: none")
     ci95: Interval | None = Field(None, description="its 95 % interval: low, high")

@@ -76,7 +76,7 @@ class RunTime(Part):
 class TrueLaw(Part):
     """What the emulated motor has beyond tau, K and Coulomb friction, named and measured as a law that is found."""
 
-    name: Text = Field(description="dead_band, gain_by_sign, sag, lag, ... (docs/results.md)")
+    name: Text = Field(description="dead_band, gain_by_sign, sag, lag, ... (docs/theory.md 12.1)")
     value: Number = Field(None, description="its size: its number, or the root sum of squares of its numbers")
     unit: Text = Field("", description="of the value; 1: none")
     numbers: dict[str, Number] = Field({}, description="all its numbers, with the unit in the name")

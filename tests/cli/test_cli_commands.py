@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -125,6 +126,21 @@ def test_two_schemas_at_once_are_refused(tmp_path: Path, of: str) -> None:
 def test_each_command_stands_in_the_file_of_its_name() -> None:
     for name in main.commands:
         assert (ROOT / f"rig/cli/{name}.py").is_file()
+
+
+def test_help_shows_every_command_in_a_group_with_one_whole_short_sentence() -> None:
+    said = rig("--help").stdout
+    titles = [
+        "Try it, without hardware:",
+        "Measure a motor:",
+        "Use what was measured:",
+        "A bench of your own:",
+        "Evidence:",
+    ]
+    assert [line for line in said.splitlines() if line in titles] == titles
+    shown = dict(line.split(maxsplit=1) for line in said[said.index(titles[0]) :].splitlines() if line.startswith("  "))
+    assert shown.keys() == main.commands.keys()
+    assert all(re.fullmatch(r"[A-Z][^.]*\.", sentence) for sentence in shown.values())
 
 
 def test_help_of_every_command_fits_a_screen() -> None:

@@ -19,7 +19,7 @@ GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
 PERIOD_S = 0.01
 PLAIN = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "asym_V": -0.01, "delay_s": 0.0012}
 FRAME = {"centre_rad": 0.1, "half_travel_rad": 1.2, "start_s": 0.0, "duration_s": 20.0}
-# Each with a size that the real motors of docs/real-motors-table.md have.
+# Each with a size that the real motors of docs/evidence/real-motors-table.md have.
 LAWS: dict[str, dict[str, float]] = {
     "dead_band": {"dead_band_V": 0.15},
     "gain_by_sign": {"gain_by_sign": 0.04},

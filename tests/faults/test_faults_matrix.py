@@ -48,8 +48,8 @@ from rig.control.guard import Guard
 pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).resolve().parents[2]
-SUMMARY = ROOT / "docs" / "fault-table.md"
-PAGE = ROOT / "docs" / "fault-rows.md"
+SUMMARY = ROOT / "docs" / "evidence" / "fault-table.md"
+PAGE = ROOT / "docs" / "evidence" / "fault-rows.md"
 
 
 LINKS = (CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP, BARE)  # the others differ in board, sensor or test: `make faults`
@@ -110,7 +110,7 @@ BARELY = ("pushed over a limit",)
 
 
 def one_phase(name: str, backend: Backend, stage: Stage) -> float:
-    """One of the phases of `make faults`: what is measured there is in docs/fault-worst.json, too."""
+    """One of the phases of `make faults`: what is measured there is in docs/evidence/fault-worst.json, too."""
     phases = phases_of(backend, stage)
     return phase_at(random.Random(f"{name} {backend.key} {stage.key}").randrange(phases), phases)
 

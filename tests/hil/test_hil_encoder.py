@@ -146,7 +146,7 @@ def test_two_channels_at_once_mean_0_V_within_two_ticks_and_no_zero() -> None:
 
 
 def test_a_dead_clock_looks_like_too_many_edges_and_the_watchdog_resets_the_chip_all_the_same() -> None:
-    """Why the row `hang: clock, encoder` of docs/safety-table.md is shorter than the hardware watchdog's time."""
+    """Why `hang: clock, encoder` of docs/evidence/safety-table.md is shorter than the hardware watchdog's time."""
     host = armed_chip()
     host.drive(40)
     host.wait(0.09)  # 2,000 edges a second by then

@@ -1,6 +1,6 @@
 """The Pico's registers against the RP2040 data sheet: the emulator names a breach of a rule, or it shows at the pins.
 
-A defect is put into a copy of the sources, which is built; the tables are in docs/pico.md.
+A defect is put into a copy of the sources, which is built; the tables: docs/evidence/registers-pico.md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetu
 pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "pico.md"
+PAGE = ROOT / "docs" / "evidence" / "registers-pico.md"
 BOARD = firmware_build.source_folder() / "boards" / "pico"
 PLAIN, IN1_IN2 = Variant(), Variant(bridge="IN1_IN2")
 EVERYTHING = Variant("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)

@@ -1,6 +1,6 @@
 """The Uno's registers against the chip's data sheet: what both emulators know of it, and that a breach of it shows.
 
-A defect is put into a copy of the sources, which is built; the table of the rules is in docs/firmware.md.
+A defect is put into a copy of the sources, which is built; the table of the rules: docs/evidence/registers-uno.md.
 """
 
 from __future__ import annotations
@@ -309,7 +309,7 @@ HARMLESS = {"wdt_reset", "sleep_cpu"}  # instructions, no writes
 
 def rows() -> list[list[str]]:
     """Of the table: rule, section, what keeps it, test."""
-    text = (ROOT / "docs" / "firmware.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "evidence" / "registers-uno.md").read_text(encoding="utf-8")
     table = text.split("## Registers against the data sheet")[1].split("\n\n| first drive")[0]
     lines = [line for line in table.splitlines() if line.startswith("| ") and not line.startswith("| rule")]
     return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
@@ -356,5 +356,5 @@ def test_each_write_to_a_register_has_its_row() -> None:
     assert len(written) > 25
     for where, name in sorted(written):
         assert re.search(rf"\b{name}\b", told.get(where, "")), (
-            f"{where} writes {name}: docs/firmware.md has no row for it"
+            f"{where} writes {name}: docs/evidence/registers-uno.md has no row for it"
         )

@@ -1,4 +1,4 @@
-"""The command that makes docs/safety-table.md: few phases of it, a broken promise, and the page that is checked in."""
+"""The tool of docs/evidence/safety-table.md: few phases, a broken promise, and the page that is checked in."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safety.driven_chip import PICO, UNO, DrivenChip, Way
 from safety.page import Found, is_kept, render, render_pico, replaced, row
 from safety.promises import PICO_PROMISES, PROMISES, Promise, measure
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "safety-table.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "safety-table.md"
 PICO_PAGE = PAGE.with_name("safety-table-pico.md")
 COAST_RAD = max(UNO.bench.motor.stopping_distance(UNO.steady(direction)[1]) for direction in (1, -1))
 

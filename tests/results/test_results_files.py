@@ -76,11 +76,8 @@ def test_the_schemas_in_the_tree_are_those_of_the_models(name: str, kind: type[P
     Draft202012Validator.check_schema(json.loads(text))
 
 
-def test_the_page_is_that_of_the_models_and_each_key_is_explained() -> None:
-    """If this fails: `python tools/results_page.py`."""
-    page = (results_page.DOCS / results_page.PAGE).read_text(encoding="utf-8")
-    assert page == results_page.page_text()
-    rows = [line for line in page.splitlines() if line.startswith("| `")]
+def test_the_reference_explains_each_key() -> None:
+    rows = [line for line in results_page.page_text().splitlines() if line.startswith("| `")]
     assert len(rows) > 90
     assert [row for row in rows if row.endswith("|  |")] == []
 

@@ -82,6 +82,20 @@ def test_a_link_to_a_heading_that_is_not_there_is_found(tmp_path: Path) -> None:
     assert check_docs.problems(page) == ["link to #three of page.md, which has no such heading"]
 
 
+def test_a_page_that_does_not_say_for_whom_it_is_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "Makefile").touch()
+    (tmp_path / "docs/evidence").mkdir(parents=True)
+    monkeypatch.setattr(check_docs, "ROOT", tmp_path)
+    monkeypatch.setattr(check_docs, "EVIDENCE", tmp_path / "docs/evidence")
+    for name in ("docs/page.md", "docs/evidence/table.md", "README.md"):
+        (tmp_path / name).write_text("# Title\n\nIt works.\n", encoding="utf-8")
+    (tmp_path / "docs/said.md").write_text("# Title\n\nFor everybody who asks.\n", encoding="utf-8")
+    missing = "the line below its title does not say for whom it is: For everybody who ..."
+    assert check_docs.problems(tmp_path / "docs/page.md") == [missing]
+    for name in ("docs/said.md", "docs/evidence/table.md", "README.md"):
+        assert check_docs.problems(tmp_path / name) == []
+
+
 @pytest.mark.parametrize("draw", [figures.limit_cycle_figure, figures.describing_function_figure])
 def test_the_figures_of_the_theory_can_be_drawn(draw: object) -> None:
     assert callable(draw)

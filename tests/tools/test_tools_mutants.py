@@ -83,7 +83,7 @@ def test_each_test_that_is_to_catch_one_is_there() -> None:
 
 
 def test_the_table_in_the_docs_has_each_named_mutant() -> None:
-    page = (ROOT / "docs" / "mutant-table.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "evidence" / "mutant-table.md").read_text(encoding="utf-8")
     assert [mutant.name for mutant in NAMED if f"| {mutant.name} |" not in page] == []
     assert re.search(r"\| \*\*\w", page) is None  # nothing survived that should not, and nothing went wrong
     assert all(why in page for why in EQUIVALENT.values())

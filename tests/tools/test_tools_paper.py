@@ -459,5 +459,5 @@ def test_a_table_with_a_missing_cell_is_an_error() -> None:
 def test_the_command_is_there_and_the_documents_name_it() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.search(r"^paper:.*\n\tPYTHONPATH=tools \S+ -m paper$", makefile, re.MULTILINE)
-    assert "`make paper`" in (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8")
+    assert "`make paper`" in (ROOT / "docs" / "evidence" / "README.md").read_text(encoding="utf-8")
     assert "tools/paper" in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")

@@ -26,7 +26,10 @@ from shared.rows_file import RowsFile, commit
 from shared.share import at_most
 
 HERE = Path(__file__).resolve().parents[2]
-PAGES = {False: HERE / "docs" / "real-motors-table.md", True: HERE / "docs" / "real-motors-runs-table.md"}
+PAGES = {
+    False: HERE / "docs" / "evidence" / "real-motors-table.md",
+    True: HERE / "docs" / "evidence" / "real-motors-runs-table.md",
+}
 MADE_BY = (  # rows of another code start anew
     "rig/identify",
     "rig/model",
@@ -58,7 +61,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="another seed")
     parser.add_argument("--runs", action="store_true", help="with breakaway check and gain search, as rig run records")
     parser.add_argument("--kind", choices=[kind.name for kind in KINDS], help="only motors that have this departure")
-    parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
+    parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/evidence/campaigns")
     parser.add_argument("--recheck", type=int, help="use kept rows of other code, if this many come out the same")
     parser.add_argument("--page", type=Path, help="where the table goes; by default none with --kind")
     given = parser.parse_args()

@@ -1,1 +1,1 @@
-"""`make compare`: how often `rig compare` is wrong of simulated motors, and what it finds: docs/compare-table.md."""
+"""`make compare`: how often `rig compare` is wrong of simulated motors: docs/evidence/compare-table.md."""

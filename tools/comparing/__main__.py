@@ -22,7 +22,7 @@ from shared.rows_file import RowsFile, commit
 from shared.share import counted
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "compare-table.md"
+PAGE = ROOT / "docs" / "evidence" / "compare-table.md"
 TEMPLATE = Path(__file__).with_name("page.md.j2")
 MADE_BY = ("rig/identify", "rig/model", "rig/simulation.py", "tools/comparing/rows.py")
 

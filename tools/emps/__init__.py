@@ -1,1 +1,1 @@
-"""`make emps`: a real drive, the field's benchmark EMPS, identified beside its published numbers: docs/emps.md."""
+"""`make emps`: the benchmark EMPS, a real drive, beside its published numbers: docs/evidence/emps.md."""

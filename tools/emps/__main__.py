@@ -1,4 +1,4 @@
-"""`make emps`: identify the record that RIG_EMPS names, and write docs/emps.md with its picture."""
+"""`make emps`: identify the record that RIG_EMPS names, and write docs/evidence/emps.md with its picture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from emps.picture import picture
 from emps.record import PUBLISHED_AT, read
 from rig.recording.folder import write_whole
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
 
 
 def main(docs: Path = DOCS) -> int:

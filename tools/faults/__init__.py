@@ -1,4 +1,4 @@
 """Fault injection: every fault on every emulated device, at several phases of the limit cycle.
 
-Its pages are docs/fault-table.md, the summary, and docs/fault-rows.md.
+Its pages are docs/evidence/fault-table.md, the summary, and docs/evidence/fault-rows.md.
 """

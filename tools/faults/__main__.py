@@ -23,7 +23,7 @@ from faults.rows import ROWS
 from faults.stages import BY_KEY
 from shared import page
 
-OUT = Path("docs/fault-table.md")
+OUT = Path("docs/evidence/fault-table.md")
 ROWS_NAME = "fault-rows.md"  # beside it
 REAL_PHASES = 1
 

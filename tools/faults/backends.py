@@ -469,9 +469,9 @@ MODBUS = Backend(
     _through_injector("emulated"),
 )
 _IN_DEVICE = (
-    "`relay.where: device`, 115200 baud, largest speed 4.6 rad/s ([device-relay.md](device-relay.md)). The rows come\n"
-    "in blocks of ten; the host's only word is KEEP, one each period. Where the run goes on, *drive 0* is the longest\n"
-    "time between two of these that arrived."
+    "`relay.where: device`, 115200 baud, largest speed 4.6 rad/s ([device-relay.md](../device-relay.md)). The rows\n"
+    "come in blocks of ten; the host's only word is KEEP, one each period. Where the run goes on, *drive 0* is the\n"
+    "longest time between two of these that arrived."
 )
 CHIP_RELAY = replace(
     CHIP,
@@ -528,7 +528,7 @@ CHIP_STROKES = replace(
     traits=(*CHIP.traits, "relay", "strokes"),
     changes=_RELAY,
     remark=(
-        "`relay.where: device` and `relay.until` ([device-relay.md](device-relay.md)); otherwise as where its own\n"
+        "`relay.where: device` and `relay.until` ([device-relay.md](../device-relay.md)); otherwise as where its own\n"
         "relay drives. The test is always the same: strokes to and fro, planned by nobody. A *cycle* is two strokes.\n"
         "Rows of host and recording are the loop's own: they are tried on the devices above."
     ),
@@ -544,16 +544,16 @@ PICO = replace(
     language=lambda e: _frames_language(e, _PICO_UNITS),
     line=_through_injector("emulated-pico"),
     remark=(
-        "The bench of [config/demo-pico.yaml](../config/demo-pico.yaml): 12 bits, 6,250 units of drive. Rows of host\n"
-        "and recording are the loop's own: they are tried on the devices above."
+        "The bench of [config/demo-pico.yaml](../../config/demo-pico.yaml): 12 bits, 6,250 units of drive. Rows of\n"
+        "host and recording are the loop's own: they are tried on the devices above."
     ),
     base="demo-pico.yaml",
     hangs=("main loop", "everything", "tick", "converter"),
 )
 _ENCODER = (
-    "The bench of [config/encoder.yaml](../config/encoder.yaml): 3,200 counts a turn, 1 Mbaud. `rig home` has set the\n"
-    "zero; where the fault ends it, the next run is refused until `rig home` has set it again\n"
-    "([encoder.md](encoder.md))."
+    "The bench of [config/encoder.yaml](../../config/encoder.yaml): 3,200 counts a turn, 1 Mbaud. `rig home` has set\n"
+    "the zero; where the fault ends it, the next run is refused until `rig home` has set it again\n"
+    "([encoder.md](../encoder.md))."
 )
 CHIP_ENCODER = replace(
     CHIP,

@@ -1,4 +1,4 @@
-"""What was measured so far, line by line: docs/fault-lines.json. The pages are made from it, so a part may be run anew.
+"""What was measured so far, line by line: docs/evidence/fault-lines.json. So a part may be run anew.
 
 A line is a row on a device in a stage. Each has the day and the code that it was measured with.
 """
@@ -20,7 +20,7 @@ from faults.stages import BY_KEY, STAGES, Stage
 from rig.recording.folder import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
-PLACE = ROOT / "docs" / "fault-lines.json"
+PLACE = ROOT / "docs" / "evidence" / "fault-lines.json"
 CODE = ("rig", "firmware")  # what is measured: with other code a line may be another
 
 

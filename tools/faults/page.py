@@ -1,4 +1,4 @@
-"""docs/fault-table.md and docs/fault-rows.md from what was measured."""
+"""docs/evidence/fault-table.md and docs/evidence/fault-rows.md from what was measured."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def _device_cells(backend: Backend, own: Sequence[_Place], untold: int) -> tuple
 
 
 def render_summary(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend]) -> str:
-    """The page that people read: docs/fault-table.md."""
+    """The page that people read: docs/evidence/fault-table.md."""
     return page.render(
         _SUMMARY,
         made=_made(kept.made for kept in lines.lines.values()),
@@ -165,7 +165,7 @@ def render_summary(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend
 
 
 def render_rows(lines: Lines, rows: Sequence[Row], backends: Sequence[Backend]) -> str:
-    """The page with every row: docs/fault-rows.md."""
+    """The page with every row: docs/evidence/fault-rows.md."""
     places = [place for backend in backends for place in _on(backend, lines, rows)]
     first = places[0][1]
     low, high = first.config()["limits"]["hard_rad"]

@@ -1,4 +1,4 @@
-"""The worst that was recorded of each row, on each device, in each stage: docs/fault-worst.json.
+"""The worst that was recorded of each row, on each device, in each stage: docs/evidence/fault-worst.json.
 
 Bounds follow from the config, and are wide where a design needs it; what takes half as long again as it ever did is a
 change that somebody should look at.
@@ -13,7 +13,7 @@ from pathlib import Path
 from faults.case import Found
 from rig.recording.folder import write_whole
 
-PLACE = Path(__file__).resolve().parents[2] / "docs" / "fault-worst.json"
+PLACE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "fault-worst.json"
 LONGER = 1.5
 GRAIN_S = 0.001  # of what is measured, about: a tick of the device
 

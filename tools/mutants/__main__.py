@@ -20,7 +20,7 @@ from mutants.session import CAUGHT, SURVIVED, Result, Session, State
 from mutants.workshop import Workshop
 from shared import page
 
-OUT = Path("docs/mutant-table.md")
+OUT = Path("docs/evidence/mutant-table.md")
 FOLDER = Path("build/mutants")
 
 

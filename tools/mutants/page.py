@@ -1,4 +1,4 @@
-"""docs/mutant-table.md from what came of each mutant."""
+"""docs/evidence/mutant-table.md from what came of each mutant."""
 
 from __future__ import annotations
 

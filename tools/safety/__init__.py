@@ -1,1 +1,1 @@
-"""The safety promises of the Uno's firmware, measured at the pins of its emulated chip: docs/safety-table.md."""
+"""The safety promises of the Uno's firmware, measured at its emulated pins: docs/evidence/safety-table.md."""

@@ -18,7 +18,7 @@ from safety.promises import PICO_PROMISES, PROMISES, Measured, measure
 from shared import page
 from shared.cases import in_order
 
-OUT = {"uno": Path("docs/safety-table.md"), "pico": Path("docs/safety-table-pico.md")}
+OUT = {"uno": Path("docs/evidence/safety-table.md"), "pico": Path("docs/evidence/safety-table-pico.md")}
 PHASES = {"uno": 200, "pico": 20}  # the Pico's emulator takes longer
 BAUDS = (115200, 1_000_000)
 _PROMISES = {"uno": PROMISES, "pico": PICO_PROMISES}
@@ -40,7 +40,9 @@ def main() -> int:
         "--phases", type=int, help="random phases of each row (default: 200 of the Uno, 20 of the Pico)"
     )
     parser.add_argument("--only", default="", help="rows whose name contains this; they take their place in the page")
-    parser.add_argument("--out", type=Path, help="where the page goes (default: docs/safety-table.md or its like)")
+    parser.add_argument(
+        "--out", type=Path, help="where the page goes (default: docs/evidence/safety-table.md or its like)"
+    )
     given = parser.parse_args()
     began_s = time.monotonic()
     out, phases = given.out or OUT[given.board], given.phases or PHASES[given.board]

@@ -1,4 +1,4 @@
-"""docs/safety-table.md, from what was measured."""
+"""docs/evidence/safety-table.md, from what was measured."""
 
 from __future__ import annotations
 

@@ -21,13 +21,13 @@ class RowsFile:
 
     name     of the campaign, with its seed
     made_by  files and folders, from the root of the project, whose Python code makes the rows
-    kept     a packed copy that a commit holds, ``docs/campaigns/NAME.jsonl.gz``: a fresh clone goes on from it
+    kept     a packed copy that a commit holds, ``docs/evidence/campaigns/NAME.jsonl.gz``: a fresh clone goes on from it
     """
 
     def __init__(self, name: str, made_by: Sequence[str]) -> None:
         self.code = sha256(b"".join(_content(ROOT / part) for part in made_by)).hexdigest()[:8]
         self.path = ROOT / "runs" / f"{name}-{self.code}" / "rows.jsonl"
-        self.kept = ROOT / "docs" / "campaigns" / f"{name}.jsonl.gz"
+        self.kept = ROOT / "docs" / "evidence" / "campaigns" / f"{name}.jsonl.gz"
         self.of_other_code: list[str] = []  # kept lines that other code made
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.exists():

@@ -22,7 +22,7 @@ from stalls.hostile_host import Stalls
 from stalls.rows import OF, Board, Row, row
 
 HERE = Path(__file__).resolve().parents[2]
-PAGE = HERE / "docs" / "stalls-table.md"
+PAGE = HERE / "docs" / "evidence" / "stalls-table.md"
 MADE_BY = (  # rows of another code start anew
     *(
         f"rig/{room}"

@@ -22,7 +22,7 @@ from shared.share import at_most, bounds
 from stopping.rows import OF, Asked, Row, row
 
 HERE = Path(__file__).resolve().parents[2]
-PAGE = HERE / "docs" / "stopping-table.md"
+PAGE = HERE / "docs" / "evidence" / "stopping-table.md"
 MADE_BY = (  # rows of another code start anew
     *(f"rig/{room}" for room in ("control", "design", "experiment", "identify", "loop", "model", "preflight")),
     "tools/stopping/rows.py",
@@ -63,7 +63,7 @@ def main() -> int:
     parser.add_argument("--departing", type=int, default=0, help="motors with one departure each")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--percent", type=float, default=PERCENT, help="wanted half width of the 95 %% intervals")
-    parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/campaigns")
+    parser.add_argument("--keep", action="store_true", help="keep the rows, packed, in docs/evidence/campaigns")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
     campaign = Campaign(

@@ -20,7 +20,7 @@ from shared.share import counted
 from tune.rows import LOOPS, STEPS, Row, rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "tune-table.md"
+PAGE = ROOT / "docs" / "evidence" / "tune-table.md"
 MADE_BY = (  # rows of another code start anew
     *(f"rig/{room}" for room in ("control", "identify", "model", "tune")),
     "tools/tune/rows.py",
