@@ -31,7 +31,6 @@ def summary_of(name: str, folder: Path, motors: int) -> Summary:
     return found
 
 
-@pytest.mark.timeout(900)
 def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path: Path) -> None:
     """RMS at most 1.1 times the Cramer-Rao bound, medians 0.5 %, 95th percentiles 1.7 %, coverage 94 to 96 %."""
     found = summary_of("campaign", tmp_path, MOTORS)
@@ -47,7 +46,6 @@ def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path: Path) 
     assert found["far"] == []
 
 
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ["campaign-coarse", "campaign-correlated"])
 def test_intervals_hold_with_coarse_steps_and_with_correlated_noise(name: str, tmp_path: Path) -> None:
     found = summary_of(name, tmp_path, MOTORS_OF_THE_OTHERS)

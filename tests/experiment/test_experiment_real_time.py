@@ -20,7 +20,7 @@ GAINS = [{"h1_V": 0.43, "h2_V": 0.80}]  # such as its own search finds
 TRIES = 4
 STOPPED_S = (0.04, 0.08, 0.15, 1.0)
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.realtime
 
 
 def shorter(config: dict[str, Any]) -> dict[str, Any]:
@@ -44,6 +44,7 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("name", ["demo", "modbus-rtu", "modbus-tcp"])
 def test_a_run_beside_a_quiet_witness_ends_whole(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]

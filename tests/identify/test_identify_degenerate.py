@@ -21,7 +21,7 @@ from rig.identify.identification import METHODS
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.reader import read
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # identifications, on a machine that others share
+pytestmark = pytest.mark.long
 
 ROWS = (2, 3, 19, 20, 40, 76, 150, 300, 600)
 REAL = sampled(motor(**PAPER), relay(PAPER["fc_V"]), ticks(max(ROWS)), 0.004)

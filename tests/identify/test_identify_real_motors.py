@@ -18,7 +18,7 @@ from rig.config.campaign import Campaign
 CAMPAIGN = Campaign(name="sixty", experiments=44, seed=60)
 SINGLES, PAIRS = 44, 16  # the kinds in turn, and two at random
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.long
 
 
 @cache

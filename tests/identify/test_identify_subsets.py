@@ -27,7 +27,7 @@ from rig.recording.errors import IdentifyError
 from rig.recording.reader import read
 from rig.recording.recording import Recording
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # identifications, on a machine that others share
+pytestmark = pytest.mark.long
 
 PLAIN = ("t_s", "u_V", "y_rad")
 WITH_DRIVE_TIMES = (*PLAIN, "t_u_s")
