@@ -121,7 +121,9 @@ def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_al
     assert cuts[0] not in seen.get("ok", [])
 
 
-@pytest.mark.parametrize(("drive", "names"), [("relay", PLAIN), *evidence(("relay", WITH_DRIVE_TIMES), ("square", PLAIN))])
+@pytest.mark.parametrize(
+    ("drive", "names"), [("relay", PLAIN), *evidence(("relay", WITH_DRIVE_TIMES), ("square", PLAIN))]
+)
 def test_every_few_rows_of_a_record_are_right_or_not_believed(
     tmp_path: Path, drive: str, names: tuple[str, ...]
 ) -> None:

@@ -179,7 +179,7 @@ def workshop(tmp_path: Path) -> Workshop:
     (source / "tests").mkdir(parents=True)
     (source / "code_of_ours.py").write_text(CODE)
     (source / "tests" / "test_code.py").write_text(TESTS)
-    (source / "pytest.ini").write_text("[pytest]\nmarkers =\n    realtime\n    alone\n")
+    (source / "pytest.ini").write_text("[pytest]\nmarkers =\n    realtime\n    alone\n    evidence\n")
     workshop = Workshop(source, tmp_path / "work")
     workshop.prepare()
     return workshop
