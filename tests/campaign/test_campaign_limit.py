@@ -1,8 +1,9 @@
 """The estimator at the statistical limit: random motors of each ready campaign, as `rig campaign` runs them.
 
-`make test` runs some on the grid; the numbers that the documents tell are of `make evidence`. How many there are decides what a test can see. Intervals that hold the truth in 91 % of the motors instead of 95 % fail
-the wide band (93 to 97 %) with probability 0.987 at 1,000 motors and 0.999 at 2,000, right ones with 0.003 and 0.00004.
-The narrow band (94 to 96 %) needs the 2,000.
+`make test` runs some on the grid; the numbers that the documents tell are of `make evidence`. How many there are
+decides what a test can see. Intervals that hold the truth in 91 % of the motors instead of 95 % fail the wide band (93
+to 97 %) with probability 0.987 at 1,000 motors and 0.999 at 2,000, right ones with 0.003 and 0.00004. The narrow band
+(94 to 96 %) needs the 2,000.
 """
 
 from __future__ import annotations
