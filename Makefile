@@ -20,17 +20,19 @@ endif
 
 PYTEST := OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
 SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+# to collect the others would take longer than many of these tests
+CLOCKED = $$(grep -lrE 'mark\.(realtime|alone)' tests --include='test_*.py')
 
 # what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
 test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
 	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
 	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$(nproc) $(SHARED)
-	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED)
-	$(PYTEST) -m "alone and not evidence"
+	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(CLOCKED)
+	$(PYTEST) -m "alone and not evidence" $(CLOCKED)
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
 	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)
-	$(PYTEST) -m "evidence and (realtime or alone)"
+	$(PYTEST) -m "evidence and (realtime or alone)" $(CLOCKED)
 
 search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; $(PYTEST) \

@@ -13,6 +13,7 @@ from threading import Thread
 
 import pytest
 from command_line import rig
+from evidence import evidence
 
 from rig.cli import main
 
@@ -135,7 +136,7 @@ def test_help_of_every_command_fits_a_screen() -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("after_s", [0.05, 0.2, 0.4, 0.8, 1.6])
+@pytest.mark.parametrize("after_s", [0.2, 0.8, *evidence(0.05, 0.4, 1.6)])
 def test_ctrl_c_while_starting_is_no_traceback(tmp_path: Path, after_s: float) -> None:
     """Wherever in its start it is caught; what is asserted is what it prints, not when."""
     command = [sys.executable, "-c", "from rig.__main__ import run; run()"]

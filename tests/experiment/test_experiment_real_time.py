@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
+from evidence import evidence
 
 import whole
 
@@ -45,13 +46,15 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("name", ["demo", "modbus-rtu", "modbus-tcp"])
+@pytest.mark.parametrize(
+    ("name", "is_short"), [("demo", True), ("modbus-rtu", True), ("modbus-tcp", True), *evidence(("demo", False))]
+)
 def test_a_run_beside_a_quiet_witness_ends_whole(
-    name: str, tmp_path: Path, record_property: Callable[[str, object], None]
+    name: str, is_short: bool, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     """Whatever came has to be right in every run; how many there were is in the test's report."""
     config = yaml.safe_load((ROOT / f"config/{name}.yaml").read_text(encoding="utf-8"))
-    if name != "demo":
+    if is_short:
         shorter(config)
     config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
     watchdog_s = config["daq"]["watchdog_s"]

@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 import yaml
 from click.testing import CliRunner
+from evidence import evidence
 from processes import wait_until
 
 from rig.cli import main
@@ -30,7 +31,7 @@ RIG = [sys.executable, "-m", "rig"]
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, *evidence(signal.SIGTERM)])
 def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Signals) -> None:
     link, trace, runs = tmp_path / "device", tmp_path / "trace.csv", tmp_path / "runs"
     config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
