@@ -62,6 +62,7 @@ def test_a_data_file_is_refused_by_file_and_line_for_a_key_that_nobody_knows_and
             load(file, named.Room)
 
 
+@pytest.mark.evidence
 def test_each_mutant_of_the_firmware_compiles_without_a_warning(tmp_path: Path) -> None:
     workshop = Workshop(ROOT, tmp_path)
     workshop.prepare(only="firmware")
