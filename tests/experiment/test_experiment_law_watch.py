@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig as command
-from processes import PATIENCE_S, alive, wait_until
+from processes import alive, wait_until
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
 import rig
@@ -311,7 +311,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
         )
-    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None, 3 * PATIENCE_S)
+    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None)
     return host
 
 
@@ -335,7 +335,7 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
     [keeper] = keepers_of(host.pid)
     for number in numbers:
         host.send_signal(number)
-    said = host.communicate(timeout=120)[1]
+    said = host.communicate()[1]
     assert host.returncode == -signal.SIGKILL
     wait_until(lambda: not alive(keeper))
     [folder] = (tmp_path / "runs").iterdir()
@@ -358,7 +358,7 @@ def test_a_stop_of_a_panel_ends_a_law_that_does_not_return(tmp_path: Path) -> No
     host = hanging(tmp_path, "spins")
     [folder] = (tmp_path / "runs").glob("2*")
     request_stop(folder)
-    said = host.communicate(timeout=120)[1]
+    said = host.communicate()[1]
     assert host.returncode == 1 and "INTERRUPTED" in said and "Stop by panel" in said
     assert [event.kind for event in rig.read(folder).events][-3:] == ["stop", "fault", "end"]
 
@@ -367,7 +367,7 @@ def test_a_run_whose_loop_is_killed_leaves_no_keeper(tmp_path: Path) -> None:
     host = hanging(tmp_path, "spins")
     [keeper] = keepers_of(host.pid)
     host.kill()
-    host.communicate(timeout=120)
+    host.communicate()
     wait_until(lambda: not alive(keeper))
     [folder] = (tmp_path / "runs").iterdir()
     wait_until(lambda: '"loop_died"' in (folder / "events.jsonl").read_text(encoding="utf-8"))

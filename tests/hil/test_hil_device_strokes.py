@@ -11,6 +11,7 @@ from typing import Any, Literal, Unpack
 
 import numpy as np
 import pytest
+from evidence import evidence
 from raised import fault_of
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
@@ -86,7 +87,7 @@ def test_the_device_says_that_it_can() -> None:
     assert VirtualHost(VirtualBoard(BENCH)).hello().features & FEATURE_STROKES
 
 
-@pytest.mark.parametrize("clock_error_ppm", [0.0, 5000.0, -5000.0])
+@pytest.mark.parametrize("clock_error_ppm", [5000.0, *evidence(0.0, -5000.0)])
 def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(clock_error_ppm: float) -> None:
     rng = random.Random(3)
     rate = 1.0 + 1e-6 * clock_error_ppm

@@ -137,7 +137,7 @@ def test_the_viewer_ends_when_the_one_who_started_it_is_gone(tmp_path: Path) -> 
     viewer = subprocess.Popen(
         [sys.executable, "-m", "rig.recording.follow", str(tmp_path)], stdin=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    _, error = viewer.communicate(timeout=30)  # closes its standard input
+    _, error = viewer.communicate()  # closes its standard input
     assert viewer.returncode == 0
     assert "POLARITY" in error.decode()
 
@@ -148,7 +148,7 @@ def test_files_of_the_folder_that_rig_is_called_in_are_not_its_modules(tmp_path:
     (tmp_path / "queue.py").write_text("raise SystemExit(7)\n")
     (tmp_path / "rich.py").write_text("raise SystemExit(7)\n")
     follow = "from pathlib import Path; from rig.recording.follow import following\nwith following(Path('.')): pass"
-    done = subprocess.run([sys.executable, "-P", "-c", follow], cwd=tmp_path, capture_output=True, timeout=30)
+    done = subprocess.run([sys.executable, "-P", "-c", follow], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0 and "POLARITY" in done.stderr.decode()
 
 

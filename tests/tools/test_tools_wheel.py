@@ -18,16 +18,11 @@ ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
 
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.long
 # between them they have each side of every switch, so that a path in any line of any source would show
 EXTREMES = (Variant(), Variant("IN1_IN2", 1000000, True, True, True, True))
-# of the 64 of a wheel, for two boards: these two, and those with one switch of their own; `make dist` builds all
-BUILT = (
-    *EXTREMES,
-    Variant("IN1_IN2"),
-    Variant("IN1_IN2", 1000000),
-    *(Variant("PWM_DIR", 115200, *(at == switch for at in range(4))) for switch in range(4)),
-)
+# of the 64 of a wheel, for two boards: these two, and one with two switches of its own; `make dist` builds all
+BUILT = (*EXTREMES, Variant("IN1_IN2", 1000000))
 
 
 def word(one: Variant) -> str:
@@ -97,15 +92,13 @@ def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -
 def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp_path: Path) -> None:
     """In a new environment, which sees this one's packages but not this tree's rig."""
     home = tmp_path / "venv"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True, timeout=60)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
     python = home / "bin" / "python"
     # offline: what rig needs comes from the tests' own environment, without what its .pth files add: rig itself
     (packages,) = (home / "lib").glob("python*/site-packages")
     borrowed = next(Path(path) for path in sys.path if path.endswith("site-packages"))
     (packages / "borrowed.pth").write_text(f"{borrowed}\n", encoding="utf-8")
-    subprocess.run(
-        [UV, "pip", "install", "--quiet", "--offline", "--no-deps", "--python", python, wheel], check=True, timeout=60
-    )
+    subprocess.run([UV, "pip", "install", "--quiet", "--offline", "--no-deps", "--python", python, wheel], check=True)
     clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
     def rig(*words: str) -> str:
@@ -116,7 +109,6 @@ def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp
             check=True,
             capture_output=True,
             text=True,
-            timeout=120,
         )
         return done.stdout
 
