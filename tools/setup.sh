@@ -76,15 +76,15 @@ fi
 # while these are fetched and unpacked, so are the Python packages
 install_missing &
 debian=$!
-# the emulated board, for this machine; an outer make's job server and flags are none of this build's business
-env -u MAKEFLAGS -u MFLAGS -u MAKELEVEL make -s -C firmware host CC="$COMPILER" &
-board=$!
 
 echo "setup: installing Python packages into .venv"
 [ -x .venv/bin/python ] && [ -x .venv/bin/uv ] || {
     "$PYTHON" -m venv .venv
     fetch .venv/bin/python -m pip install -qq --disable-pip-version-check --no-compile --only-binary :all: "uv>=0.5,<1"
 }
+# the emulated board, for this machine; an outer make's job server and flags are none of this build's business
+env -u MAKEFLAGS -u MFLAGS -u MAKELEVEL make -s -C firmware host CC="$COMPILER" &
+board=$!
 export VIRTUAL_ENV=.venv
 # exactly the locked packages, by hash; uv itself stays
 if $for_all; then
@@ -113,4 +113,4 @@ if $for_all; then
 fi
 wait "$compiled"
 touch .venv/.running
-$for_all && touch .venv/.ready || true
+if $for_all; then touch .venv/.ready; fi

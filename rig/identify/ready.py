@@ -19,7 +19,7 @@ from rig.identify.triple_relay import Features, solve
 from rig.model.compiled import kernel
 from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, FramedMotor, Pieces, RealMotor, moved, response_and_jacobian
-from rig.model.sensitivity import Theta, position_and_jacobian
+from rig.model.sensitivity import Theta, position, position_and_jacobian
 from rig.recording.errors import IdentifyError
 
 WORDS = "rig: compiling the motor's model, once after an installation or an update; it may take a minute"
@@ -36,7 +36,11 @@ def _real() -> None:
 def _plain() -> None:
     """All others."""
     t_s, still = 0.01 * np.arange(8.0), np.zeros(8)
-    position_and_jacobian(Theta(0.2, 5.0, 0.4, 0.0, 0.0, 0.0, 0.0), t_s, still, t_s)
+    theta = Theta(0.2, 5.0, 0.4, 0.0, 0.0, 0.0, 0.0)
+    position_and_jacobian(theta, t_s, still, t_s)
+    position(theta, t_s, still, t_s)
+    Motor(0.2, 5.0).response(State(), t_s, t_s, still)
+    still.flags.writeable = False  # as a recorded drive: numba compiles anew for it
     Motor(0.2, 5.0).response(State(), t_s, t_s, still)
     Noise(0.1, 1.0).whiten(np.ones(8), t_s, [8])
     noise_of(np.ones(8), t_s, [8])
