@@ -4,12 +4,12 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: setup evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
 
-demo: .venv/.ready firmware  ## the whole experiment on the emulated serial device, in virtual time; REALTIME=1: in real time; CHIP=1: on the Uno's emulated chip
+demo: .venv/.running  ## the whole experiment on the emulated serial device, in virtual time; REALTIME=1: in real time; CHIP=1: on the Uno's emulated chip
 ifdef REALTIME
 	@mkdir -p build
 	sed 's/port: emulated  /port: emulated-realtime  /' $(CONFIG) > build/realtime.yaml
@@ -17,6 +17,8 @@ ifdef REALTIME
 else
 	$(RIG) run $(CONFIG)
 endif
+
+setup: .venv/.ready  ## all that tests, checks, documents and panel need, Debian packages included, by sudo; make test does it
 
 PYTEST := OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
 SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
@@ -152,5 +154,9 @@ clean:  ## remove what was built; run folders stay
 	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules tools/uplot/node_modules rig/panel/static/vendor
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# what rig runs on, no more
+.venv/.running: pyproject.toml requirements.lock tools/setup.sh
+	@./tools/setup.sh running
+
 .venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/uplot/package-lock.json tools/setup.sh tools/uplot.sh
-	./tools/setup.sh
+	@./tools/setup.sh
