@@ -173,7 +173,8 @@ def _begin(
     started: datetime,
 ) -> tuple[Session, Recorder]:
     """Make the run folder, its recorder and the loop."""
-    folder = create_run(parent, f"{what.name}-{experiment.name}", started)
+    rehearses = experiment.emulated is not None and experiment.emulated.rehearsal is not None and bench.info.emulated
+    folder = create_run(parent, f"{'rehearsal' if rehearses else what.name}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
     write_config(folder, dump(experiment))
     meta = run_meta(experiment, bench, what, started)
@@ -353,7 +354,7 @@ def _write_result(session: Session, outcome: Outcome) -> None:
 def _least_result(session: Session, outcome: Outcome) -> RunResult:
     """The result that needs nothing but the notes."""
     notes = [*session.found.notes, *outcome.failures]
-    return least_result(session.bench, session.loop.statistics, notes, outcome.fault)
+    return least_result(session.bench, session.experiment, session.loop.statistics, notes, outcome.fault)
 
 
 def _measure_tracking(session: Session, outcome: Outcome) -> None:

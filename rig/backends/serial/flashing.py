@@ -11,6 +11,14 @@ _PICO_COUNTS = 4095  # the Uno's converter has 10 bits
 WRONG_BRIDGE = "with the wrong one 0 V can be full drive"
 
 
+FULL_DUTY = {"uno": 400, "pico": 6250}  # units of the drive, of each board that rig has firmware for
+
+
+def board_of(e: Experiment) -> str:
+    """The board, "uno" or "pico", as far as the config tells: by its converter or its emulated port; else the Uno."""
+    return "pico" if e.sensor.counts_max == _PICO_COUNTS or e.daq.port in PICO_PORTS else "uno"
+
+
 def flash_line(e: Experiment, board: str | None = None) -> str:
     """The whole command, for people. If the config does not name the bridge: one command for each bridge.
 
@@ -22,10 +30,7 @@ def flash_line(e: Experiment, board: str | None = None) -> str:
     if e.sensor.encoder is not None:
         home = e.sensor.encoder.home
         parts += " --encoder" + ("" if home is None else " --end-switches")
-
-    if board is None and (e.sensor.counts_max == _PICO_COUNTS or e.daq.port in PICO_PORTS):
-        board = "pico"
-    named = " --board pico" if board == "pico" else ""
+    named = " --board pico" if (board or board_of(e)) == "pico" else ""
     port = shlex.quote(e.daq.port or "PORT")
     number = "" if e.daq.usb_serial is None else f" --usb-serial {shlex.quote(e.daq.usb_serial)}"
 
