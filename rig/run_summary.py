@@ -134,7 +134,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         host={"system": platform.platform(), "machine": platform.machine()},
         command=" ".join(sys.argv),
         truth=true_motor(bench),
-        rehearsal=_is_rehearsal(bench, experiment) or None,
+        rehearsal=is_rehearsal(bench, experiment) or None,
         time=run_time(bench),
         script=script,
         identify_without=experiment.identify.without or None,
@@ -158,7 +158,7 @@ def run_result(
     return RunResult(
         version=VERSION,
         backend=_backend(bench, experiment),
-        rehearsal=_is_rehearsal(bench, experiment) or None,
+        rehearsal=is_rehearsal(bench, experiment) or None,
         answer=_answer(found),
         estimates=_estimates(found),
         relays=() if own is None else tuple(own.relays),
@@ -181,14 +181,14 @@ def run_result(
     )
 
 
-def _is_rehearsal(bench: Bench, e: Experiment) -> bool:
+def is_rehearsal(bench: Bench, e: Experiment) -> bool:
     """Whether the motor behind this bench was made up by `rig rehearse`."""
     return bench.info.emulated and e.emulated is not None and e.emulated.rehearsal is not None
 
 
 def _backend(bench: Bench, e: Experiment) -> str:
     """The bench in words, which stand under every picture of the run."""
-    return f"{'rehearsal, nothing real: ' if _is_rehearsal(bench, e) else ''}{bench.driver.backend}"
+    return f"{'rehearsal, nothing real: ' if is_rehearsal(bench, e) else ''}{bench.driver.backend}"
 
 
 def least_result(
@@ -198,7 +198,7 @@ def least_result(
     return RunResult(
         version=VERSION,
         backend=_backend(bench, experiment),
-        rehearsal=_is_rehearsal(bench, experiment) or None,
+        rehearsal=is_rehearsal(bench, experiment) or None,
         answer=None,
         estimates={},
         relays=(),

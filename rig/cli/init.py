@@ -156,7 +156,9 @@ def init(
         click.echo(f"no board with a USB serial number is at {port}: rig cannot tell another one there from this one")
     else:
         click.echo(f"this config is for the board with USB serial number {number_on_usb}, and for no other")
-    click.echo(f"`rig rehearse {shlex.quote(str(file))}` drives a made-up motor on it: does all fit, before you wire it?")
+    click.echo(
+        f"`rig rehearse {shlex.quote(str(file))}` drives a made-up motor on it: does all fit, before you wire it?"
+    )
     click.echo(flash_line(experiment, board))
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")

@@ -737,7 +737,8 @@ class Emulated(_Section):
     )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
     rehearsal: Literal[True] | None = Field(
-        None, description="this bench stands for one that is not there yet: `rig rehearse` sets it, every result says so"
+        None,
+        description="this bench stands for one that is not there yet: `rig rehearse` sets it, every result says so",
     )
 
     @model_validator(mode="after")

@@ -9,7 +9,6 @@ from pydantic import Field, JsonValue
 from rig.results.part import VERSION, Count, Flag, Number, Part, Real, Sometimes, Text
 from rig.signals import Order
 
-
 REHEARSAL: Final = "rehearsal: this motor was made up from a data sheet, nothing was measured"
 
 

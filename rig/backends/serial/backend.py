@@ -11,9 +11,9 @@ from typing_extensions import override
 
 from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
 from rig.backends.driver import Driver, RelayRules
+from rig.backends.emulated.words import without_real_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
-from rig.backends.emulated.words import without_real_time
 from rig.backends.serial import link_budget
 from rig.backends.serial.flashing import FULL_DUTY, board_of
 from rig.backends.serial.ports import adapter_of, is_emulated, is_virtual
