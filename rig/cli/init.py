@@ -21,7 +21,9 @@ from rig.config import ConfigError, new_bench
 @click.option("--board", type=click.Choice(list(new_bench.BOARDS)), help="The board.")
 @click.option("--sensor", type=click.Choice(list(new_bench.SENSORS)), help="The position sensor.")
 @click.option(
-    "--bridge", type=click.Choice(list(new_bench.BRIDGES)), help="The bridge, as it is sold, or by its inputs."
+    "--bridge",
+    type=click.Choice([*new_bench.BRIDGES, *new_bench.RUNS_FREE]),
+    help="The bridge, as it is sold, or by its inputs.",
 )
 @click.option(
     "--limits", type=click.Choice(list(new_bench.LIMITS)), help="What bounds the shaft's travel. Default: stops."
@@ -93,7 +95,9 @@ def init(
     try:
         board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
         sensor = _chosen("sensor", sensor, new_bench.SENSORS)
-        bridge = _chosen("bridge", bridge, {name: one.words for name, one in new_bench.BRIDGES.items()})
+        bridges = {name: one.words for name, one in new_bench.BRIDGES.items()} | new_bench.RUNS_FREE
+        bridge = _chosen("bridge", bridge, bridges)
+        new_bench.require_braking(bridge)
         is_encoder = sensor == "encoder"
         _refuse_unused(
             {} if is_encoder else {"--counts-per-turn": counts_per_turn, "--gear": gear}, "--sensor encoder", sensor

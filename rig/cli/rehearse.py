@@ -27,6 +27,10 @@ from rig.cli.options import CONFIG, JSON, OUT, PACE
 @click.option(
     "--tau-s", type=float, help="Time constant with the load, s. Default: half of limits.coast_tau_s.",
 )  # fmt: skip
+@click.option(
+    "--coasting", is_flag=True,
+    help="The bridge lets the motor run free while PWM is low, as an L298 with PWM at its enable (docs/real-bench.md).",
+)  # fmt: skip
 @OUT
 @PACE
 @JSON
@@ -37,6 +41,7 @@ def rehearse(
     gear: float | None,
     friction_V: float | None,
     tau_s: float | None,
+    coasting: bool,
     out: Path,
     pace: float | None,
     as_json: bool,
@@ -48,7 +53,7 @@ def rehearse(
     config with a section `emulated` has a motor already; options change it. Every result says that it is a rehearsal.
     """
     try:
-        sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s)
+        sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
         document = config.read(config_path, takes_pipe=True)
         experiment, _ = preflight.check(document, ("emulated",))
         experiment = preflight.rehearsed(document, experiment, sheet, pace)

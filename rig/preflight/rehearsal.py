@@ -21,6 +21,7 @@ _STATIC = 1.08
 _NOISE_SHARE = 7e-4
 _BEYOND_HARD_RAD = 0.2
 _SLACK = 1.01
+_OUT_OF_REACH = 1.2  # times drive.max_V: a describing function is only about right
 
 
 class SheetError(RigError):
@@ -42,6 +43,7 @@ class DataSheet:
     gear         turns of the motor for one of the measured shaft; goes with ``no_load_rpm``
     friction_V   Coulomb friction, V: no-load current over stall current, times the supply
     tau_s        time constant, s, with the load
+    coasting     the bridge lets the motor run free while PWM is low; None: as the config says
     Raises SheetError.
     """
 
@@ -50,6 +52,7 @@ class DataSheet:
     gear: float | None = None
     friction_V: float | None = None
     tau_s: float | None = None
+    coasting: bool | None = None
 
     def __post_init__(self) -> None:
         for name, unit in (("rated_V", "V"), ("no_load_rpm", "rpm"), ("gear", ""), ("friction_V", "V"), ("tau_s", "s")):
@@ -64,11 +67,6 @@ class DataSheet:
         for name in ("gear", "rated_V"):
             if getattr(self, name) is not None and self.no_load_rpm is None:
                 raise SheetError(f"{_option(name)} says nothing without --no-load-rpm", "give both, or neither")
-
-    @property
-    def is_given(self) -> bool:
-        """Whether anything is."""
-        return self != DataSheet()
 
 
 def made_motor(sheet: DataSheet, e: Experiment) -> dict[str, float]:
@@ -134,6 +132,8 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
         if not e.limits.is_endless:
             low_rad, high_rad = e.limits.hard_rad
             motor["stop_rad"] = [low_rad - _BEYOND_HARD_RAD, high_rad + _BEYOND_HARD_RAD]
+    if sheet.coasting is not None:
+        own = own | {"coasting": sheet.coasting}
     data = document.data | {"daq": daq, "emulated": own | {"motor": motor, "rehearsal": True}}
     found, _ = check(replace(document, data=data), pace=pace)
     assert found.emulated is not None
@@ -155,6 +155,23 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
             f"{e.motor.no_load_speed_rad_s:g}, on which the bound of the breakaway check rests",
             f"{math.ceil(10.0 * no_load_rad_s) / 10.0:g}, and see what `rig check` says then; or a slower motor",
         )
+    static_V = max(motor.fs_plus_V or motor.fc_plus_V, motor.fs_minus_V or motor.fc_minus_V)
+    if static_V >= e.breakaway.max_V:
+        yield wrong(
+            "breakaway.max_V",
+            f"{e.breakaway.max_V:g} V does not move this motor, whose static friction is {static_V:.3g} V",
+            f"two to three times that, {2.0 * static_V:.2g} V, and drive.max_V at least as much",
+        )
+    target = e.relay.target
+    if target is not None:
+        needed_V = _needed_V(motor, friction_V, target.amplitude_rad, target.period_s)
+        if needed_V > _OUT_OF_REACH * e.drive.max_V:
+            yield wrong(
+                "relay.target",
+                f"to swing {target.amplitude_rad:g} rad every {target.period_s:g} s this motor needs about "
+                f"{needed_V:.2g} V, and drive.max_V is {e.drive.max_V:g}",
+                "a smaller amplitude_rad, a longer period_s, or a higher drive.max_V",
+            )
     if motor.tau_s > _SLACK * e.limits.coast_tau_s:
         travel_rad = e.limits.max_speed_rad_s * motor.tau_s
         yield wrong(
@@ -163,6 +180,13 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
             f"{e.limits.max_speed_rad_s:g} rad/s it coasts {travel_rad:.3g} rad, more than the limits have room for",
             f"{motor.tau_s:g}, and see what `rig check` says then: a lower limits.max_speed_rad_s, or wider limits",
         )
+
+
+def _needed_V(motor: EmulatedMotor, friction_V: float, amplitude_rad: float, period_s: float) -> float:
+    """Drive of a square wave, V, whose fundamental swings the motor so: by the describing function of friction."""
+    omega_rad_s = 2.0 * math.pi / period_s
+    speed_V = amplitude_rad * omega_rad_s / motor.K_rad_s_V
+    return math.hypot(0.25 * math.pi * speed_V + friction_V, 0.25 * math.pi * speed_V * omega_rad_s * motor.tau_s)
 
 
 def _option(name: str) -> str:
