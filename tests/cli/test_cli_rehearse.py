@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def bench(folder: Path) -> Path:
     """The Uno's ready config, for a real port, with a short experiment."""
     data: dict[str, Any] = yaml.safe_load((ROOT / "config/uno.yaml").read_text(encoding="utf-8"))
-    data["relay"] = {"gains": [{"h1_V": 0.1, "h2_V": 0.9}], "cycles": 4}
+    data["relay"] = {"gains": [{"h1_V": 0.08, "h2_V": 0.56}], "cycles": 4}
     data["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
     path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
@@ -30,7 +30,8 @@ def bench(folder: Path) -> Path:
 def rehearsal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of a rehearsal, and beside it what the command said."""
     folder = tmp_path_factory.mktemp("rehearsal")
-    told = rig("rehearse", bench(folder), "--tau-s", 0.12, "--out", folder / "runs")
+    sheet = ("--no-load-rpm", "8000", "--rated-V", "12", "--gear", "14", "--friction-V", "0.4", "--tau-s", "0.05")
+    told = rig("rehearse", bench(folder), *sheet, "--out", folder / "runs")
     assert told.exit_code == 0, told.output
     (folder / "told.txt").write_text(told.stdout, encoding="utf-8")
     (run,) = (folder / "runs").glob("*-rehearsal-uno")
@@ -42,7 +43,7 @@ def test_its_files_its_report_and_its_last_words_say_so_and_it_finds_the_motor(r
     assert (meta["rehearsal"], result["rehearsal"]) == (True, True)
     assert meta["backend"].startswith("rehearsal, nothing real: emulated")
     assert result["answer"]["tau_s"] == pytest.approx(result["truth"]["tau_s"], rel=0.02)
-    assert result["truth"]["tau_s"] == 0.12
+    assert result["truth"]["tau_s"] == 0.05
     told = (rehearsal.parents[1] / "told.txt").read_text()
     assert REHEARSAL in told and "off the emulated motor" in told
     page = (rehearsal / "report.html").read_text(encoding="utf-8")

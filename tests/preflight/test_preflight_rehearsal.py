@@ -121,7 +121,7 @@ def test_numbers_that_make_no_motor_are_refused(sheet: dict[str, float], says: s
             r"uno.yaml:\d+:\d+: motor.no_load_speed_rad_s: this motor turns .* at 83.8 rad/s at 12 V, more than 62",
         ),
         ({"tau_s": 0.4}, r"limits.coast_tau_s: this motor's time constant is 0.4 s, longer than 0.2: .*coasts 1.8 rad"),
-        ({"friction_V": 1.5}, r"breakaway.max_V: 1.5 V does not move this motor, whose static friction is 1.68 V"),
+        ({"friction_V": 1.5}, r"breakaway.max_V: 1.5 V does not move this motor, whose static friction is 1.69 V"),
         (
             {"no_load_rpm": 5000.0, "gear": 50.0, "tau_s": 0.2, "friction_V": 1.0},
             r"relay.target: to swing 0.45 rad every 1.6 s this motor needs about 2.\d V, and drive.max_V is 2",
