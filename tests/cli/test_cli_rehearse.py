@@ -47,7 +47,7 @@ def test_its_files_its_report_and_its_last_words_say_so_and_it_finds_the_motor(r
     told = (rehearsal.parents[1] / "told.txt").read_text()
     assert REHEARSAL in told and "off the emulated motor" in told
     page = (rehearsal / "report.html").read_text(encoding="utf-8")
-    assert "<title>Rehearsal: " in page
+    assert "<title>Rehearsal: " in page and "The made-up motor is identified" in page
     assert f'<p class="rehearsal">R{REHEARSAL[1:]}.</p>' in page
 
 
