@@ -215,7 +215,7 @@ def _command(*parts: str | Path) -> str:
 def _drive_with(run: ReportedRun) -> Step:
     if run.rehearsal:
         return Step(
-            "The config fits this motor. Wire the bench, then follow docs/real-bench.md: rig flash, rig calibrate, rig run."
+            "The config fits this motor. Wire the bench, then: rig flash, rig calibrate, rig run (docs/real-bench.md)."
         )
     if run.has_tracked:
         words = "Its models have driven the bench: see the tracking check. For a controller:"
