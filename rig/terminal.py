@@ -33,6 +33,7 @@ from rig.results.budget_lines import budget_lines, that_matter
 from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
 from rig.results.listed import ListedRun
+from rig.results.meta import REHEARSAL
 from rig.results.tuned import TunedResult
 from rig.signals import plain
 
@@ -108,6 +109,8 @@ def patience(what: str) -> Iterator[None]:
 def show_run(outcome: Outcome) -> None:
     """Show a run: relay tests, answer, each method, loop, where the files are; on stderr why it failed."""
     result = outcome.result
+    if result.rehearsal:
+        click.echo(REHEARSAL)
     click.echo(f"backend: {result.backend}")
     for test in result.relays:
         click.echo(
@@ -125,6 +128,9 @@ def show_run(outcome: Outcome) -> None:
             f"from {1e3 * known(run.start_rad):+.1f} mrad"
         )
     if result.answer is not None:
+        if result.models_from is not None:
+            for note in (note for note in result.notes if note.endswith(REHEARSAL)):
+                click.echo(note)
         show_answer(result.answer, result.truth)
         show_estimates(result.estimates, result.truth, result.tracking)
         show_friction_map(result.friction_map)
@@ -282,7 +288,7 @@ def show_runs(runs: Sequence[ListedRun], of: int) -> None:
                 (run.tau_s, run.tau_percent), (run.K_rad_s_V, run.K_percent), (run.fc_V, run.fc_percent)
             )
         ]  # fmt: skip
-        ended = run.fault or run.state
+        ended = ("rehearsal: " if run.rehearsal else "") + (run.fault or run.state)
         rows.append([plain(run.name), *numbers, run.verdict or "", run.laws.replace("_", " "), ended])
     count = f"{len(runs)} of {of} runs" if len(runs) < of else f"{of} runs" if of != 1 else "1 run"
     if rows:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -30,7 +31,12 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
 
     experiment = checked(config_path, drives=False)
     if experiment.emulated is None:
-        fail(EXIT_BAD_INPUT, f"{config_path} has no section `emulated`", "add one, as in config/demo.yaml")
+        fail(
+            EXIT_BAD_INPUT,
+            f"{config_path} has no section `emulated`",
+            f"try the whole experiment on a motor made up for it: `rig rehearse {quote(str(config_path))}`; or add the "
+            "section, as in config/demo.yaml",
+        )
     backend = backend_of(experiment)
     if chip and not backend.has_chip:
         fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")

@@ -17,6 +17,7 @@ from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.recording.log_format import LogFormat
+from rig.results.meta import REHEARSAL
 from rig.terminal import patience, show_answer, show_details
 
 if TYPE_CHECKING:  # it loads slowly
@@ -110,6 +111,8 @@ def identify(
         files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
         click.echo(json_text({"ok": ok, "records": records, **files, **result.as_json()}), nl=False)
         sys.exit(0 if ok else EXIT_FAILED)
+    if found.rehearsal:
+        click.echo(REHEARSAL)
     if not verbose:
         notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
         for note in notes[:MOST_NOTES]:

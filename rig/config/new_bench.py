@@ -97,6 +97,10 @@ BRIDGES: Final = {
     "pwm-dir": BridgeModule("another with PWM and direction, which brakes while PWM is low", "pwm-dir", 0.5, 50.0),
 }
 
+RUNS_FREE: Final = {
+    "l298-ena": "L298 with PWM at ENA, or a shield with one: rig refuses it, and says what to do",
+}
+
 
 @dataclass(frozen=True)
 class Answers:
@@ -127,6 +131,7 @@ class Answers:
     usb_serial: str = ""
 
     def __post_init__(self) -> None:
+        require_braking(self.bridge)
         for answer, table in (
             (self.board, BOARDS),
             (self.sensor, SENSORS),
@@ -196,6 +201,17 @@ class Answers:
             )
 
 
+def require_braking(bridge: str) -> None:
+    """Raise AnswerError for a bridge that lets the motor run free while PWM is low."""
+    if bridge in RUNS_FREE:
+        raise AnswerError(
+            "with PWM at ENA an L298 lets the motor run free while PWM is low: nothing brakes it then, and rig finds "
+            "no motor, or another one (docs/real-bench.md, Which bridge)",
+            "a module: put the jumper back on ENA, lead the two PWM pins to IN1 and IN2, and answer l298n; a shield: "
+            "take another bridge",
+        )
+
+
 def possible(board: str, sensor: str, bridge: str, limits: str, asked: str) -> Answers:
     """Answers of which any one that is ``asked`` is possible, unless none could be: the others leave it all room."""
     counts, gear, rpm = _MOST_COUNTS, 100.0, 1e-6
@@ -229,7 +245,7 @@ def text(answers: Answers, file: str) -> str:
         ("soft_rad", f"[{-soft_rad:g}, {soft_rad:g}]"),
         ("hard_rad", f"[{-hard_rad:g}, {hard_rad:g}]"),
         ("max_speed_rad_s", f"{math.floor(45.0 * size) / 10.0:g}"),
-        ("target", f"{{amplitude_rad: {0.45 * size:.2f}, period_s: 1.0}}"),
+        ("target", f"{{amplitude_rad: {0.45 * size:.2f}, period_s: 1.6}}"),
         ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
     ):
         new = _with(new, key, value)

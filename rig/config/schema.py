@@ -741,6 +741,10 @@ class Emulated(_Section):
         description="has a velocity channel, scaled as in section tachometer; default: where there is that section",
     )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
+    rehearsal: Literal[True] | None = Field(
+        None,
+        description="this bench stands for one that is not there yet: `rig rehearse` sets it, every result says so",
+    )
 
     @model_validator(mode="after")
     def _coasts_without_parts(self) -> Self:

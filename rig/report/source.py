@@ -27,6 +27,7 @@ from rig.recording.writer import EVENTS, SAMPLES
 from rig.report.style import AbsentError, stage_kind
 from rig.results import EstimateResult, FaultReport, FoundLawResult, Part, RunEvent, RunMeta, RunResult, TrueLaw, known
 from rig.results.estimates import LARGEST
+from rig.results.meta import REHEARSAL
 from rig.results.reading import salvaged
 
 Array = NDArray[np.float64]
@@ -94,6 +95,11 @@ class ReportedRun:
     def backend(self) -> str:
         """The backend in words, as recorded."""
         return self.meta.backend or self.result.backend or "not recorded (meta.json is missing)"
+
+    @property
+    def rehearsal(self) -> str:
+        """That nothing was measured, as a sentence; empty of any other run."""
+        return f"{REHEARSAL[0].upper()}{REHEARSAL[1:]}." if self.meta.rehearsal or self.result.rehearsal else ""
 
     @property
     def truth(self) -> dict[str, float]:

@@ -181,3 +181,9 @@ def test_a_file_is_never_replaced_and_a_config_that_check_refuses_is_said(tmp_pa
     fast = rig("init", tmp_path / "fast.yaml", *ANSWERED, "--no-load-rpm", 9000)
     assert fast.exit_code == 2
     assert "breakaway.max_V" in fast.stderr and "correct these numbers" in fast.stdout
+
+
+def test_a_bridge_that_lets_the_motor_run_free_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    refused = rig("init", tmp_path / "bench.yaml", *ANSWERED, "--bridge", "l298-ena")
+    assert refused.exit_code == 2 and not (tmp_path / "bench.yaml").exists()
+    assert "run free while PWM is low" in refused.output and "answer l298n" in refused.output
