@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 from matplotlib.axes import Axes
 
-from rig.control.tracking import ErrorDecay
+from rig.model.error_decay import ErrorDecay
 from rig.model.real_motor import FramedMotor
 from rig.report.source import Array, ReportedRun
 from rig.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render

@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 from simulated_bench import DEMO_MOTOR, LIMITS, PERIOD_S, simulated_bench
 
 from rig.control.observer import MotorObserver
-from rig.control.tracking import ErrorDecay, Tracking, linearising_drive, tracking_error
+from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
+from rig.model.error_decay import ErrorDecay
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.signals import Sample
