@@ -33,8 +33,9 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
     """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
     The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The names may stand
-    behind a #, and a row of units may follow. The reader skips blank lines, lines that begin with #, and ``sep=``. It reads decimal commas if no comma separates columns and no
-    decimal point occurs. A last line without a line end is torn: the reader leaves it out and notes that.
+    behind a #, and a row of units may follow. The reader skips blank lines, lines that begin with #, and ``sep=``. It
+    reads decimal commas if no comma separates columns and no decimal point occurs. A last line without a line end is
+    torn: the reader leaves it out and notes that.
     own    whether the file is of a run folder: then it is no link; and it ends where its time stands still or goes
            back, with a note, because the device's clock did so
     known  this file as read earlier, perhaps with fewer rows: these are not parsed again
