@@ -42,7 +42,7 @@ class ExportedModel:
 
 
 def export_model(run_folder: Path, tool: str, into: Path, *, overwrite: bool = False) -> ExportedModel:
-    """Write the model of a run for ``tool``, one of ``TOOLS``, as files in the folder ``into``, which is made if need be.
+    """Write the model of a run for ``tool``, one of ``TOOLS``, as files in the folder ``into``, which it makes.
 
     overwrite  replace files that are there already
     Raises RecordingError if there is no run, no model in it that was not refused, or a file of a name that is to be

@@ -168,7 +168,7 @@ def _units(test: TimeSeries) -> list[Objection]:
     if test.units_stated:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
-        object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
+        object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif span > LARGE_SPAN_RAD:
