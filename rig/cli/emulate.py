@@ -8,7 +8,7 @@ from shlex import quote
 
 import click
 
-from rig.cli.driving import checked
+from rig.cli.driving import checked, say_chip_starts
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 from rig.cli.options import CONFIG
 
@@ -42,6 +42,8 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
         fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
+    if chip:
+        say_chip_starts("emulated-chip")
     with stop_on_signals() as stop, faults(), emulated_board(experiment, link, trace, chip=chip) as board:
         port = board.port
         click.echo(

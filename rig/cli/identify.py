@@ -18,12 +18,11 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.recording.log_format import LogFormat
 from rig.results.meta import REHEARSAL
-from rig.terminal import patience, show_answer, show_details
+from rig.terminal import MOST_NOTES, patience, show_answer, show_details
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.identify import Identification
 
-MOST_NOTES = 2  # on what was read; the others are among the details
 Wanted = tuple[Path | None, tuple[str, ...]]
 
 

@@ -203,6 +203,16 @@ def test_what_the_input_cannot_tell_is_refused_with_the_reason(
     assert any(words in reason for reason in found.reasons), found.reasons
 
 
+def test_standing_still_under_a_drive_asks_for_more_of_it_and_a_rest_at_0_V_does_not(tmp_path: Path) -> None:
+    def pushes(between_V: float) -> Law:
+        return lambda t, y, z: (1.0 if t % 4.0 < 2.0 else -1.0) * (2.0 if t % 2.0 < 1.0 else between_V)
+
+    for between_V in (0.0, 0.3):
+        columns = sampled(motor(**PAPER), pushes(between_V), ticks(800), 0.004)
+        reasons = " ".join(estimate(plain_csv(tmp_path / "a.csv", columns)).reasons)
+        assert ("stands still under its drive" in reasons) == (between_V > 0.0)
+
+
 # -- wrong columns ----------------------------------------------------------------------------------------------------
 
 

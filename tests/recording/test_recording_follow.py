@@ -30,10 +30,10 @@ EVENTS = [
 ]  # fmt: skip
 
 
-def shown(progress: Progress) -> str:
+def shown(progress: Progress, most_done: int = 0, *, draws: bool = False) -> str:
     console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
     with console.file:
-        console.print(progress.picture())
+        console.print(progress.picture(most_done, draws=draws))
         return console.export_text()
 
 
@@ -118,6 +118,17 @@ def test_a_stage_without_rows_says_that_it_computes_and_for_how_long() -> None:
     progress.still_s = 7.4
     text = shown(progress)
     assert "identify" in text and "computing, 7 s" in text
+
+
+def test_the_present_stage_stays_in_sight_and_the_report_is_one() -> None:
+    """A terminal cuts the end of what is higher than it."""
+    progress = Progress()
+    for number in range(30):
+        progress.take_event({"t_s": float(number), "kind": "stage", "name": f"strokes-{number}"})
+    text = shown(progress, most_done=5)
+    assert [f"strokes-{number} " in text for number in (23, 24, 28, 29)] == [False, True, True, True]
+    progress.take_event({"t_s": 30.0, "kind": "end"})
+    assert "report" in shown(progress, draws=True) and "report" not in shown(progress)
 
 
 def test_only_whole_lines_are_taken(tmp_path: Path) -> None:
