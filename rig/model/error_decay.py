@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import cmath
 import math
+from typing import Final
+
+K1_1_S: Final = 12.0  # of (34), where a config says nothing else
+K2_1_S2: Final = 36.0  # both poles at -6 1/s
 
 
 class ErrorDecay:

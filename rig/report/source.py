@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.problems import ConfigError
-from rig.config.schema import TrackingSection
 from rig.config.yaml12 import parse
 from rig.estimators import ESTIMATORS
 from rig.faults import FAULTS
+from rig.model.error_decay import K1_1_S, K2_1_S2
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
@@ -331,9 +331,8 @@ def _number(value: Any) -> float | None:
 def _decay(tracking: Any) -> tuple[float, float, float] | None:
     """Offset, k1 and k2 of a config's tracking section, where it has an offset."""
     given = tracking if isinstance(tracking, dict) else {}
-    default = TrackingSection.model_fields
     offset_rad = _number(given.get("offset_rad"))
-    k1, k2 = (_number(given.get(name, default[name].default)) for name in ("k1_1_s", "k2_1_s2"))
+    k1, k2 = _number(given.get("k1_1_s", K1_1_S)), _number(given.get("k2_1_s2", K2_1_S2))
     return (offset_rad, k1, k2) if offset_rad and k1 and k1 > 0.0 and k2 and k2 > 0.0 else None
 
 

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from simulated_bench import DEMO_MOTOR, LIMITS, PERIOD_S, simulated_bench
 
+from rig.config.schema import TrackingSection
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
-from rig.model.error_decay import ErrorDecay
+from rig.model.error_decay import K1_1_S, K2_1_S2, ErrorDecay
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.signals import Sample
@@ -194,3 +195,8 @@ def test_one_time_of_effect_in_the_future_does_not_hold_back_the_drives_after_it
         states.append(state)
     assert states[1].v == pytest.approx(states[0].v, abs=0.01)
     assert states[1].y == pytest.approx(states[0].y, abs=0.001)
+
+
+def test_a_report_takes_the_gains_that_a_config_leaves_out_as_the_schema_does() -> None:
+    fields = TrackingSection.model_fields
+    assert (fields["k1_1_s"].default, fields["k2_1_s2"].default) == (K1_1_S, K2_1_S2)
