@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def bench(folder: Path) -> Path:
     """The Uno's ready config, for a real port, with a short experiment."""
     data: dict[str, Any] = yaml.safe_load((ROOT / "config/uno.yaml").read_text(encoding="utf-8"))
-    data["relay"] = {"gains": [{"h1_V": 0.08, "h2_V": 0.56}], "cycles": 4}
+    data["relay"] = {"gains": [{"h1_V": 0.04, "h2_V": 0.62}], "cycles": 4}
     data["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
     path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
