@@ -1,7 +1,7 @@
 """Loads the compiled loops of an identification before a device is opened, and compiles those that are not on disk.
 
-``python -m rig.identify.ready`` does so once, after an installation or a change of the model. The set-up of a clone runs
-it for ``real`` and ``plain`` at the same time, on two cores.
+``python -m rig.identify.ready`` does so once, after an installation or a change of the model. The set-up of a clone
+runs it for ``real`` and ``plain`` at the same time, on two cores.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a new clone asks for: `make demo` takes Python, a C compiler and a network, and names what is missing in a line."""
+"""What a new clone asks for: `make demo` takes Python, a C compiler and a network, and names what is missing."""
 
 from __future__ import annotations
 
