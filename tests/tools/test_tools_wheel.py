@@ -31,21 +31,37 @@ def word(one: Variant) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of this tree. Hatchling comes from the cache that the set-up of .venv has filled."""
-    out = tmp_path_factory.mktemp("wheel")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a wheel is built from."""
     tree = tmp_path_factory.mktemp("tree") / "rig"
     ignored = shutil.ignore_patterns("__pycache__", "node_modules")
     for name in ("rig", "firmware", "config"):
         shutil.copytree(ROOT / name, tree / name, ignore=ignored)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree / name)
+    return tree
+
+
+def built(tree: Path, out: Path, **environment: str) -> Path:
+    """The wheel of a tree. Hatchling comes from the cache that the set-up of .venv has filled."""
     subprocess.run(
         [UV, "build", "--wheel", "--quiet", "--python", sys.executable, "-o", out],
-        cwd=tree, check=True,
-        env=os.environ | {"RIG_FIRMWARE": "required", "RIG_VARIANTS": " ".join(word(one) for one in BUILT)},
+        cwd=tree, check=True, env=os.environ | environment,
     )  # fmt: skip
     return next(out.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def wheel(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of `make wheel`."""
+    variants = " ".join(word(one) for one in BUILT)
+    return built(tree, tmp_path_factory.mktemp("wheel"), RIG_FIRMWARE="required", RIG_VARIANTS=variants)
+
+
+def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(tree: Path, tmp_path: Path) -> None:
+    names = zipfile.ZipFile(built(tree, tmp_path, RIG_FIRMWARE="")).namelist()
+    assert not any("prebuilt" in name for name in names)
+    assert "rig/_firmware/core/rig_core.c" in names  # from which `rig flash` compiles it
 
 
 def test_the_wheel_holds_the_listed_variants_of_the_firmware_and_the_same_from_another_folder(

@@ -35,7 +35,7 @@ _PACKAGE = FOLDER
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
 _NO_HEADER: Final = {  # what the compiler says: a library that Debian packs apart from what needs it
     "avr/io.h: No such file": f"avr-gcc has no C library: install it (Debian: apt-get install {_AVR_PACKAGES})",
-    "error: simavr/": "the emulated chip runs on simavr: install it (Debian: apt-get install libsimavr-dev)",
+    "error: simavr/": "the emulated chip lacks simavr: install it (Debian: apt-get install libsimavr-dev)",
 }
 _EMULATORS: Final = (  # ports that begin with, what is emulated there, a source of it
     ("emulated-chip", "chip", "emulator/chip.c"),
