@@ -86,6 +86,10 @@ LIMITS: Final = {
     "turns": "it turns without end, but no farther than some turns either way",
     "none": "it turns without end: a person must be able to reach the e-stop",
 }
+TESTS: Final = {
+    "full": "limit cycles at two pairs of gains, recorded and identified by each method: about a minute",
+    "quick": "tests that rig designs, until tau, K and f_c are known: some seconds; no limit cycle is recorded",
+}
 BRIDGES: Final = {
     "l298n": BridgeModule("L298N, with its jumper on ENA", "in1-in2", 2.0, 35.0),
     "tb6612": BridgeModule("TB6612FNG, PWMA and STBY tied high", "in1-in2", 0.5, 13.5),
@@ -114,6 +118,7 @@ class Answers:
     counts_per_turn, gear  of an encoder: counts for a turn of its shaft, and its turns for one of the measured shaft
     turns                  either way, for limits "turns"
     usb_serial             of the board that is plugged in at the port; "": none is, or it has no such number
+    tests                  key of ``TESTS``
     Raises AnswerError.
     """
 
@@ -129,6 +134,7 @@ class Answers:
     gear: float = 1.0
     turns: float = 10.0
     usb_serial: str = ""
+    tests: str = "full"
 
     def __post_init__(self) -> None:
         require_braking(self.bridge)
@@ -137,6 +143,7 @@ class Answers:
             (self.sensor, SENSORS),
             (self.bridge, BRIDGES),
             (self.limits, LIMITS),
+            (self.tests, TESTS),
         ):
             if answer not in table:
                 raise AnswerError(f"{answer!r} is not among {', '.join(table)}", "give one of these")
@@ -249,6 +256,8 @@ def text(answers: Answers, file: str) -> str:
         ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
     ):
         new = _with(new, key, value)
+    if answers.tests == "quick":
+        new = _until_known(new)
     if answers.usb_serial:
         new = re.sub(r"(?m)^(\s*)(port:.*\n)", lambda found: found[0] + found[1] + _usb_line(answers), new, count=1)
     if answers.sensor == "encoder":
@@ -296,6 +305,13 @@ def _without_stops(config: str, answers: Answers) -> str:
     else:
         lines[0] += "; the firmware arms once the e-stop was pressed and released"
     return config[:start] + "\n".join(lines) + "\n" + config[end:]
+
+
+def _until_known(config: str) -> str:
+    """With tests that end when the motor is known, in place of a wanted limit cycle."""
+    start, end = config.index("relay:\n"), config.index("\ntracking:")
+    until = "  until: {interval_percent: 0.4}    # the tests end when tau, K and f_c are known so well: docs/until.md\n"
+    return f"{config[:start]}relay:\n{until}{config[end:]}"
 
 
 def _usb_line(answers: Answers) -> str:
