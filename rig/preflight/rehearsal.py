@@ -14,14 +14,14 @@ from rig.config.yaml12 import Document
 from rig.errors import RigError
 from rig.preflight.file import check
 
-FRICTION_SHARE = 0.05
-TAU_SHARE = 0.5
-_BY_DIRECTION = 0.04
-_STATIC = 1.08
-_NOISE_SHARE = 7e-4
-_BEYOND_HARD_RAD = 0.2
-_SLACK = 1.01
-_OUT_OF_REACH = 1.2  # times drive.max_V: a describing function is only about right
+FRICTION_SHARE = 0.05  # of the supply; this and the next three: see ``made_motor``
+TAU_SHARE = 0.5  # of limits.coast_tau_s
+_BY_DIRECTION = 0.04  # of friction, more one way and less the other
+_STATIC = 1.08  # times moving friction
+_NOISE_SHARE = 7e-4  # of a potentiometer's range: standard deviation; 3 mrad of 4.2 rad, as the demo's
+_BEYOND_HARD_RAD = 0.2  # from the hard limits to the mechanical stops: docs/real-bench.md asks for it
+_SLACK = 1.01  # the config's digits are rounded
+_OUT_OF_REACH = 1.1  # times drive.max_V: a describing function is only about right
 
 
 class SheetError(RigError):
@@ -183,10 +183,11 @@ def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:
 
 
 def _needed_V(motor: EmulatedMotor, friction_V: float, amplitude_rad: float, period_s: float) -> float:
-    """Drive of a square wave, V, whose fundamental swings the motor so: by the describing function of friction."""
+    """Both gains of the relay together, V, that swing the motor so, by the describing function (docs/theory.md 4)."""
     omega_rad_s = 2.0 * math.pi / period_s
-    speed_V = amplitude_rad * omega_rad_s / motor.K_rad_s_V
-    return math.hypot(0.25 * math.pi * speed_V + friction_V, 0.25 * math.pi * speed_V * omega_rad_s * motor.tau_s)
+    speed_V = 0.25 * math.pi * amplitude_rad * omega_rad_s / motor.K_rad_s_V
+    h2_V, h1_V = speed_V + friction_V, speed_V * omega_rad_s * motor.tau_s
+    return h1_V + h2_V
 
 
 def _option(name: str) -> str:
