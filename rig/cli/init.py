@@ -44,7 +44,7 @@ from rig.config import ConfigError, new_bench
 @click.option("--turns", type=float, help="With --limits turns: so many either way. Default: 10.")
 @click.option(
     "--tests", type=click.Choice(list(new_bench.TESTS)),
-    help="full: the whole experiment, with limit cycles. quick: tests that end when the motor is known, by relay.until. "
+    help="full: the whole experiment, with limit cycles. quick: tests that end when the motor is known (relay.until). "
     "Default: full.",
 )  # fmt: skip
 @click.option("--yes", is_flag=True, help="Ask nothing: take the default of what is not given.")
