@@ -4,12 +4,12 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: whole stalls free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: setup evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
 
-demo: .venv/.ready firmware  ## the whole experiment on the emulated serial device, in virtual time; REALTIME=1: in real time; CHIP=1: on the Uno's emulated chip
+demo: .venv/.running  ## the whole experiment on the emulated serial device, in virtual time; REALTIME=1: in real time; CHIP=1: on the Uno's emulated chip
 ifdef REALTIME
 	@mkdir -p build
 	sed 's/port: emulated  /port: emulated-realtime  /' $(CONFIG) > build/realtime.yaml
@@ -18,15 +18,26 @@ else
 	$(RIG) run $(CONFIG)
 endif
 
-# what needs a real clock, or pytest's own process, runs alone, after the rest
-test: .venv/.ready  ## check, then every test, the firmware's own included
+setup: .venv/.ready  ## all that tests, checks, documents and panel need, Debian packages included, by sudo; make test does it
+
+PYTEST := OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
+SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+# to collect the others would take longer than many of these tests
+CLOCKED = $$(grep -lrE 'mark\.(realtime|alone)' tests --include='test_*.py')
+
+# what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
+test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
 	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "not (realtime or alone)" -n $$(nproc) --maxprocesses 8 \
-	    --dist loadfile --no-loadscope-reorder
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "realtime or alone"
+	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$(nproc) $(SHARED)
+	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(CLOCKED)
+	$(PYTEST) -m "alone and not evidence" $(CLOCKED)
+
+evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
+	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)
+	$(PYTEST) -m "evidence and (realtime or alone)" $(CLOCKED)
 
 search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
-	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
+	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; $(PYTEST) \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
 check: lint types pages analysis  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
@@ -143,5 +154,9 @@ clean:  ## remove what was built; run folders stay
 	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules tools/uplot/node_modules rig/panel/static/vendor
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# what rig runs on, no more
+.venv/.running: pyproject.toml requirements.lock tools/setup.sh
+	@./tools/setup.sh running
+
 .venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/uplot/package-lock.json tools/setup.sh tools/uplot.sh
-	./tools/setup.sh
+	@./tools/setup.sh

@@ -268,6 +268,11 @@ FAULTS: dict[str, FaultEntry] = {
         "__init__. A law that needs more time on purpose: raise loop.law_cpu_s. A simulation shows what the law does "
         "without this bound: daq.driver: simulated",
     ),
+    "LAW_UNWATCHED": FaultEntry(
+        "no process watches the law of your own: one that never returns could not be stopped",
+        "start again; the words behind it say why its keeper did not start, or ended: free memory, the limit of "
+        "processes (`ulimit -u`), or somebody ended it",
+    ),
     "INTERNAL": FaultEntry(
         "the program failed",
         "this is a defect of rig: please report it with the run folder. `rig identify RUN` can still identify what was "

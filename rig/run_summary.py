@@ -51,6 +51,7 @@ from rig.results import (
     TrueLaw,
     TrueMotor,
 )
+from rig.results.meta import REHEARSAL
 from rig.results.part import VERSION
 
 
@@ -100,7 +101,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
     return RunMeta(
         version=VERSION,
         name=experiment.name,
-        backend=bench.driver.backend,
+        backend=_backend(bench, experiment),
         emulated=info.emulated,
         order=bench.driver.order,
         period_s=experiment.period_s,
@@ -133,6 +134,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         host={"system": platform.platform(), "machine": platform.machine()},
         command=" ".join(sys.argv),
         truth=true_motor(bench),
+        rehearsal=is_rehearsal(bench, experiment) or None,
         time=run_time(bench),
         script=script,
         identify_without=experiment.identify.without or None,
@@ -155,7 +157,8 @@ def run_result(
     link, not_counts = _link_counts(bench.driver.link_statistics)
     return RunResult(
         version=VERSION,
-        backend=bench.driver.backend,
+        backend=_backend(bench, experiment),
+        rehearsal=is_rehearsal(bench, experiment) or None,
         answer=_answer(found),
         estimates=_estimates(found),
         relays=() if own is None else tuple(own.relays),
@@ -178,11 +181,24 @@ def run_result(
     )
 
 
-def least_result(bench: Bench, statistics: LoopStatistics, notes: list[str], fault: Fault | None) -> RunResult:
+def is_rehearsal(bench: Bench, e: Experiment) -> bool:
+    """Whether the motor behind this bench was made up by `rig rehearse`."""
+    return bench.info.emulated and e.emulated is not None and e.emulated.rehearsal is not None
+
+
+def _backend(bench: Bench, e: Experiment) -> str:
+    """The bench in words, which stand under every picture of the run."""
+    return f"{'rehearsal, nothing real: ' if is_rehearsal(bench, e) else ''}{bench.driver.backend}"
+
+
+def least_result(
+    bench: Bench, experiment: Experiment, statistics: LoopStatistics, notes: list[str], fault: Fault | None
+) -> RunResult:
     """result.json of a run whose findings cannot be written: backend, loop, fault and notes."""
     return RunResult(
         version=VERSION,
-        backend=bench.driver.backend,
+        backend=_backend(bench, experiment),
+        rehearsal=is_rehearsal(bench, experiment) or None,
         answer=None,
         estimates={},
         relays=(),
@@ -279,7 +295,9 @@ def _link_counts(told: Mapping[str, object]) -> tuple[dict[str, int], list[str]]
 
 def _notes(found: Findings) -> tuple[str, ...]:
     if found.models_from is not None:
-        return (*found.notes, f"the models come from {found.models_from}")
+        made_up = found.identification is not None and found.identification.rehearsal
+        words = f"the models come from {found.models_from}{f', {REHEARSAL}' if made_up else ''}"
+        return (*found.notes, words)
     return (*found.notes, *([] if found.identification is None else found.identification.notes))
 
 

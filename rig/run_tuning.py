@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,10 +113,17 @@ class TunedRun:
         return result_of(self.tuned, self.prediction, bench, self.folder.resolve().name, law)
 
 
-def tune_run(folder: Path, asked: Asked, draws: int, bench: Experiment | None = None) -> TunedRun:
+def tune_run(
+    folder: Path,
+    asked: Asked,
+    draws: int,
+    bench: Experiment | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> TunedRun:
     """Tune a loop for the motor of a run folder, and predict what it does.
 
-    bench  on which it is to be driven; None: the run's own
+    bench        on which it is to be driven; None: the run's own
+    on_progress  is called with how many motors are simulated, and how many there are
     Raises RecordingError where the folder has no result or config, ConfigError for a config that cannot be read, and
     TuneError where no such loop is possible, or where its trial would leave the soft limits of ``bench``.
     """
@@ -132,7 +140,7 @@ def tune_run(folder: Path, asked: Asked, draws: int, bench: Experiment | None = 
     sensing = _sensing(e, result if bench is None or _same_sensor(folder, bench) else None)
     tuned, trial = _that_fits(e, asked, motor, sensing)
     latency_s = min(_latency_s(read_run(folder)), motor.delay_s)
-    prediction = predict(tuned, trial, draws)
+    prediction = predict(tuned, trial, draws, on_progress=on_progress)
     if bench is not None:
         _require_inside(bench, prediction)
     return TunedRun(folder, tuned, trial, prediction, latency_s)

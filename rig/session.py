@@ -38,7 +38,7 @@ from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
 from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
-from rig.run_summary import Findings, least_result, run_meta, run_result, run_time
+from rig.run_summary import Findings, is_rehearsal, least_result, run_meta, run_result, run_time
 from rig.signals import BenchDelay
 
 Array = NDArray[np.float64]
@@ -173,7 +173,8 @@ def _begin(
     started: datetime,
 ) -> tuple[Session, Recorder]:
     """Make the run folder, its recorder and the loop."""
-    folder = create_run(parent, f"{what.name}-{experiment.name}", started)
+    command = "rehearsal" if is_rehearsal(bench, experiment) else what.name
+    folder = create_run(parent, f"{command}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
     write_config(folder, dump(experiment))
     meta = run_meta(experiment, bench, what, started)
@@ -353,7 +354,7 @@ def _write_result(session: Session, outcome: Outcome) -> None:
 def _least_result(session: Session, outcome: Outcome) -> RunResult:
     """The result that needs nothing but the notes."""
     notes = [*session.found.notes, *outcome.failures]
-    return least_result(session.bench, session.loop.statistics, notes, outcome.fault)
+    return least_result(session.bench, session.experiment, session.loop.statistics, notes, outcome.fault)
 
 
 def _measure_tracking(session: Session, outcome: Outcome) -> None:

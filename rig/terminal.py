@@ -33,6 +33,7 @@ from rig.results.budget_lines import budget_lines, that_matter
 from rig.results.comparison import ComparedRunResult, ComparisonResult
 from rig.results.design import DesignResult
 from rig.results.listed import ListedRun
+from rig.results.meta import REHEARSAL
 from rig.results.tuned import TunedResult
 from rig.signals import plain
 
@@ -49,6 +50,7 @@ LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
 BUDGET_HEADINGS = ("from", "tau, %", "K, %", "f_c, %", "only in")
+MOST_NOTES = 2  # that are shown unless all are asked for
 SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
 LIST_HEADINGS = ("run", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", "laws", "ended")
 RECORD_AGAIN = (
@@ -105,11 +107,16 @@ def patience(what: str) -> Iterator[None]:
         yield
 
 
-def show_run(outcome: Outcome) -> None:
-    """Show a run: relay tests, answer, each method, loop, where the files are; on stderr why it failed."""
+def show_run(outcome: Outcome, *, verbose: bool = True) -> None:
+    """Show a run: answer, tracking, where the files are; on stderr why it failed.
+
+    verbose  also the relay tests, each method, the friction map and the loop
+    """
     result = outcome.result
+    if result.rehearsal:
+        click.echo(REHEARSAL)
     click.echo(f"backend: {result.backend}")
-    for test in result.relays:
+    for test in result.relays if verbose else ():
         click.echo(
             f"{test.stage}: h1 {test.h1_V:.3f} V, h2 {test.h2_V:.3f} V -> "
             f"amplitude {test.amplitude_rad:.3f} rad, period {test.period_s:.3f} s, {test.cycles} cycles"
@@ -125,15 +132,22 @@ def show_run(outcome: Outcome) -> None:
             f"from {1e3 * known(run.start_rad):+.1f} mrad"
         )
     if result.answer is not None:
+        if result.models_from is not None:
+            for note in (note for note in result.notes if note.endswith(REHEARSAL)):
+                click.echo(note)
         show_answer(result.answer, result.truth)
-        show_estimates(result.estimates, result.truth, result.tracking)
-        show_friction_map(result.friction_map)
-    if result.loop is not None:
+        if verbose:
+            show_estimates(result.estimates, result.truth, result.tracking)
+            show_friction_map(result.friction_map)
+        elif result.tracking:
+            click.echo(tracking_words(result.tracking))
+    if result.loop is not None and verbose:
         _show_loop(result.loop)
-    for note in result.config_notes:
-        click.echo(f"note: {note}")
-    if outcome.paced:
-        click.echo(f"time: {outcome.paced}")
+    notes = [f"note: {note}" for note in result.config_notes] + ([f"time: {outcome.paced}"] if outcome.paced else [])
+    for note in notes if verbose else notes[:MOST_NOTES]:
+        click.echo(note)
+    if len(notes) > MOST_NOTES and not verbose:
+        click.echo(f"{len(notes) - MOST_NOTES} more notes are in the report")
     if result.answer is not None and result.models_from is None:
         click.echo(f"more:   rig identify {quote(str(outcome.folder))} --verbose")
     click.echo(f"run:    {outcome.folder}")
@@ -145,6 +159,16 @@ def show_run(outcome: Outcome) -> None:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:
             click.echo(f"     {outcome.fault.cure}", err=True)
+
+
+def tracking_words(tracking: Mapping[str, TrackingResult]) -> str:
+    """The RMS error with the model of each method, in brackets that of the emulated shaft."""
+    words = []
+    for method, one in tracking.items():
+        error = "not run" if one.rms_rad is None else f"{1e3 * one.rms_rad:.1f}"
+        words.append(f"{method} {error}" + ("" if one.true_rms_rad is None else f" ({1e3 * one.true_rms_rad:.1f})"))
+    true = " (in brackets the true shaft's)" if any(one.true_rms_rad is not None for one in tracking.values()) else ""
+    return f"tracking error, mrad RMS{true}: {', '.join(words)}"
 
 
 def _show_loop(loop: LoopResult) -> None:
@@ -282,7 +306,7 @@ def show_runs(runs: Sequence[ListedRun], of: int) -> None:
                 (run.tau_s, run.tau_percent), (run.K_rad_s_V, run.K_percent), (run.fc_V, run.fc_percent)
             )
         ]  # fmt: skip
-        ended = run.fault or run.state
+        ended = ("rehearsal: " if run.rehearsal else "") + (run.fault or run.state)
         rows.append([plain(run.name), *numbers, run.verdict or "", run.laws.replace("_", " "), ended])
     count = f"{len(runs)} of {of} runs" if len(runs) < of else f"{of} runs" if of != 1 else "1 run"
     if rows:

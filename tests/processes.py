@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-PATIENCE_S = 60.0  # a shared machine may hold a process up for long
+PATIENCE_S = 600.0  # longer than any machine holds a process up: beyond it nothing comes any more
 
 
 def alive(pid: int) -> bool:

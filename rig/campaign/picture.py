@@ -22,7 +22,7 @@ from rig.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, style
 
 Array = NDArray[np.float64]
 
-SYMBOLS = {"tau_s": r"$\tau$", "K_rad_s_V": "$K$", "fc_V": "$f_c$"}
+SYMBOLS = {"tau_s": r"$\tau$", "K_rad_s_V": "$K$", "fc_V": "f_c"}
 COLOURS = {"ok": "#0072B2", "doubtful": "#E69F00", "refused": "#D55E00"}
 GOOD, HIGH, LOW = "#f4f5f7", "#D55E00", "#0072B2"
 FEWEST_IN_CELL = 8  # experiments; a cell with fewer stays white
@@ -31,7 +31,7 @@ MOST_CELLS = 6
 
 
 def draw(campaign: Campaign, table: Table) -> bytes:
-    """The figure as PNG: a column for each of tau, K and fc, from the experiments that have an estimate."""
+    """The figure as PNG: a column for each of tau, K and f_c, from the experiments that have an estimate."""
     estimated = np.isfinite(table["tau_s"])
     ok = estimated & (table["verdict"] == "ok")
     called_ok = {name: column[ok] for name, column in table.items()}
@@ -144,7 +144,7 @@ def _map(axes: Axes, edges: tuple[Array, Array], values: Array, shades: _Shades)
     axes.xaxis.set_major_formatter(ScalarFormatter())
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel(r"$\tau$, s")
-    axes.set_ylabel("$f_c$, V")
+    axes.set_ylabel("f_c, V")
 
 
 def _standardised(axes: Axes, table: Table, name: str) -> None:

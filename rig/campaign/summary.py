@@ -45,7 +45,7 @@ class Spread(TypedDict):
 
 
 class ParameterSums(TypedDict):
-    """The errors of one parameter: relative to the truth for tau, K and fc, else absolute."""
+    """The errors of one parameter: relative to the truth for tau, K and f_c, else absolute."""
 
     rms_error: float
     rms_bound: float

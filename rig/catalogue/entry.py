@@ -33,6 +33,7 @@ def of_files(name: str, meta: RunMeta, result: RunResult | None, problem: str = 
         config=meta.name or None,
         backend=meta.backend or None,
         emulated=meta.emulated,
+        rehearsal=meta.rehearsal,
         state=NO_RESULT if result is None else FAULT if result.faults else DONE,
         fault=result.faults[0].code if result is not None and result.faults else None,
         problem=problem or None,

@@ -31,6 +31,7 @@ from rig.cli import (
     list,
     panel,
     predict,
+    rehearse,
     relay,
     replay,
     report,
@@ -81,6 +82,7 @@ _GROUPS = {
     "Use what was measured": (report.report, list.list_runs, compare.compare, tune.tune, export.export),
     "A bench of your own": (
         init.init,
+        rehearse.rehearse,
         flash.flash,
         doctor.doctor,
         calibrate.calibrate,

@@ -63,22 +63,23 @@ def compare(
     says how tau, K and f_c change over time. Each answer is wrong in 5 % of cases if it is one motor. Reads result.json
     and meta.json; nothing is identified anew.
     """
-    from rig.compare.comparison import CompareError, Scatter
-    from rig.compare.comparison import compare as compare_runs
-    from rig.compare.temperatures import read_temperatures
-    from rig.recording.path_kind import require_distinct
-
     if file is not None and file.suffix.lower() not in (".html", ".htm"):
         fail(EXIT_BAD_INPUT, f"{file}: the report is a page of HTML", "give a name that ends in .html")
     if file is not None and file.exists() and not force:
         fail(EXIT_BAD_INPUT, f"{file} is there already", "give another name, or --force")
+    with patience("comparing"):
+        from rig.compare.comparison import CompareError, Scatter
+        from rig.compare.comparison import compare as compare_runs
+        from rig.compare.temperatures import read_temperatures
+        from rig.recording.path_kind import require_distinct
     try:
         require_distinct(folders)
-        found = compare_runs(
-            folders,
-            None if percent is None else Scatter(percent, "given by --scatter"),
-            None if temperatures is None else read_temperatures(temperatures),
-        )
+        with patience("comparing"):
+            found = compare_runs(
+                folders,
+                None if percent is None else Scatter(percent, "given by --scatter"),
+                None if temperatures is None else read_temperatures(temperatures),
+            )
         if file is not None:
             from rig.compare.page import write_page
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.driving import checked
+from rig.cli.driving import checked, say_chip_starts
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, faults
 from rig.cli.options import JSON, OUT
 from rig.terminal import show_finding
@@ -56,7 +56,9 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
         if config_path is None:
             visit = without_config(out, seconds)
         else:
-            visit = with_config(checked(config_path, drives=False), out, seconds)
+            experiment = checked(config_path, drives=False)
+            say_chip_starts(experiment.daq.port)
+            visit = with_config(experiment, out, seconds)
         for finding in visit:
             findings.append(finding)
             if not as_json:

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
+from rich.console import Console
 
 from rig import preflight
+from rig.backends.serial.ports import CHIP_PORTS
 from rig.cli.failure import EXIT_FAILED, fail_config, faults
 from rig.config import ConfigError, Experiment
 from rig.recording.folder import json_text
@@ -45,7 +47,14 @@ def checked_bench(path: Path, pace: float | None = None) -> Experiment:
     with faults():
         require_device_file(experiment.daq.port)
         require_emulator(experiment.daq.port)
+    say_chip_starts(experiment.daq.port)
     return experiment
+
+
+def say_chip_starts(port: str | None) -> None:
+    """Say on a terminal that an emulated chip takes its time to start; in a pipe nothing."""
+    if port in CHIP_PORTS and Console(stderr=True).is_terminal:
+        click.echo("starting the emulated chip: some ten seconds, longer on a busy machine ...", err=True)
 
 
 def compiled(*, designs: bool) -> None:
@@ -58,7 +67,7 @@ def compiled(*, designs: bool) -> None:
     make_ready(lambda words: click.echo(words, err=True), designs=designs)
 
 
-def perform(start: Callable[[OnStart], Outcome], as_json: bool) -> Outcome:
+def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool = True) -> Outcome:
     """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
     from rig.recording.follow import following
 
@@ -72,7 +81,7 @@ def perform(start: Callable[[OnStart], Outcome], as_json: bool) -> Outcome:
 
         outcome = start(on_start)
     if not as_json:
-        show_run(outcome)
+        show_run(outcome, verbose=verbose)
     return outcome
 
 

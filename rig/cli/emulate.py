@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from shlex import quote
 
 import click
 
-from rig.cli.driving import checked
+from rig.cli.driving import checked, say_chip_starts
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 from rig.cli.options import CONFIG
 
@@ -30,12 +31,19 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
 
     experiment = checked(config_path, drives=False)
     if experiment.emulated is None:
-        fail(EXIT_BAD_INPUT, f"{config_path} has no section `emulated`", "add one, as in config/demo.yaml")
+        fail(
+            EXIT_BAD_INPUT,
+            f"{config_path} has no section `emulated`",
+            f"try the whole experiment on a motor made up for it: `rig rehearse {quote(str(config_path))}`; or add the "
+            "section, as in config/demo.yaml",
+        )
     backend = backend_of(experiment)
     if chip and not backend.has_chip:
         fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
+    if chip:
+        say_chip_starts("emulated-chip")
     with stop_on_signals() as stop, faults(), emulated_board(experiment, link, trace, chip=chip) as board:
         port = board.port
         click.echo(

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
+from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.serial.emulated.firmware_build import Variant
 
 
 @click.command()
+@click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
 @click.option(
-    "--board", type=click.Choice(["uno", "pico"]), default="uno", show_default=True,
-    help="Arduino Uno, or Raspberry Pi Pico.",
+    "--board", type=click.Choice(["uno", "pico"]), default=None,
+    help="Arduino Uno, or Raspberry Pi Pico. Default: as CONFIG's converter tells, else the Uno.",
 )  # fmt: skip
 @click.option(
     "--port", default=None,
-    help="Serial port. Default: the Uno or clone, if just one is plugged in. A Pico is only asked there who it is.",
+    help="Serial port. Default: that of CONFIG, else the Uno or clone, if just one is plugged in. A Pico is only asked "
+    "there who it is.",
 )  # fmt: skip
 @click.option(
     "--usb-serial", metavar="NUMBER", default=None,
@@ -34,12 +37,12 @@ if TYPE_CHECKING:  # it loads slowly
     help="Folder where the Pico's drive is mounted. Default: the only one there is.",
 )  # fmt: skip
 @click.option(
-    "--baud", type=click.Choice(["115200", "1000000"]), default="115200", show_default=True,
-    help="Baud rate of the firmware; the config's daq.baud must be the same.",
+    "--baud", type=click.Choice(["115200", "1000000"]), default=None,
+    help="Baud rate of the firmware; the config's daq.baud must be the same. Default: daq.baud of CONFIG, else 115200.",
 )  # fmt: skip
 @click.option(
-    "--bridge", type=click.Choice(["pwm-dir", "in1-in2"]), default="pwm-dir", show_default=True,
-    help="Kind of inputs that the H-bridge has (docs/real-bench.md).",
+    "--bridge", type=click.Choice(["pwm-dir", "in1-in2"]), default=None,
+    help="Kind of inputs that the H-bridge has (docs/real-bench.md). Default: drive.bridge of CONFIG, else pwm-dir.",
 )  # fmt: skip
 @click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1 (Pico: GP27).")
 @click.option("--supply", is_flag=True, help="The motor supply is wired to A2 (Pico: GP28), through its divider.")
@@ -56,12 +59,13 @@ if TYPE_CHECKING:  # it loads slowly
 )  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print what would be done; touch no board.")
 def flash(
-    board: str,
+    config_path: Path | None,
+    board: str | None,
     port: str | None,
     usb_serial: str | None,
     drive: Path | None,
-    baud: str,
-    bridge: str,
+    baud: str | None,
+    bridge: str | None,
     tachometer: bool,
     supply: bool,
     end_switches: bool,
@@ -72,6 +76,9 @@ def flash(
 ) -> None:
     """Write the firmware to a board.
 
+    With CONFIG, bridge, sensor, baud rate, tachometer, port and board are those of the config; an option that
+    contradicts it is refused. Options are for who has no config, and for what a config does not say.
+
     rig's wheel carries it, for any of these options; in the repository it is built. To an Uno avrdude writes it; then
     rig asks the board which firmware it runs. To a Pico in BOOTSEL mode, which is a drive then, rig copies it; with
     --port it asks the Pico, too.
@@ -81,10 +88,29 @@ def flash(
     from rig.backends.serial.emulated.firmware_build import Variant
     from rig.backends.serial.flash import FlashError
 
-    options = Variant(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
+    asked: dict[str, Any] = {
+        "board": board,
+        "port": port,
+        "usb_serial": usb_serial,
+        "baud": None if baud is None else int(baud),
+        "bridge": bridge,
+        "tachometer": tachometer or None,
+        "end_switches": end_switches or None,
+        "encoder": encoder or None,
+    }
+    told = asked if config_path is None else _told(config_path, asked)
+    board, port, usb_serial = told["board"] or "uno", told["port"], told["usb_serial"]
+    options = Variant(
+        (told["bridge"] or "pwm-dir").upper().replace("-", "_"),
+        told["baud"] or 115200,
+        bool(told["tachometer"]),
+        supply,
+        bool(told["end_switches"]),
+        bool(told["encoder"]),
+    )
     given, name = (hex_file, "--hex") if board == "uno" else (uf2, "--uf2")
     _refuse_the_other_boards(board, hex_file, uf2, drive)
-    if given is not None and options != Variant(baud=int(baud)):
+    if given is not None and (bridge or tachometer or supply or end_switches or encoder):
         fail(
             EXIT_BAD_INPUT,
             f"with {name} only --baud has an effect: the file is built already",
@@ -99,6 +125,45 @@ def flash(
                 _flash_pico(options, port, given, drive, dry_run=dry_run)
     except FlashError as error:
         fail(error.status, error.cause, error.cure)
+
+
+def _told(config_path: Path, asked: dict[str, Any]) -> dict[str, Any]:
+    """What the config says of its board, and beside it what was asked for and the config does not say.
+
+    Exits with status 2 where the config cannot be read, is not for such a board, or says something else.
+    """
+    from rig.backends.serial.flashing import WRONG_BRIDGE, of_config
+    from rig.config import ConfigError, load
+
+    try:
+        told = of_config(load(config_path))
+    except ConfigError as error:
+        fail_config(error)
+    except ValueError as error:
+        fail(
+            EXIT_BAD_INPUT, f"{config_path}: {error}", "without a config: rig flash --board ... --bridge ... --baud ..."
+        )
+    for name, (key, value) in told.items():
+        wanted = asked[name]
+        if value is None or wanted is None or wanted == value:
+            continue
+        if name == "port" and os.path.realpath(str(wanted)) == os.path.realpath(str(value)):
+            continue  # another name of it
+        option = f"--{name.replace('_', '-')}" + ("" if wanted is True else f" {wanted}")
+        says = (
+            f"{config_path} has no section {key}"
+            if value is False
+            else f"{key} of {config_path} is {'that of the ' if name == 'board' else ''}{value}"
+        )
+        fail(EXIT_BAD_INPUT, f"{option}, but {says}", f"leave {option} out, or correct the config")
+    merged = {name: told[name][1] if told[name][1] is not None else asked[name] for name in asked}
+    if merged["bridge"] is None:
+        fail(
+            EXIT_BAD_INPUT,
+            f"{config_path} does not name the bridge, and {WRONG_BRIDGE}",
+            "add drive.bridge, pwm-dir or in1-in2 (docs/real-bench.md, Which bridge); or give --bridge",
+        )
+    return merged
 
 
 def _port_of(port: str | None, usb_serial: str | None) -> str | None:

@@ -17,12 +17,12 @@ from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.recording.log_format import LogFormat
-from rig.terminal import patience, show_answer, show_details
+from rig.results.meta import REHEARSAL
+from rig.terminal import MOST_NOTES, patience, show_answer, show_details
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.identify import Identification
 
-MOST_NOTES = 2  # on what was read; the others are among the details
 Wanted = tuple[Path | None, tuple[str, ...]]
 
 
@@ -110,6 +110,8 @@ def identify(
         files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
         click.echo(json_text({"ok": ok, "records": records, **files, **result.as_json()}), nl=False)
         sys.exit(0 if ok else EXIT_FAILED)
+    if found.rehearsal:
+        click.echo(REHEARSAL)
     if not verbose:
         notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
         for note in notes[:MOST_NOTES]:

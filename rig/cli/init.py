@@ -42,6 +42,11 @@ from rig.config import ConfigError, new_bench
 )
 @click.option("--gear", type=float, help="Turns of the encoder for one of the measured shaft. Default: 1.")
 @click.option("--turns", type=float, help="With --limits turns: so many either way. Default: 10.")
+@click.option(
+    "--tests", type=click.Choice(list(new_bench.TESTS)),
+    help="full: the whole experiment, with limit cycles. quick: tests that end when the motor is known (relay.until). "
+    "Default: full.",
+)  # fmt: skip
 @click.option("--yes", is_flag=True, help="Ask nothing: take the default of what is not given.")
 def init(
     file: Path,
@@ -56,12 +61,13 @@ def init(
     counts_per_turn: int | None,
     gear: float | None,
     turns: float | None,
+    tests: str | None,
     yes: bool,
 ) -> None:
-    """Write a config with comments for your bench.
+    """Write a commented config for your bench to FILE, bench.yaml by default.
 
-    To FILE, bench.yaml by default. Asks for what is not given as an option. The config passes `rig check`; its other
-    numbers are examples, and its comments say how to measure each. It never replaces a file.
+    Asks for what is not given as an option. The config passes `rig check`; its other numbers are examples, and its
+    comments say how to measure each. It never replaces a file.
     """
     from rig import preflight
     from rig.backends.links.usb_port import usb_port
@@ -80,6 +86,7 @@ def init(
         wanted += [limits, gear]
     if asks and not sys.stdin.isatty() and None in wanted:
         fail(EXIT_BAD_INPUT, "there is nobody to ask", f"give {' '.join(['--yes', *missing])}; `rig init --help`")
+    asks = asks and sys.stdin.isatty()
     if file.exists():
         fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
     if yes and missing:
@@ -129,6 +136,7 @@ def init(
                 "no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, asks
             ),
         }
+        told["tests"] = tests or (_chosen("tests", None, new_bench.TESTS, "full") if asks else "full")
         number_on_usb = usb_port(port).serial_number
         answers = new_bench.Answers(**told, usb_serial=number_on_usb or "")
         text = new_bench.text(answers, str(file))
@@ -179,15 +187,15 @@ def _refuse_unused(given: dict[str, float | None], belongs: str, chosen: str) ->
             )
 
 
-def _chosen(what: str, given: str | None, words: dict[str, str]) -> str:
-    """A key of ``words``: as given, or as answered."""
+def _chosen(what: str, given: str | None, words: dict[str, str], default: str | None = None) -> str:
+    """A key of ``words``: as given, or as answered; ``default``, if any, for an empty answer."""
     if given is not None:
         return given
     width = max(map(len, words))
     click.echo(f"{what}:")
     for name, meaning in words.items():
         click.echo(f"  {name:{width}}  {meaning}")
-    return str(click.prompt(what, type=click.Choice(list(words)), show_choices=False))
+    return str(click.prompt(what, default, type=click.Choice(list(words)), show_choices=False))
 
 
 def _asked(what: str, default: str, asks: bool) -> str:

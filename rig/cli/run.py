@@ -33,8 +33,17 @@ from rig.terminal import show_scatter
     help="With relay.until: begin with the motor of this run folder, or of this result.json.",
 )
 @PACE
+@click.option("--verbose", is_flag=True, help="Show the tests, each method with its tracking, and the loop, too.")
 @JSON
-def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, pace: float | None, as_json: bool) -> None:
+def run(
+    config_path: Path,
+    out: Path,
+    repeat: int,
+    model_run: Path | None,
+    pace: float | None,
+    verbose: bool,
+    as_json: bool,
+) -> None:
     """Run the whole experiment, identify the motor, write a report.
 
     The stages: breakaway, search, tests, identify, verify, report.
@@ -63,7 +72,8 @@ def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, pace:
     from rig import experiment as script
 
     with faults():
-        outcomes = script.repeated(experiment, repeat, out, partial(perform, as_json=as_json), known)
+        shown = partial(perform, as_json=as_json, verbose=verbose)
+        outcomes = script.repeated(experiment, repeat, out, shown, known)
     if as_json:
         results = [outcome.as_json() for outcome in outcomes]
         ok = all(result["ok"] for result in results)

@@ -78,10 +78,12 @@ def tune(
     intervals, with the delay, the sensor's noise and its steps. RUN must hold its config.
     """
     bench = None if config_path is None else checked_bench(config_path, pace)
-    from rig.report import tuned_loop
-    from rig.run_tuning import Asked, tune_run, written_up
-    from rig.terminal import patience, show_tuned
-    from rig.tune.tuning import TuneError
+    from rig.terminal import patience, progress, show_tuned
+
+    with patience("loading"):
+        from rig.report import tuned_loop
+        from rig.run_tuning import Asked, tune_run, written_up
+        from rig.tune.tuning import TuneError
 
     if file is not None and file.suffix.lower() not in tuned_loop.FORMATS:
         fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(tuned_loop.FORMATS)}")
@@ -90,9 +92,9 @@ def tune(
     if file is not None and not file.parent.is_dir():
         fail(EXIT_BAD_INPUT, f"{file.parent} is no folder", "make it first, or name a file in another folder")
     try:
-        with patience("simulating motors"):
+        with progress("simulating motors", as_json) as on_progress:
             asked = Asked("position" if loop == "position" else "velocity", bandwidth_1_s, step, phase_deg, gain_dB)
-            found = tune_run(run_folder, asked, draws, bench)
+            found = tune_run(run_folder, asked, draws, bench, on_progress)
     except RecordingError as error:
         fail_input(error)
     except ConfigError as error:

@@ -42,6 +42,7 @@ from rig.results.comparison import (
     ScatterResult,
     TrendResult,
 )
+from rig.results.meta import REHEARSAL
 from rig.signals import plain
 
 Array = NDArray[np.float64]
@@ -345,7 +346,8 @@ def _trends(runs: Sequence[ComparedRun], relative: Array, variances: Array) -> l
 
 
 def _notes(runs: Sequence[ComparedRun], bench: Sequence[int]) -> list[str]:
-    notes = [f"{run.name}: {note}" for run in runs for note in run.notes]
+    notes = [f"{run.name}: {REHEARSAL}" for run in runs if run.meta.rehearsal]
+    notes += [f"{run.name}: {note}" for run in runs for note in run.notes]
     if len(set(bench)) > 1:
         notes.append(
             f"the runs are of {len(set(bench))} benches: they differ in {_listed(bench_differences(runs))}. The errors "

@@ -109,10 +109,10 @@ def trends(found: ComparisonResult, over: str, at: Sequence[float], backend: str
         axes.set_xlabel("time since the first run, h" if over == "time" else "temperature, °C")
     figure.axes[0].set_ylabel("off the mean, %")
     told = "; ".join(
-        f"{LABELS[one.parameter].split(',')[0].strip('$')} {one.slope:+.3g} "
+        f"{LABELS[one.parameter].split(',')[0]} {one.slope:+.3g} "
         f"({known(one.ci95[0]):+.3g} to {known(one.ci95[1]):+.3g}) {one.unit}"
         for one in lines
-    ).replace(r"\mathbf{f_c}", "f_c")
+    )
     return render(
         figure, backend, f"tau, K and friction over {over}.",
         f"Slope over {over} with its 95 % interval: {told}. Grey: the slopes in that interval. Dashed: no trend shows.",

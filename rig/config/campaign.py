@@ -39,14 +39,14 @@ class SecondTest(_Section):
     """A second relay test of the same period, never used in the fit: its cycle is predicted."""
 
     amplitude_ratio: Annotated[float, Field(gt=0.3, lt=3.0)] = Field(
-        0.75, description="h1 and h2 - fc of the second test over those of the first"
+        0.75, description="h1 and h2 - f_c of the second test over those of the first"
     )
 
 
 class CampaignRelay(_Section):
     """The random gains, and how much is recorded."""
 
-    h2_beyond_fc_V: PositiveRange = Field((0.3, 1.0), description="h2 - fc, uniform in [low, high]")
+    h2_beyond_fc_V: PositiveRange = Field((0.3, 1.0), description="h2 - f_c, uniform in [low, high]")
     h1_over_h2: PositiveRange = Field((0.4, 1.0), description="h1 / h2, uniform in [low, high]")
     amplitude_rad: Positive = Field(0.8, description="amplitude by describing function, which sets the motor's gain")
     least_samples: Annotated[float, Field(ge=4)] = Field(

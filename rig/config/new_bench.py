@@ -86,6 +86,10 @@ LIMITS: Final = {
     "turns": "it turns without end, but no farther than some turns either way",
     "none": "it turns without end: a person must be able to reach the e-stop",
 }
+TESTS: Final = {
+    "full": "limit cycles at two pairs of gains, recorded and identified by each method: about a minute",
+    "quick": "tests that rig designs, until tau, K and f_c are known: some seconds; no limit cycle is recorded",
+}
 BRIDGES: Final = {
     "l298n": BridgeModule("L298N, with its jumper on ENA", "in1-in2", 2.0, 35.0),
     "tb6612": BridgeModule("TB6612FNG, PWMA and STBY tied high", "in1-in2", 0.5, 13.5),
@@ -95,6 +99,10 @@ BRIDGES: Final = {
     "md10c": BridgeModule("Cytron MD10C", "pwm-dir", 0.1, 30.0),
     "in1-in2": BridgeModule("another with two inputs, which brakes while both are high", "in1-in2", 0.5, 50.0),
     "pwm-dir": BridgeModule("another with PWM and direction, which brakes while PWM is low", "pwm-dir", 0.5, 50.0),
+}
+
+RUNS_FREE: Final = {
+    "l298-ena": "L298 with PWM at ENA, or a shield with one: rig refuses it, and says what to do",
 }
 
 
@@ -110,6 +118,7 @@ class Answers:
     counts_per_turn, gear  of an encoder: counts for a turn of its shaft, and its turns for one of the measured shaft
     turns                  either way, for limits "turns"
     usb_serial             of the board that is plugged in at the port; "": none is, or it has no such number
+    tests                  key of ``TESTS``
     Raises AnswerError.
     """
 
@@ -125,13 +134,16 @@ class Answers:
     gear: float = 1.0
     turns: float = 10.0
     usb_serial: str = ""
+    tests: str = "full"
 
     def __post_init__(self) -> None:
+        require_braking(self.bridge)
         for answer, table in (
             (self.board, BOARDS),
             (self.sensor, SENSORS),
             (self.bridge, BRIDGES),
             (self.limits, LIMITS),
+            (self.tests, TESTS),
         ):
             if answer not in table:
                 raise AnswerError(f"{answer!r} is not among {', '.join(table)}", "give one of these")
@@ -196,6 +208,17 @@ class Answers:
             )
 
 
+def require_braking(bridge: str) -> None:
+    """Raise AnswerError for a bridge that lets the motor run free while PWM is low."""
+    if bridge in RUNS_FREE:
+        raise AnswerError(
+            "with PWM at ENA an L298 lets the motor run free while PWM is low: nothing brakes it then, and rig finds "
+            "no motor, or another one (docs/real-bench.md, Which bridge)",
+            "a module: put the jumper back on ENA, lead the two PWM pins to IN1 and IN2, and answer l298n; a shield: "
+            "take another bridge",
+        )
+
+
 def possible(board: str, sensor: str, bridge: str, limits: str, asked: str) -> Answers:
     """Answers of which any one that is ``asked`` is possible, unless none could be: the others leave it all room."""
     counts, gear, rpm = _MOST_COUNTS, 100.0, 1e-6
@@ -229,10 +252,12 @@ def text(answers: Answers, file: str) -> str:
         ("soft_rad", f"[{-soft_rad:g}, {soft_rad:g}]"),
         ("hard_rad", f"[{-hard_rad:g}, {hard_rad:g}]"),
         ("max_speed_rad_s", f"{math.floor(45.0 * size) / 10.0:g}"),
-        ("target", f"{{amplitude_rad: {0.45 * size:.2f}, period_s: 1.0}}"),
+        ("target", f"{{amplitude_rad: {0.45 * size:.2f}, period_s: 1.6}}"),
         ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
     ):
         new = _with(new, key, value)
+    if answers.tests == "quick":
+        new = _until_known(new)
     if answers.usb_serial:
         new = re.sub(r"(?m)^(\s*)(port:.*\n)", lambda found: found[0] + found[1] + _usb_line(answers), new, count=1)
     if answers.sensor == "encoder":
@@ -280,6 +305,13 @@ def _without_stops(config: str, answers: Answers) -> str:
     else:
         lines[0] += "; the firmware arms once the e-stop was pressed and released"
     return config[:start] + "\n".join(lines) + "\n" + config[end:]
+
+
+def _until_known(config: str) -> str:
+    """With tests that end when the motor is known, in place of a wanted limit cycle."""
+    start, end = config.index("relay:\n"), config.index("\ntracking:")
+    until = "  until: {interval_percent: 0.4}    # the tests end when tau, K and f_c are known so well: docs/until.md\n"
+    return f"{config[:start]}relay:\n{until}{config[end:]}"
 
 
 def _usb_line(answers: Answers) -> str:

@@ -576,6 +576,11 @@ class TrackingSection(_Section):
     trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)] = Field(
         description="the reference: a sum of sines about the centre of travel"
     )
+    offset_rad: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(
+        0.0,
+        description="the reference begins so far from the shaft: the report shows how the error dies away, measured "
+        "and as (35) has it",
+    )
     turn_rad_s: float = Field(
         0.0,
         description="without travel limits: the reference turns on at this speed, from where each check begins, with "
@@ -736,6 +741,10 @@ class Emulated(_Section):
         description="has a velocity channel, scaled as in section tachometer; default: where there is that section",
     )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
+    rehearsal: Literal[True] | None = Field(
+        None,
+        description="this bench stands for one that is not there yet: `rig rehearse` sets it, every result says so",
+    )
 
     @model_validator(mode="after")
     def _coasts_without_parts(self) -> Self:

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from rig.control.known_motor import KnownMotor, MotorState, known
 from rig.control.observer import MotorObserver
 from rig.control.trajectory import Reference
+from rig.model.error_decay import ErrorDecay
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.signals import Sample
 
 
 class Trajectory(Protocol):
-    """A reference with two derivatives that begins at the shaft's position."""
+    """A reference with two derivatives that begins at a position."""
 
     start_rad: float
 
@@ -54,8 +55,7 @@ def _drive_V(
 class Tracking:
     """Follow a trajectory for ``duration_s`` with the model's linearising drive, velocity by its observer.
 
-    The trajectory begins at the position of the first sample.
-
+    offset_rad     the trajectory begins so far from the position of the first sample; the error then dies away by (35)
     friction_sign  which velocity's sign the friction compensation takes. "reference": the reference velocity's;
                    "estimate": the observed velocity's, as in the paper, or the reference's if that is exactly zero.
                    At 10 ms "estimate" chatters around reversals (docs/theory.md 11.2)
@@ -72,6 +72,7 @@ class Tracking:
         k2_1_s2: float,
         duration_s: float,
         friction_sign: Literal["reference", "estimate"] = "reference",
+        offset_rad: float = 0.0,
     ) -> None:
         self.motor = known(motor)
         self.observer = observer
@@ -80,6 +81,7 @@ class Tracking:
         self.k2_1_s2 = k2_1_s2
         self.duration_s = duration_s
         self.friction_sign = friction_sign
+        self.decay = ErrorDecay(offset_rad, k1_1_s, k2_1_s2)
         self.finished = False
         self.yd_rad = math.nan
         self.largest_u_V = 0.0
@@ -90,7 +92,7 @@ class Tracking:
         """Drive for this sample, V; ``yd_rad`` is the reference at the sample's own time."""
         if math.isnan(self._start_s):
             self._start_s = sample.t_s
-            self.trajectory.start_rad = self.motor.position_rad(sample.y_rad)
+            self.trajectory.start_rad = self.motor.position_rad(sample.y_rad) + self.decay.offset_rad
         elapsed = sample.t_s - self._start_s
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
@@ -103,7 +105,8 @@ class Tracking:
         reference = self.trajectory.at(elapsed + ahead_s)
         # at rest the estimate has no sign: without compensation the shaft would stay there
         use_reference = self.friction_sign == "reference" or state.v == 0.0
-        velocity = reference.v_rad_s if use_reference else state.v
+        # while the offset dies away the shaft should move as the reference less the error of (35)
+        velocity = reference.v_rad_s - self.decay.at(elapsed + ahead_s)[1] if use_reference else state.v
         u_V = self._last_u_V = _drive_V(self.motor, state, reference, (self.k1_1_s, self.k2_1_s2), velocity)
         self.largest_u_V = max(self.largest_u_V, abs(u_V))
         self.observer.drive(u_V)

@@ -38,9 +38,9 @@ class Belief:
 
     def __post_init__(self) -> None:
         if not (min(self.tau_s, self.K_rad_s_V, self.fc_V) > 0.0 and math.isfinite(self.asym_V + self.delay_s)):
-            raise ValueError("a design needs tau, K and fc > 0, and finite numbers")
+            raise ValueError("a design needs tau, K and f_c > 0, and finite numbers")
         if self.covariance.shape != (5, 5) or not np.all(np.diag(self.covariance) >= 0.0):
-            raise ValueError("a design needs a covariance of log tau, log K, fc, asym and delay")
+            raise ValueError("a design needs a covariance of log tau, log K, f_c, asym and delay")
 
     @classmethod
     def within(

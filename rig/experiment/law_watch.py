@@ -69,7 +69,7 @@ class WatchedLaw(Timed):
         self._began_cpu_ns = 0
 
     def step(self, sample: Sample) -> float:
-        """As of ``Timed``. Raises Fault LAW_TIME besides."""
+        """As of ``Timed``. Raises Fault LAW_TIME and LAW_UNWATCHED besides."""
         keeper = self.keeper
         lease = self._lease if keeper is None else keeper.lease
         self._began_cpu_ns = time.thread_time_ns()
@@ -83,8 +83,14 @@ class WatchedLaw(Timed):
             raise self._too_long("one step took")
         self._steps += 1
         if keeper is not None and not self.trouble and self._steps % _LOOK_EVERY_STEPS == 0 and keeper.has_ended:
-            self.trouble = f"{_NOBODY}: the keeper ended with status {keeper.status}"
+            self.unwatched(f"the keeper ended with status {keeper.status}")
         return u_V
+
+    def unwatched(self, why: str) -> None:
+        """Nobody watches the law. Raises Fault LAW_UNWATCHED where a motor could move; else it is a note."""
+        if math.isfinite(self._times.cpu_s):
+            raise Fault("LAW_UNWATCHED", why)
+        self.trouble = f"{_NOBODY}: {why}"
 
     def asked_to_end(self, number: int, frame: FrameType | None) -> None:
         """The handler of the keeper's signal: raises Stopped. Out of that step it does nothing."""
@@ -208,7 +214,10 @@ class Keeper:
 
 @contextmanager
 def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
-    """The law under watch, for the block; its device is armed within it. Notes where nobody watches."""
+    """The law under watch, for the block; its device is armed within it. Notes where nobody watches.
+
+    Raises Fault LAW_UNWATCHED before anything is armed, where the keeper cannot start and a motor could move.
+    """
     virtual = not isinstance(session.bench.clock, MonotonicClock)
     times = law_times(session.experiment, virtual=virtual)
     one = WatchedLaw(law, times, session.loop.check_stop)
@@ -217,7 +226,7 @@ def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
             try:
                 keeper = one.keeper = Keeper(session, law, times)
             except OSError as error:
-                one.trouble = f"{_NOBODY}: {error.strerror or error}"
+                one.unwatched(error.strerror or str(error))
             else:
                 stack.callback(keeper.let_go)
                 stack.enter_context(_heard(one, keeper))

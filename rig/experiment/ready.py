@@ -9,13 +9,9 @@ import sys
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from rig.design.ready import make_ready as make_designs_ready
 from rig.identify.ready import make_ready as make_fits_ready
 from rig.model.compiled import kernel
-from rig.model.motor import Motor, State
-from rig.model.sensitivity import Theta, position
 
 BEGINS = "rig: compiling the motor's model, once after an installation or an update: a minute, longer on a busy machine"
 GOES_ON = "rig: compiling the motor's model, once after an installation or an update: {0:.0f} s so far, {1} loops"
@@ -37,10 +33,6 @@ def make_ready(
         make_fits_ready(lambda words: None)
         if designs:
             make_designs_ready()
-            t_s, still = 0.01 * np.arange(8.0), np.zeros(8)
-            position(Theta(0.2, 5.0, 0.4, 0.0, 0.0, 0.0, 0.0), t_s, still, t_s)
-            still.flags.writeable = False  # as a recorded drive: numba compiles anew for it
-            Motor(0.2, 5.0).response(State(), t_s, t_s, still)
 
 
 class _Progress:

@@ -691,6 +691,7 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
         e.tracking.k2_1_s2,
         e.tracking.duration_s,
         e.tracking.friction_sign,
+        e.tracking.offset_rad,
     )
 
 

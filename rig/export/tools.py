@@ -42,27 +42,28 @@ class ExportedModel:
 
 
 def export_model(run_folder: Path, tool: str, into: Path, *, overwrite: bool = False) -> ExportedModel:
-    """Write the model of a run for ``tool``, one of ``TOOLS``, as files in the folder ``into``.
+    """Write the model of a run for ``tool``, one of ``TOOLS``, as files in the folder ``into``, which it makes.
 
     overwrite  replace files that are there already
-    Raises RecordingError if there is no run, no model in it that was not refused, no such folder, or a file of a name
-    that is to be written; CannotWriteError if a file cannot be written.
+    Raises RecordingError if there is no run, no model in it that was not refused, or a file of a name that is to be
+    written or in place of the folder; CannotWriteError if a file cannot be written.
     """
     run = load(run_folder)
     chosen = TOOLS[tool]
     motor = identified_motor(run_folder, run).lacking(chosen.lacks)
     contents = chosen.files(motor, run)
     paths = [into / name for name in contents]
-    _require_free(into, paths, overwrite=overwrite)
+    _make_ready(into, paths, overwrite=overwrite)
     for path, content in zip(paths, contents.values(), strict=True):
         write_whole(path, content)
     return ExportedModel(motor, tuple(paths), run.notes)
 
 
-def _require_free(into: Path, paths: Sequence[Path], *, overwrite: bool) -> None:
+def _make_ready(into: Path, paths: Sequence[Path], *, overwrite: bool) -> None:
     try:
-        if not into.is_dir():
-            raise RecordingError(into, "is no folder", "make it first, or name another folder")
+        if into.exists() and not into.is_dir():
+            raise RecordingError(into, "is no folder", "name another one with --into")
+        into.mkdir(parents=True, exist_ok=True)
         for path in paths:
             if is_file_of_a_run(path):
                 raise RecordingError(path, "is a file of the run itself", "name another folder with --into")

@@ -100,7 +100,7 @@ def fit(cycles: Sequence[Cycle]) -> Estimate:
     if not (theta.K_rad_s_V > 0.0 and 0.0 <= theta.fc_V < h2.min() and theta.tau_s > 0.0):
         return estimate.judged(
             "refused",
-            f"the oscillations give no motor (fc = {theta.fc_V:.3g} V, K = {theta.K_rad_s_V:.3g} (rad/s)/V): "
+            f"the oscillations give no motor (f_c = {theta.fc_V:.3g} V, K = {theta.K_rad_s_V:.3g} (rad/s)/V): "
             "record larger and slower cycles, with gains that differ more",
         )
     return estimate

@@ -64,6 +64,7 @@ class Identification:
     friction_map    the drive over speed and over position; None without a survey, or without a motor
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
+    rehearsal   whether a recording is a rehearsal: its motor was made up
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -76,12 +77,14 @@ class Identification:
     friction_map: FrictionMap | None = None
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
+    rehearsal: bool = False
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
         return IdentificationResult(
             answer=self.answer,
             estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
+            rehearsal=self.rehearsal or None,
             relays=tuple(self.relays),
             notes=tuple(self.notes),
             hysteretic=tuple(self.hysteretic) or None,
@@ -162,6 +165,7 @@ def identify(
             found = min(found, _tried(asked, data), key=_rank)
     if isinstance(found, IdentifyError):
         raise found
+    found.rehearsal = any(recording.meta.rehearsal for recording in recordings)
     return found
 
 

@@ -41,6 +41,7 @@ FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
 FEW_LEVELS = 8
+SAY_UNIT = "The column's name says rad: if it is right, type --position y_rad:rad; if not, the unit in place of rad"
 
 
 class Objection(NamedTuple):
@@ -163,19 +164,20 @@ def _units(test: TimeSeries) -> list[Objection]:
         object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
 
     step = test.resolution_rad()
+    said = SAY_UNIT if test.stage is None else "See calibration in its config"
     if test.units_stated:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
-        object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees?")
+        object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
     elif span > LARGEST_SPAN_RAD:
-        object_to("refused", f"positions span {span:.3g} rad: is y_rad in degrees or milliradians?")
+        object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif span > LARGE_SPAN_RAD:
-        object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees?")
+        object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif step > COARSEST_STEP_RAD:
-        object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees or milliradians?")
+        object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees? {said}")
     elif step >= COARSE_STEP_RAD or test.noise_rad() > COARSE_STEP_RAD:
         coarse = max(step, test.noise_rad())
-        object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees?")
+        object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees? {said}")
 
     if largest > LARGEST_DRIVE_V:
         object_to("refused", f"the drive reaches {largest:.3g} V: is u_V in mV or in duty counts?")
@@ -225,17 +227,22 @@ def _spikes(test: TimeSeries) -> list[Objection]:
 
 
 def _rails(test: TimeSeries) -> list[Objection]:
-    """Positions that stay exactly at one end of the travel in spite of noise: the end of the sensor's range."""
+    """Positions that stay exactly at one end of the travel in spite of noise: the end of the sensor's range.
+
+    A reading that stays there at 0 V is a shaft at rest: only rows under a drive count.
+    """
     y, step = test.y_rad, test.resolution_rad()
+    driven = np.concatenate(([0], np.cumsum(test.u_V != 0.0)))
     if test.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):
         return []  # without visible noise the reading of a turning shaft can stay at one step, too
     found = []
     for end in (float(y.min()), float(y.max())):
         edges = np.flatnonzero(np.diff(np.concatenate(([False], y == end, [False]))))
         begins, lengths = edges[::2], edges[1::2] - edges[::2]
-        k = int(np.argmax(lengths))
+        under_drive = driven[edges[1::2]] - driven[begins]
+        k = int(np.argmax(under_drive))
         row = int(begins[k])
-        if lengths[k] >= RAIL_ROWS and not _turns(test, row, row + int(lengths[k])):
+        if under_drive[k] >= RAIL_ROWS and not _turns(test, row, row + int(lengths[k])):
             first = test.first_row + row
             found.append(
                 Objection(
@@ -261,7 +268,8 @@ def _little(test: TimeSeries) -> list[Objection]:
         cause = f"positions span {1e3 * span:.2g} mrad in all: is y_rad in rad? If it is, move further"
         return [Objection("refused", f"{test.name}: {cause}")]
     if 0.0 < span < SMALL_SPAN_RAD and not test.units_stated:
-        return [Objection("doubtful", f"{test.name}: positions span only {1e3 * span:.2g} mrad: is y_rad in rad?")]
+        cause = f"positions span only {1e3 * span:.2g} mrad: is y_rad in rad? {SAY_UNIT}"
+        return [Objection("doubtful", f"{test.name}: {cause}")]
     return []
 
 

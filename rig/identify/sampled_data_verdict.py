@@ -25,7 +25,7 @@ AT_BOUND = 0.9995  # of the longest delay that is looked for
 REACH_PERIODS = 2.5  # periods: differences that are looked for
 TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
 VAGUE = 4.0  # times the scatter of a prediction: two standard deviations
-STUCK = 0.3  # share of the time in which the motor stands still
+STUCK = 0.3  # share of the time in which the motor stands still under a drive
 
 
 def judge(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -242,10 +242,12 @@ def _sticking(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     for test in tests:
         late = int(np.searchsorted(test.t_s, test.edge_s[0]))
         states = motor.response(State(y=float(test.y_rad[late])), test.t_s[late:], test.edge_s, test.u_V)
-        share = max(share, float(np.mean(states[:, 0] == 0.0)))
+        driven = test.u_V[late:] != 0.0  # a rest at 0 V says nothing of the drive
+        share = max(share, float(np.mean((states[:, 0] == 0.0) & driven)))
     if share > STUCK:
         return estimate.judged(
-            "doubtful", f"the motor stands still {100 * share:.0f} % of the time: record with more drive"
+            "doubtful",
+            f"the motor stands still under its drive {100 * share:.0f} % of the time: record with more drive",
         )
     return estimate
 

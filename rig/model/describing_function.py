@@ -55,7 +55,7 @@ def predict(tau_s: float, K_rad_s_V: float, fc_V: float, h1_V: float, h2_V: floa
     Raises NoLimitCycle unless h2 > fc (Property 3.1), ValueError on parameters out of range.
     """
     if not (tau_s > 0.0 and K_rad_s_V > 0.0 and h1_V > 0.0 and fc_V >= 0.0):
-        raise ValueError("need tau, K, h1 > 0 and fc >= 0")
+        raise ValueError("need tau, K, h1 > 0 and f_c >= 0")
     beyond = h2_V - fc_V
     if beyond <= 0.0:
         raise NoLimitCycle(f"h2 = {h2_V:g} V does not exceed the friction of {fc_V:g} V (Property 3.1)")
@@ -66,7 +66,7 @@ def linear_part(cycle: Oscillation, fc_V: float, h1_V: float, h2_V: float) -> Li
     """The inverse of ``predict``: tau and K from the oscillation and the friction. Raises ValueError unless h2 > fc."""
     beyond = h2_V - fc_V
     if not (beyond > 0.0 and cycle.omega_rad_s > 0.0 and cycle.amplitude_rad > 0.0):
-        raise ValueError("need h2 > fc and an oscillation")
+        raise ValueError("need h2 > f_c and an oscillation")
     return LinearPart(
         h1_V / (cycle.omega_rad_s * beyond), math.pi * cycle.amplitude_rad * cycle.omega_rad_s / (4.0 * beyond)
     )

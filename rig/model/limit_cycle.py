@@ -122,7 +122,7 @@ def limit_cycle(
     """
     static = fc_V if fs_V is None else fs_V
     if not (tau_s > 0.0 and K_rad_s_V > 0.0 and h1_V > 0.0 and h2_V >= 0.0 and 0.0 <= fc_V <= static):
-        raise ValueError("need tau, K, h1 > 0, h2 >= 0 and 0 <= fc <= fs")
+        raise ValueError("need tau, K, h1 > 0, h2 >= 0 and 0 <= f_c <= f_s")
     if h2_V <= fc_V:
         raise NoLimitCycle(f"h2 = {h2_V:g} V does not exceed the friction of {fc_V:g} V (Property 3.1)")
     if h1_V + h2_V <= static:
@@ -132,7 +132,7 @@ def limit_cycle(
     ratio = h1_V / (h2_V - fc_V)
     if not COMPUTED[0] <= ratio <= COMPUTED[1]:
         within = f"only between {COMPUTED[0]:g} and {COMPUTED[1]:g}"
-        raise NoLimitCycle(f"no cycle can be computed at h1 / (h2 - fc) = {ratio:.3g}: {within}")
+        raise NoLimitCycle(f"no cycle can be computed at h1 / (h2 - f_c) = {ratio:.3g}: {within}")
     inputs = effective_inputs(fc_V, h1_V, h2_V)
     normal = _durations(inputs, ratio)
     durations = (normal[0] * tau_s, normal[1] * tau_s, normal[2] * tau_s)

@@ -93,7 +93,7 @@ def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Arra
 
     tau, K, fc, asym, delay, v0, y0, fs, unit = map(float, theta)
     if not (all(map(math.isfinite, theta)) and min(tau, K, unit) > 0.0 and 0.0 <= fc <= fs):
-        raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= fc <= fs, all finite, not {theta}")
+        raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= f_c <= f_s, all finite, not {theta}")
     y = np.empty(t_s.size)
     plant = Plant(tau, K, fc, fc, fs, fs, unit, asym)
     motion.response(tuple(plant), (v0, y0, 0.0), (edge_s, u_V, delay), t_s, y)

@@ -133,6 +133,7 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
         "config": meta.name,
         "backend": meta.backend,
         "emulated": meta.emulated,
+        "rehearsal": bool(meta.rehearsal),
         "verdict": "failed" if fault else None if answer is None else answer.verdict or None,
         "fault": fault,
         "estimate": None if answer is None else _numbers(answer),

@@ -2,6 +2,7 @@
 
 from rig.preflight.file import check
 from rig.preflight.plan import notes
+from rig.preflight.rehearsal import DataSheet, SheetError, rehearsed
 from rig.preflight.rules import Preflight, preflight
 
-__all__ = ["Preflight", "check", "notes", "preflight"]
+__all__ = ["DataSheet", "Preflight", "SheetError", "check", "notes", "preflight", "rehearsed"]

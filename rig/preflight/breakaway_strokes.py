@@ -131,6 +131,15 @@ def breakaway_strokes(
     return best._replace(further=pairs, in_all=_MOST_IN_ALL if pairs else 0)
 
 
+def has_strokes(e: Experiment, max_V: float) -> bool:
+    """Whether ``breakaway_strokes`` finds some, without choosing among them."""
+    longest = max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)
+    return any(
+        _strokes_up_to(periods, e, max_V, watchdog_s) is not None
+        for watchdog_s, periods in product(_check_watchdogs_s(e), _lengths(longest))
+    )
+
+
 def _further(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> int:
     """How many pairs at max_V are within the bound by themselves."""
     for pairs in range(1, _MOST_FURTHER + 1):

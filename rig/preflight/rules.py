@@ -21,7 +21,7 @@ from rig.config.sensor import count_rad, range_rad
 from rig.control.laws import OptionError, construct, registered
 from rig.control.sweep_plan import TooShortError
 from rig.plug_ins import PlugInError
-from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes, has_strokes
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
     LONGEST_WATCHDOG_S,
@@ -216,7 +216,7 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
     strokes = breakaway_strokes(e)
     if strokes is None:
         top_rad_s = e.motor.no_load_speed_rad_s * b.max_V / e.drive.supply_V
-        largest_V = _largest(lambda max_V: breakaway_strokes(e, max_V) is not None, b.max_V)
+        largest_V = _largest(lambda max_V: has_strokes(e, max_V), b.max_V)
         yield wrong(
             "breakaway.max_V",
             f"{b.max_V:g} V is too much: if the sensor is stuck or uncoupled, the shaft could turn more than "

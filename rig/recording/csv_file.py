@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 import numpy as np
@@ -15,12 +16,11 @@ import numpy as np
 from rig.recording.columns import COLUMNS
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
+from rig.recording.log_format import OWN_NAMES, UNITS
 from rig.recording.recording import MIN_ROWS, Columns, Recording, assembled
 
 REQUIRED: Final = ("t_s", "u_V", "y_rad")
-_OR_SAY: Final = (
-    "say what the columns are: `rig identify FILE --time ms --drive pwm --position counts` (docs/any-csv.md)"
-)
+_OR_SAY: Final = "say what the columns are (docs/any-csv.md), such as"
 # Other common names of these columns, for "did you mean".
 _OTHER_NAMES: Final = {
     "t_s": ("t", "time", "time_s", "times", "seconds", "sec", "timestamp", "t_ms", "time_ms"),
@@ -32,9 +32,10 @@ _OTHER_NAMES: Final = {
 def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -> Recording:
     """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
-    The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The reader skips blank
-    lines, lines that begin with #, and Excel's ``sep=``. It reads decimal commas if no comma separates columns and no
-    decimal point occurs. A last line without a line end is torn: the reader leaves it out and notes that.
+    The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The names may stand
+    behind a #, and a row of units may follow. The reader skips blank lines, lines that begin with #, and ``sep=``. It
+    reads decimal commas if no comma separates columns and no decimal point occurs. A last line without a line end is
+    torn: the reader leaves it out and notes that.
     own    whether the file is of a run folder: then it is no link; and it ends where its time stands still or goes
            back, with a note, because the device's clock did so
     known  this file as read earlier, perhaps with fewer rows: these are not parsed again
@@ -46,6 +47,7 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
     if len(row_numbers) < MIN_ROWS:
         raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", header_line)
     text = text.with_decimal_points(row_numbers)
+    _refuse_other_units(text, header)
     table = CsvTable(text, header, header, row_numbers, frozenset(REQUIRED))
     notes = list(text.notes)
 
@@ -71,7 +73,7 @@ def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:
         raise RecordingError(
             path,
             "the first line has no column names",
-            f"put t_s,u_V,y_rad (as they are) above, without #; or {_OR_SAY}",
+            f"put t_s,u_V,y_rad (as they are) above; or {_OR_SAY} --time ms --drive pwm --position counts",
             line_number,
         )
     if missing:
@@ -79,12 +81,24 @@ def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:
         guesses = {name: _did_you_mean(name, names) for name in missing}
         hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items() if guess]
         cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
-        cure += f"; or {_OR_SAY}"
+        own = {name: quantity for quantity, name in OWN_NAMES.items()}
+        options = [f"--{own[name]} {quote(f'{guesses[name]}:{name[2:]}')}" for name in missing if guesses[name]]
+        cure += f"; or {_OR_SAY} {' '.join(options) or '--time ms --drive pwm --position counts'}"
         raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
     for name in names:
         if name in COLUMNS and names.count(name) > 1:
             raise RecordingError(path, f"has column {name} twice", "delete or rename one", line_number)
     return names
+
+
+def _refuse_other_units(text: CsvText, header: Sequence[str]) -> None:
+    """Refuse a row of units that denies the unit in a column's name."""
+    for name, unit in zip(header, text.units, strict=False):
+        quantity = next((key for key, own in OWN_NAMES.items() if own == name), "")
+        if name in REQUIRED and unit in UNITS[quantity] and not name.endswith(f"_{unit}"):
+            cause = f"column {name} is in {shown(unit)}, by the row of units"
+            cure = f"if it is, type --{quantity} {name}:{unit}; else correct the row of units"
+            raise RecordingError(text.path, cause, cure, text.numbers[0] + 1)
 
 
 def _did_you_mean(name: str, there: Sequence[str]) -> str | None:

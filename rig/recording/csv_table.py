@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from rig.recording.columns import COLUMNS, KINDS
 from rig.recording.errors import RecordingError
+from rig.recording.log_format import UNITS, USUAL_NAMES, sounds_like
 from rig.recording.recording import Column, Columns
 from rig.recording.text_file import lines_of, whole_content, without_torn_line
 from rig.signals import plain
@@ -43,12 +44,14 @@ class CsvText:
     lines    all lines of the file
     numbers  numbers of the lines that count, from 1; at least one
     notes    what the reader put up with, as sentences
+    units    of the columns, from a row of units below the names, without brackets; empty: there is none
     """
 
     path: Path
     lines: Sequence[str]
     numbers: Sequence[int]
     notes: tuple[str, ...]
+    units: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, path: Path, *, own: bool = False) -> CsvText:
@@ -64,7 +67,43 @@ class CsvText:
         numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith(("#", "sep="))]
         if not numbers:
             raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")
-        return cls(path, lines, numbers, (*moved, *torn))
+        text = cls(path, lines, numbers, (*moved, *torn))
+        return text if own else text._with_names()._with_units()
+
+    def _with_names(self) -> CsvText:
+        """With the names of the columns, if these stand behind a # above rows of numbers, as numpy writes them."""
+        first = self.numbers[0]
+        rows = self.fields(first)
+        above = [k for k in range(1, first) if self.lines[k - 1].startswith("#")]
+        if not above or not all(is_number(field) for field in rows if field):
+            return self
+        words = self.lines[above[-1] - 1].lstrip("#").strip()
+        most = max(_DELIMITERS, key=words.count)
+        names = [name.strip() for name in words.split(most)] if most in words else words.split()
+        known = [name for name in names if name in COLUMNS or any(sounds_like(name, q) for q in USUAL_NAMES)]
+        if len(names) != len(rows) or len(known) < 2:  # a remark
+            return self
+        lines = list(self.lines)
+        lines[above[-1] - 1] = self.delimiter.join(names)
+        return replace(self, lines=lines, numbers=[above[-1], *self.numbers])
+
+    def _with_units(self) -> CsvText:
+        """Without a row of units below the names, which becomes ``units``, with a note."""
+        if len(self.numbers) < 2:
+            return self
+        names, fields = self.fields(self.numbers[0]), self.fields(self.numbers[1])
+        known = {unit for units in UNITS.values() for unit in units}
+        units = tuple(field.strip("()[]") for field in fields)
+        in_brackets = [field != unit for field, unit in zip(fields, units, strict=True)]
+        if (
+            len(fields) != len(names)
+            or any(is_number(field) for field in (*names, *fields))
+            or not any(units)
+            or not all(marked or unit in known for marked, unit in zip(in_brackets, units, strict=True) if unit)
+        ):
+            return self
+        words = f"line {self.numbers[1]} was read as the units: {', '.join(map(shown, units[:20]))}"
+        return replace(self, numbers=[self.numbers[0], *self.numbers[2:]], notes=(*self.notes, words), units=units)
 
     @property
     def delimiter(self) -> str:
@@ -82,7 +121,7 @@ class CsvText:
         if self.delimiter == "," or not _has_decimal_commas(self.lines, rows):
             return self
         lines = [line.replace(",", ".") for line in self.lines]
-        return CsvText(self.path, lines, self.numbers, (*self.notes, "decimal commas were read as decimal points"))
+        return replace(self, lines=lines, notes=(*self.notes, "decimal commas were read as decimal points"))
 
 
 @dataclass(frozen=True)

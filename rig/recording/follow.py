@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
 REFRESH_S = 0.2
 COMPUTES_S = 1.0  # without a row or an event: the drive is off, and the run computes
 BAR_WIDTH = 41
+ROWS_BELOW = 8  # of a terminal: the present stage, whose words may wrap, the shaft, and what wraps above
 LACKING = 1.5  # residual over the noise of a live estimate beyond which its intervals are clearly too narrow
 
 
@@ -157,14 +158,20 @@ class Progress:
             return  # the header, or a line that is not complete yet
         self.reach_rad = max(self.reach_rad, abs(self.y_rad))
 
-    def picture(self) -> Table:
-        """The finished stages, the present one, and the shaft as a mark on a line."""
+    def picture(self, most_done: int = 0, *, draws: bool = False) -> Table:
+        """The finished stages, the present one, and the shaft as a mark on a line.
+
+        most_done  of the finished stages, the newest; 0: all
+        draws      whether the report is still drawn once the run is over
+        """
         from rich.table import Table
         from rich.text import Text
 
         table = Table.grid(padding=(0, 2))
-        for end, stage, detail in self.done:
+        for end, stage, detail in self.done[-most_done:]:
             table.add_row(Text(end, style="green" if end == "done" else "red"), stage, detail)
+        if self.ended and draws:
+            table.add_row(Text("now", style="yellow"), "report", "is drawn")
         if not self.ended:
             middle = BAR_WIDTH // 2
             mark = middle + round(middle * self.y_rad / self.reach_rad)
@@ -266,11 +273,13 @@ def main(arguments: list[str]) -> int:
     from rich.live import Live
 
     progress = Progress()
-    with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
+    console = Console(stderr=True)
+    with Live(console=console, auto_refresh=False, transient=False) as live:
         over = False
         seen_s = time.monotonic()
         while not over:
             over = waiting.wait(REFRESH_S)
+            live.vertical_overflow = "visible" if over else "ellipsis"
             happened, rows = events.lines(), samples.lines()
             for line in happened:
                 with suppress(ValueError, KeyError, TypeError):
@@ -279,7 +288,9 @@ def main(arguments: list[str]) -> int:
                 progress.take_row(rows[-1])
             seen_s = time.monotonic() if happened or rows else seen_s
             progress.still_s = time.monotonic() - seen_s
-            live.update(progress.picture(), refresh=True)
+            # a terminal cuts the end of what is higher than it, and that is the present stage
+            most_done = 0 if over else max(console.height - ROWS_BELOW, 1)
+            live.update(progress.picture(most_done, draws=not over), refresh=True)
             if progress.ended and not over:
                 time.sleep(REFRESH_S)
     return 0

@@ -5,7 +5,6 @@ For any content of the file the result is a ``Recording``, or a ``RecordingError
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -14,16 +13,9 @@ import numpy as np
 
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat
+from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, words_of
 from rig.recording.recording import MIN_ROWS, Columns, Floats, Recording, assembled
 
-# First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "rpm".
-_USUAL: Final = {
-    "time": {"t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds"},
-    "drive": {"u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor"},
-    "position": {"y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg"},
-    "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
-}
 # Words of a column's name that say its unit, in small letters.
 _NAMES_UNIT: Final = {
     "time": {"ms": "ms", "millis": "ms", "us": "us", "micros": "us", "s": "s", "sec": "s", "seconds": "s"},
@@ -40,7 +32,6 @@ _NAMES_UNIT: Final = {
 }
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identify/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
-_WORD: Final = re.compile(r"[^\W\d_]+")
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _CLOCK_TURNS: Final = 2.0**32  # millis() and micros() of an Arduino
 _COUNTER_TURNS: Final = 2.0**16  # counts in an int of a small chip
@@ -78,9 +69,9 @@ def read_log(path: Path, log: LogFormat) -> Recording:
         rows,
         frozenset(OWN_NAMES.values()),
     )
-    _refuse_other_units(
-        path, numbers[0], choices, {q: first[place] for q, place in places.items()} if has_names else {}
-    )
+    if has_names:
+        said = {q: (first[place], text.units[place] if text.units else "") for q, place in places.items()}
+        _refuse_other_units(path, numbers[0], choices, said)
     raw = table.columns()
     for name, values in raw.items():
         if float(np.abs(values).max()) > LARGEST:
@@ -101,11 +92,17 @@ def read_log(path: Path, log: LogFormat) -> Recording:
     return recording
 
 
-def _refuse_other_units(path: Path, line: int, choices: Mapping[str, LogColumn], names: Mapping[str, str]) -> None:
-    """Refuse a column whose name says another unit than the one given, unless somebody said which column it is."""
-    for quantity, name in names.items():
+def _refuse_other_units(
+    path: Path, line: int, choices: Mapping[str, LogColumn], said_of: Mapping[str, tuple[str, str]]
+) -> None:
+    """Refuse a column that says another unit than the one given, unless somebody said which column it is.
+
+    said_of  of each quantity, the name of its column and what a row of units says of it
+    """
+    for quantity, (name, of_units) in said_of.items():
         given = choices[quantity]
-        said = {unit for word in _WORD.findall(name) if (unit := _NAMES_UNIT[quantity].get(word.lower()))}
+        said = {of_units} & UNITS[quantity].keys()
+        said = said or {unit for word in words_of(name) if (unit := _NAMES_UNIT[quantity].get(word))}
         if given.column is None and said and given.unit not in said:
             raise RecordingError(
                 path,
@@ -178,7 +175,7 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
     """The place of the only column with a usual name of this quantity."""
     free = [k for k in range(len(first)) if k not in taken]
     exact = [k for k in free if first[k] in (OWN_NAMES[quantity], one.unit)]
-    usual = exact or [k for k in free if _sounds_like(first[k], quantity)]
+    usual = exact or [k for k in free if sounds_like(first[k], quantity)]
     if len(usual) == 1:
         return usual[0]
     if usual:
@@ -188,14 +185,9 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
     raise RecordingError(path, cause, _say_which(quantity, [first[k] for k in usual or free]), line)
 
 
-def _sounds_like(name: str, quantity: str) -> bool:
-    """Whether the first word of a column's name is a usual one for this quantity."""
-    return any(word.lower() in _USUAL[quantity] for word in _WORD.findall(name)[:1])
-
-
 def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
-    usual = [name for name in names if _sounds_like(name, quantity)]
+    usual = [name for name in names if sounds_like(name, quantity)]
     name = next((name for name in (*usual, *names) if name), "1")
     quoted = f"'{name}:UNIT'" if " " in name else f"{name}:UNIT"
     return f"say which, for example --{quantity} {quoted}, with one of the units {', '.join(UNITS[quantity])}"

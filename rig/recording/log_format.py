@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -21,9 +22,27 @@ UNITS: Final[dict[str, dict[str, float | None]]] = {
         "counts/s": None,
     },
 }
+# First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "rpm".
+USUAL_NAMES: Final = {
+    "time": {"t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds"},
+    "drive": {"u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor"},
+    "position": {"y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg"},
+    "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
+}
+_WORD: Final = re.compile(r"[^\W\d_]+")
 LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s"}
 """The column of samples.csv that each quantity becomes; a log may have it under this name."""
+
+
+def words_of(name: str) -> list[str]:
+    """The words of a column's name, in small letters."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def sounds_like(name: str, quantity: str) -> bool:
+    """Whether the first word of a column's name is a usual one for this quantity."""
+    return any(word in USUAL_NAMES[quantity] for word in words_of(name)[:1])
 
 
 class LogFormatError(RigError):

@@ -21,7 +21,7 @@ SMALL = 0.1  # of the sum: smaller lines are left out
 
 
 def budget_in_words(run: ReportedRun) -> list[BudgetLine]:
-    """u95 and its lines that matter, then u95_absolute and what it adds, in % of tau, K and fc; empty without one."""
+    """u95 and its lines that matter, then u95_absolute and what it adds, in % of tau, K and f_c; empty without one."""
     lines = that_matter(budget_lines(run.result), SMALL)
     return [replace(line, source=IN_WORDS.get(line.source, line.source)) for line in sorted(lines, key=_group)]
 

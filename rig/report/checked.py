@@ -8,11 +8,14 @@ from contextlib import suppress
 import numpy as np
 from matplotlib.axes import Axes
 
+from rig.model.error_decay import ErrorDecay
 from rig.model.real_motor import FramedMotor
 from rig.report.source import Array, ReportedRun
 from rig.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
 from rig.results import DrivenModel, known
 from rig.results.reading import DamagedError, parsed
+
+DECAY_S = 1.5  # of a check that is shown; by then k1 and k2 of use have taken the offset away
 
 
 def tracking(run: ReportedRun) -> Picture:
@@ -60,6 +63,43 @@ def tracking(run: ReportedRun) -> Picture:
         "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error includes "
         "the sensor's noise, but no curvature of the sensor that the model knows. The table counts it only after the "
         "trajectory has faded in.",
+    )  # fmt: skip
+
+
+def decay(run: ReportedRun) -> Picture:
+    """How the error dies away from the offset with which each check begins: measured, and as (35) has it.
+
+    Raises AbsentError if no model tracked, or none from an offset.
+    """
+    spans = {s.stage: s for s in run.spans_of("track", "No model was driven along the trajectory in this run.")}
+    if run.config.decay is None:
+        raise AbsentError("No check began with an offset: tracking.offset_rad.")
+    designed = ErrorDecay(*run.config.decay)
+    real_motors = _real_motors(run)
+    figure = new_figure(2.6)
+    panels = figure.subplots(1, len(spans), sharex=True, sharey=True, squeeze=False)[0]
+    off: dict[str, float] = {}
+    for axes, span in zip(panels, spans.values(), strict=True):
+        method = span.stage.partition(":")[2]
+        time = run.rows.t_s[span.first : span.last + 1] - run.rows.t_s[span.first]
+        rows = slice(span.first, span.first + int(np.searchsorted(time, DECAY_S)))
+        time, y = time[: rows.stop - rows.start], run.rows.y_rad[rows]
+        real = real_motors.get(method)
+        error = run.rows.yd_rad[rows] - (y if real is None else real.positions(y))
+        wanted = np.array([designed.at(t)[0] for t in time.tolist()])
+        off[method] = float(np.nanmax(np.abs(error - wanted), initial=0.0))
+        axes.plot(time, 1e3 * wanted, color=INK, lw=1.0, ls=(0, (4, 2)), label="designed (35)")
+        axes.plot(time, 1e3 * error, color=colour(method), lw=1.1, label="measured yd − y")
+        axes.axhline(0.0, color=MUTED, lw=0.7)
+        axes.set_title(method.replace("-", " "))
+        axes.set_xlabel("time in the stage, s")
+    panels[0].set_ylabel("error, mrad")
+    panels[0].legend(loc="upper right")
+    words = ", ".join(f"{1e3 * value:.2g} mrad with {method.replace('-', ' ')}" for method, value in off.items())
+    return render(
+        figure, run.backend, "The error from an offset with each model: measured, and as designed.",
+        f"Each check begins {run.config.decay[0]:g} rad beside the shaft. With the true model the error dies away as "
+        f"e'' + k1 e' + k2 e = 0 has it, (35). Farthest from that: {words}.",
     )  # fmt: skip
 
 

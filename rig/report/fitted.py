@@ -33,7 +33,7 @@ from rig.report.style import (
 )
 from rig.results import known
 
-LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}$, V"}
+LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": "f_c, V"}
 LONGEST_LAG = 60
 FEWEST_RESIDUALS = 20
 GROUP_GAP = 0.6  # of a bar, between the two sums

@@ -25,7 +25,8 @@ def write_identified(found: Identification, records: Sequence[str], path: Path) 
     records  what was read, in words; the first names the page
     """
     result = RunResult(answer=found.answer, estimates=found.as_result().estimates, **found.evidence)
-    run = ReportedRun(Path(records[0]), None, RunMeta(backend=", ".join(records)), result)
+    about = RunMeta(backend=", ".join(records), rehearsal=found.rehearsal or None)
+    run = ReportedRun(Path(records[0]), None, about, result)
     with style():
         figures = {
             "simulated": drawn(lambda: picture_of(found, run.backend)),
@@ -36,6 +37,7 @@ def write_identified(found: Identification, records: Sequence[str], path: Path) 
         .get_template(TEMPLATE)
         .render(
             name=Path(records[0]).name,
+            rehearsal=run.rehearsal,
             records=records,
             headline=headline(run),
             figures=figures,

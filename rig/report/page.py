@@ -157,7 +157,8 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
         def tracked() -> list[Figure]:
             if run.recording is not None and not (run.result.tracking or run.spans("track") or run.config.tracks):
                 return []
-            return [drawn(lambda: checked.tracking(run))]
+            pictures = [drawn(lambda: checked.tracking(run))]
+            return pictures if run.config.decay is None else [*pictures, drawn(lambda: checked.decay(run))]
 
         cycles = [drawn(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {

@@ -17,6 +17,7 @@ from rig.config.problems import ConfigError
 from rig.config.yaml12 import parse
 from rig.estimators import ESTIMATORS
 from rig.faults import FAULTS
+from rig.model.error_decay import K1_1_S, K2_1_S2
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
@@ -26,6 +27,7 @@ from rig.recording.writer import EVENTS, SAMPLES
 from rig.report.style import AbsentError, stage_kind
 from rig.results import EstimateResult, FaultReport, FoundLawResult, Part, RunEvent, RunMeta, RunResult, TrueLaw, known
 from rig.results.estimates import LARGEST
+from rig.results.meta import REHEARSAL
 from rig.results.reading import salvaged
 
 Array = NDArray[np.float64]
@@ -49,6 +51,7 @@ class Settings:
     soft_rad, hard_rad   travel limits
     wanted_amplitude_rad, wanted_period_s, tolerance   the cycle that the gain search looks for
     tracks               whether there is a trajectory to track
+    decay                offset from which each check begins, rad, and k1, 1/s, and k2, 1/s^2, of (34); None without one
     text                 the file as it is; "" if there is none
     """
 
@@ -59,6 +62,7 @@ class Settings:
     wanted_period_s: float | None = None
     tolerance: float | None = None
     tracks: bool = False
+    decay: tuple[float, float, float] | None = None
     is_there: bool = False
     text: str = ""
 
@@ -91,6 +95,11 @@ class ReportedRun:
     def backend(self) -> str:
         """The backend in words, as recorded."""
         return self.meta.backend or self.result.backend or "not recorded (meta.json is missing)"
+
+    @property
+    def rehearsal(self) -> str:
+        """That nothing was measured, as a sentence; empty of any other run."""
+        return f"{REHEARSAL[0].upper()}{REHEARSAL[1:]}." if self.meta.rehearsal or self.result.rehearsal else ""
 
     @property
     def truth(self) -> dict[str, float]:
@@ -306,6 +315,7 @@ def _settings(folder: Path, missing: list[str]) -> Settings:
         wanted_period_s=_number(at("relay", "target", "period_s")),
         tolerance=_number(at("relay", "target", "tolerance")),
         tracks=bool(at("tracking")),
+        decay=_decay(at("tracking")),
         is_there=bool(value),
         text=text,
     )
@@ -316,6 +326,14 @@ def _number(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) < LARGEST else None
+
+
+def _decay(tracking: Any) -> tuple[float, float, float] | None:
+    """Offset, k1 and k2 of a config's tracking section, where it has an offset."""
+    given = tracking if isinstance(tracking, dict) else {}
+    offset_rad = _number(given.get("offset_rad"))
+    k1, k2 = _number(given.get("k1_1_s", K1_1_S)), _number(given.get("k2_1_s2", K2_1_S2))
+    return (offset_rad, k1, k2) if offset_rad and k1 and k1 > 0.0 and k2 and k2 > 0.0 else None
 
 
 def _pair(value: Any) -> tuple[float, float] | None:

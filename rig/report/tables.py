@@ -91,7 +91,7 @@ class MotorLawRow:
 
 @dataclass(frozen=True)
 class BudgetRow:
-    """One line of the uncertainty budget, % of tau, K and fc."""
+    """One line of the uncertainty budget, % of tau, K and f_c."""
 
     source: str
     cells: list[Cell]

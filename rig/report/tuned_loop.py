@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rig.report.source import ReportedRun
-from rig.report.style import DRIVE, INK, LIMIT, MUTED, WIDTH_IN, AbsentError, Picture, new_figure, render, style
+from rig.report.style import INK, LIMIT, MUTED, WIDTH_IN, AbsentError, Picture, new_figure, render, style
 from rig.results import known
 from rig.results.tuned import TunedCurve, TunedMargins, TunedResult
 
@@ -75,26 +75,29 @@ def _draw(figure: Figure, found: TunedResult) -> None:
         width_ratios=[1.7, 1.0],
         height_ratios=[1.3, 0.8, 1.0],
     )
-    _curve(axes["step"], found.curves["step"], BAND, f"predicted: 95 % of {found.draws} motors")
+    _curve(axes["step"], found.curves["step"], f"predicted: 95 % of {found.draws} motors")
     axes["step"].set(title="the step", ylabel=f"{'position' if found.loop == 'position' else 'speed'}, {_unit(found)}")
     axes["step"].legend(loc="lower right" if found.loop == "position" else "best")
-    _curve(axes["drive"], found.curves["drive"], DRIVE)
+    _curve(axes["drive"], found.curves["drive"])
     axes["drive"].set(ylabel="drive, V", xlabel="s from the step")
     if "tracking" in found.curves:
-        _curve(axes["tracking"], found.curves["tracking"], BAND)
-    axes["tracking"].set(title="tracking: reference less measured", ylabel=_unit(found), xlabel="s")
+        _curve(axes["tracking"], found.curves["tracking"])
+    axes["tracking"].set(
+        title="tracking: reference less measured, the sensor's noise included", ylabel=_unit(found), xlabel="s"
+    )
     _nyquist(axes["nyquist"], found)
 
 
-def _curve(axes: Axes, curve: TunedCurve, ink: str, words: str | None = None) -> None:
+def _curve(axes: Axes, curve: TunedCurve, words: str | None = None) -> None:
+    """The band of the drawn motors, their median, the reference and the bench."""
     is_drive = curve.unit == "V"
     held: Literal["post"] | None = "post" if is_drive else None
-    axes.fill_between(curve.t_s, curve.low, curve.high, color=ink, alpha=0.3, linewidth=0, step=held, label=words)
+    shape: Literal["steps-post", "default"] = "steps-post" if is_drive else "default"
+    axes.fill_between(curve.t_s, curve.low, curve.high, color=BAND, alpha=0.25, linewidth=0, step=held, label=words)
+    axes.plot(curve.t_s, curve.median, color=BAND, drawstyle=shape, label=words and "predicted: their median")
     if curve.reference is not None:
-        axes.plot(curve.t_s, curve.median, color=ink)
         axes.plot(curve.t_s, curve.reference, "--", color=INK, linewidth=0.9, label="reference")
     if curve.bench is not None and curve.bench_t_s is not None:
-        shape: Literal["steps-post", "default"] = "steps-post" if is_drive else "default"
         axes.plot(curve.bench_t_s, curve.bench, color=BENCH, linewidth=0.9, label="bench", drawstyle=shape)
 
 

@@ -33,7 +33,7 @@ class Parameter:
 PARAMETERS = (
     Parameter("tau_s", "τ", "s", 1.0, "velocity time constant"),
     Parameter("K_rad_s_V", "K", "(rad/s)/V", 1.0, "velocity gain of the measured shaft"),
-    Parameter("fc_V", "f<sub>c</sub>", "V", 1.0, "Coulomb friction, referred to the drive"),
+    Parameter("fc_V", "f_c", "V", 1.0, "Coulomb friction, referred to the drive"),
     Parameter("asym_V", "a", "mV", 1e3, "asymmetry of the effective drive"),
     Parameter("delay_s", "d", "ms", 1e3, "from a sample to the effect of its drive"),
 )
@@ -161,6 +161,8 @@ def headline(run: ReportedRun) -> Headline:
     else:
         whole = all(q.exact is not None for q in quantities)
         found = "The motor is identified" if whole else "The friction is identified"
+        if run.rehearsal:
+            found = "The made-up motor is identified"
         title = found if outcome == "ok" else "Identified, but doubtful"
         if models_from:
             title = "Driven with the models of another run"
@@ -211,6 +213,10 @@ def _command(*parts: str | Path) -> str:
 
 
 def _drive_with(run: ReportedRun) -> Step:
+    if run.rehearsal:
+        return Step(
+            "The config fits this motor. Wire the bench, then: rig flash, rig calibrate, rig run (docs/real-bench.md)."
+        )
     if run.has_tracked:
         words = "Its models have driven the bench: see the tracking check. For a controller:"
         return Step(words, _command("tune", run.folder))

@@ -20,7 +20,7 @@ from rig.results.estimates import (
     RelayTestResult,
     StaticFrictionResult,
 )
-from rig.results.part import Number, Part, Sometimes, Text
+from rig.results.part import Flag, Number, Part, Sometimes, Text
 
 
 class MotorLawResult(Part):
@@ -74,6 +74,7 @@ class OlderKeys(Answered):
 class _Found(Part):
     """What was read, and what else the tests say."""
 
+    rehearsal: Sometimes[Flag] = Field(None, description="true: a recording is a rehearsal, and measured no motor")
     relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
     notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")

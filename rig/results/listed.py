@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rig.results.part import Flag, Number, Part, Text
+from rig.results.part import Flag, Number, Part, Sometimes, Text
 
 
 class ListedRun(Part):
@@ -16,6 +16,7 @@ class ListedRun(Part):
     config: Text | None = Field(None, description="the config's name")
     backend: Text | None = Field(None, description="the bench in words")
     emulated: Flag = Field(False, description="whether nothing real moved")
+    rehearsal: Sometimes[Flag] = Field(None, description="true: `rig rehearse` ran it; nothing was measured")
     state: Text = Field(description="done, fault, no result (it was killed, or runs still) or damaged")
     fault: Text | None = Field(None, description="code of the fault that ended it")
     problem: Text | None = Field(None, description="what is wrong with its files")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, JsonValue
 
 from rig.results.part import VERSION, Count, Flag, Number, Part, Real, Sometimes, Text
 from rig.signals import Order
+
+REHEARSAL: Final = "rehearsal: this motor was made up from a data sheet, nothing was measured"
 
 
 class DeviceSeen(Part):
@@ -128,6 +130,9 @@ class RunMeta(Part):
     host: dict[str, JsonValue] = Field({}, description="the machine")
     command: Text | None = Field(None, description="the command line")
     truth: TrueMotor | None = Field(None, description="the emulated motor; null: the motor is real")
+    rehearsal: Sometimes[Flag] = Field(
+        None, description="true: `rig rehearse` ran it, on a motor made up from a data sheet; nothing was measured"
+    )
     time: Sometimes[RunTime] = Field(None, description="in which time the loop ran; older versions write none")
     script: ScriptCall | None = Field(None, description="what ran")
     real_time: Sometimes[RealTimeReport] = Field(None, description="written once the loop has asked the machine")

@@ -16,7 +16,7 @@ from rig.results.estimates import (
 from rig.results.identification import Answered, MotorLawResult, OlderKeys
 from rig.results.live import StoppedResult
 from rig.results.meta import RealTimeReport, TrueMotor
-from rig.results.part import NOT_IN_EACH_FILE, VERSION, Count, Number, Part, Sometimes, Text
+from rig.results.part import NOT_IN_EACH_FILE, VERSION, Count, Flag, Number, Part, Sometimes, Text
 from rig.results.tuned import TunedResult
 
 
@@ -102,6 +102,9 @@ class _Head(Part):
 
     version: Annotated[Count, Field(ge=0)] = Field(VERSION, alias="schema", description="version of this file's form")
     backend: Text = Field("", description="the bench in words")
+    rehearsal: Sometimes[Flag] = Field(
+        None, description="true: `rig rehearse` ran it, on a motor made up from a data sheet; nothing was measured"
+    )
 
 
 class _Run(Part):

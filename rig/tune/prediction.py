@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -62,9 +63,12 @@ class Prediction:
         return self.ranges["overshoot_percent"]
 
 
-def predict(tuned: Tuned, trial: Trial, draws: int = DRAWS, seed: int = 1) -> Prediction:
+def predict(
+    tuned: Tuned, trial: Trial, draws: int = DRAWS, seed: int = 1, on_progress: Callable[[int, int], None] | None = None
+) -> Prediction:
     """The trial on ``draws`` (>= 39) motors drawn from the intervals, each with noise of its own.
 
+    on_progress  is called with how many motors are simulated, and how many there are
     Raises ValueError for fewer motors: their whole range would hold less than 95 %.
     """
     if draws < LEAST_DRAWS:
@@ -74,6 +78,8 @@ def predict(tuned: Tuned, trial: Trial, draws: int = DRAWS, seed: int = 1) -> Pr
         program = trial.program()
         law = tuned.law(program)
         records.append(driven(shaft_of(framed), law, tuned.sensing, delay_s, program.duration_s, 1000 * seed + k))
+        if on_progress is not None:
+            on_progress(k + 1, draws)
     each = [shown_of(tuned, record, trial) for record in records]
     return Prediction(trial, tuple(records), {name: _range([one[name] for one in each]) for name in MEASURES})
 

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -45,7 +46,7 @@ def objections(angles: list[Angle], belief: Belief = BELIEF) -> list[str]:
 angles_deg = st.lists(st.integers(-120, 120), min_size=3, max_size=7, unique_by=lambda deg: deg // 6)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(
     turned=angles_deg, off=st.lists(st.floats(-0.5, 0.5), min_size=8, max_size=8), bend=st.floats(-0.01, 0.01),
     range_deg=st.floats(60.0, 340.0), sign=st.sampled_from([1.0, -1.0]),

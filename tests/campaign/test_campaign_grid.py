@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +19,7 @@ from rig.model.describing_function import predict
 GRID = Campaign(name="grid", experiments=1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**7), st.integers(0, 2**31 - 1))
 def test_every_draw_is_of_the_grid(number: int, seed: int) -> None:
     one = grid.draw(Campaign(name="grid", experiments=1, seed=seed), number)

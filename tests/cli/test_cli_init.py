@@ -20,13 +20,14 @@ ANSWERED = ("--yes", "--bridge", "l298n", "--no-load-rpm", 590, "--port", "/dev/
 
 def test_its_answers_stand_in_a_config_that_check_accepts(tmp_path: Path) -> None:
     file = tmp_path / "bench.yaml"
-    made = rig("init", file, *ANSWERED, "--supply-V", 9, "--travel-deg", 80)
+    made = rig("init", file, *ANSWERED, "--supply-V", 9, "--travel-deg", 80, "--tests", "full")
     assert made.exit_code == 0, made.output
     assert "rig flash --port /dev/ttyUSB0 --bridge in1-in2 --baud 1000000" in made.stdout
     e = load(file)
     assert (e.name, e.daq.port, e.drive.bridge, e.drive.supply_V, e.drive.bridge_drop_V) == (
         "bench", "/dev/ttyUSB0", "in1-in2", 9.0, 2.0,
     )  # fmt: skip
+    assert e.relay.target is not None and e.relay.target.period_s >= 1.4  # the triple relay needs that at 10 ms
     assert e.limits.hard_rad[1] == pytest.approx(1.4 - 0.2, abs=0.01)
     assert e.motor is not None and e.motor.no_load_speed_rad_s == pytest.approx(61.8, abs=0.1)
     comments = [line for line in (ready.text("uno")).splitlines() if line.strip().startswith("#")]
@@ -40,8 +41,9 @@ def test_its_answers_stand_in_a_config_that_check_accepts(tmp_path: Path) -> Non
 @pytest.mark.parametrize("travel_deg", [40.0, 103.0, 125.0])
 def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: float) -> None:
     file = tmp_path / "bench.yaml"
-    for supply_V, rpm in ((6.5, 100.0), (10.0, 590.0)):
-        answers = new_bench.Answers("uno", "potentiometer", bridge, "/dev/ttyACM0", supply_V, travel_deg, rpm)
+    for supply_V, rpm, tests in ((6.5, 100.0, "full"), (10.0, 590.0, "quick")):
+        told = ("uno", "potentiometer", bridge, "/dev/ttyACM0", supply_V, travel_deg, rpm)
+        answers = new_bench.Answers(*told, tests=tests)
         file.write_text(new_bench.text(answers, "bench.yaml"), encoding="utf-8")
         preflight.check(file)
 
@@ -49,23 +51,25 @@ def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: flo
 def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
-    told = CliRunner().invoke(main, ["init"], input="uno\npotentiometer\ndrv8871\n/dev/ttyACM3\n9\n60\n350\n")
+    told = CliRunner().invoke(main, ["init"], input="uno\npotentiometer\ndrv8871\n/dev/ttyACM3\n9\n60\n350\n\n")
     assert told.exit_code == 0, told.output
     assert "DRV8871" in told.output
-    assert load(tmp_path / "bench.yaml").daq.port == "/dev/ttyACM3"
+    e = load(tmp_path / "bench.yaml")
+    assert e.daq.port == "/dev/ttyACM3" and e.relay.until is None and e.relay.target is not None
     told = CliRunner().invoke(
-        main, ["init", "pico.yaml"], input="pico\nencoder\ntb6612\nturns\n/dev/ttyUSB3\n9\n64\n50\n20\n200\n"
+        main, ["init", "pico.yaml"], input="pico\nencoder\ntb6612\nturns\n/dev/ttyUSB3\n9\n64\n50\n20\n200\nquick\n"
     )
     assert told.exit_code == 0, told.output
     assert "rig flash --board pico --port /dev/ttyUSB3 --bridge in1-in2 --baud 1000000 --encoder" in told.output
     e = load(tmp_path / "pico.yaml")
     assert e.sensor.encoder is not None and e.sensor.encoder.gear == 50.0 and e.limits.turns == 20.0
+    assert e.relay.until is not None and e.relay.target is None
 
 
 def test_an_answer_that_cannot_be_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
-    answers = "arduino uno encoder tb6612 turns /dev/ttyACM3 volts 24 9 0 64 -1 50 1 20 nan 200"
+    answers = "arduino uno encoder tb6612 turns /dev/ttyACM3 volts 24 9 0 64 -1 50 1 20 nan 200 full"
     told = CliRunner().invoke(main, ["init"], input=answers.replace(" ", "\n") + "\n")
     assert told.exit_code == 0, told.output
     for said in (
@@ -81,7 +85,7 @@ def test_an_answer_that_cannot_be_is_asked_for_again(tmp_path: Path, monkeypatch
     e = load(tmp_path / "bench.yaml")
     assert e.drive.supply_V == 9.0 and e.limits.turns == 20.0
     assert e.sensor.encoder is not None and e.sensor.encoder.counts_per_turn == 64 and e.sensor.encoder.gear == 50.0
-    angle = CliRunner().invoke(main, ["init", "angle.yaml"], input="uno\npotentiometer\nl298n\n\n9\n20\n60\n350\n")
+    angle = CliRunner().invoke(main, ["init", "angle.yaml"], input="uno\npotentiometer\nl298n\n\n9\n20\n60\n350\n\n")
     assert angle.exit_code == 0 and "20 degrees to each side are not 40 to 125" in angle.output
 
 
@@ -89,7 +93,7 @@ def test_answers_that_contradict_each_other_are_not_lost(tmp_path: Path, monkeyp
     """The command that the error prints holds them all: with one number changed it passes."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
-    answers = "uno encoder tb6612 turns /dev/ttyACM3 9 4096 50 20 300".replace(" ", "\n") + "\n"
+    answers = "uno encoder tb6612 turns /dev/ttyACM3 9 4096 50 20 300 quick".replace(" ", "\n") + "\n"
     told = CliRunner().invoke(main, ["init", "my bench.yaml"], input=answers)
     assert told.exit_code == 2 and "edges a second" in told.output
     command = shlex.split(told.output.split("change the wrong one here:\n     rig ")[1])
@@ -98,6 +102,7 @@ def test_answers_that_contradict_each_other_are_not_lost(tmp_path: Path, monkeyp
     assert again.exit_code == 0, again.output
     e = load(tmp_path / "my bench.yaml")
     assert e.sensor.encoder is not None and e.sensor.encoder.counts_per_turn == 64 and e.limits.turns == 20.0
+    assert e.relay.until is not None
 
 
 COUNTED = ("--sensor", "encoder", "--counts-per-turn", 64, "--gear", 50)
@@ -181,3 +186,9 @@ def test_a_file_is_never_replaced_and_a_config_that_check_refuses_is_said(tmp_pa
     fast = rig("init", tmp_path / "fast.yaml", *ANSWERED, "--no-load-rpm", 9000)
     assert fast.exit_code == 2
     assert "breakaway.max_V" in fast.stderr and "correct these numbers" in fast.stdout
+
+
+def test_a_bridge_that_lets_the_motor_run_free_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    refused = rig("init", tmp_path / "bench.yaml", *ANSWERED, "--bridge", "l298-ena")
+    assert refused.exit_code == 2 and not (tmp_path / "bench.yaml").exists()
+    assert "run free while PWM is low" in refused.output and "answer l298n" in refused.output

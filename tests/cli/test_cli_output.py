@@ -17,8 +17,19 @@ from rich.console import Console
 
 from rig import terminal
 from rig.recording.csv_file import read_csv
-from rig.results import EstimateResult, IdentificationResult, TrackingResult, TrueMotor
-from rig.terminal import plain_table, show_details, show_estimates
+from rig.results import (
+    Answer,
+    EstimateResult,
+    IdentificationResult,
+    LoopResult,
+    RelayTestResult,
+    RunResult,
+    TrackingResult,
+    TrueMotor,
+)
+from rig.results.result import Quantiles
+from rig.session import Outcome
+from rig.terminal import plain_table, show_details, show_estimates, show_run
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATED = ROOT / "config/quick.yaml"
@@ -59,6 +70,32 @@ def test_a_table_in_a_pipe_is_plain(capsys: pytest.CaptureFixture[str], monkeypa
 
 def test_plain_columns_stand_below_each_other() -> None:
     assert plain_table(("a", ""), [("long name", "1"), ("b", "")]) == ["a          -", "long name  1", "b          -"]
+
+
+def test_a_run_is_summed_up_in_fewer_than_ten_lines_and_verbose_tells_the_rest(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    test = RelayTestResult(stage="relay-1", h1_V=0.3, h2_V=0.7, period_s=1.6, amplitude_rad=0.5, cycles=10)
+    result = RunResult(
+        backend="simulated",
+        relays=(test,),
+        estimates={method: estimate() for method in METHODS},
+        answer=Answer.model_validate(estimate().as_json() | {"method": METHODS[0]}),
+        tracking=TRACKING | {METHODS[0]: TrackingResult(rms_rad=0.0035, true_rms_rad=0.0013)},
+        loop=LoopResult(period_s=0.01, ticks=100, skipped=0, late_us=Quantiles(p50=1.0, p99=2.0, max=3.0)),
+        truth=TRUTH,
+        config_notes=tuple(f"note {k}" for k in range(4)),
+    )
+    outcome = Outcome(tmp_path, result)
+    show_run(outcome, verbose=False)
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) - 3 < 10  # but for the notes
+    assert "2 more notes are in the report" in short
+    assert "(in brackets the true shaft's): sampled-data 3.5 (1.3), triple-relay 12.3, " in short
+    show_run(outcome)
+    whole = capsys.readouterr().out
+    for word in ("relay-1: h1", "the plain motor by each method", "loop: ", "note 3"):
+        assert word in whole and word not in short
 
 
 def test_a_doubt_to_record_anew_is_followed_by_what_to_type(capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,7 +193,6 @@ def test_an_installed_rig_refuses_an_emulated_chip_before_it_compiles(
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.timeout(600)
 def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tmp_path: Path) -> None:
     config = yaml.safe_load(SIMULATED.read_text(encoding="utf-8"))
     config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}], "cycles": 5}

@@ -31,6 +31,7 @@ from rig.panel.bench import Bench
 # What of each command that drives is tried: its arguments, and which arming of its device is looked at
 DRIVES: dict[str, list[tuple[int, str]]] = {
     "run": [(1, "{simulated}"), (2, "{simulated}")],
+    "rehearse": [(1, "{simulated}")],
     "relay": [(1, "{simulated}")],
     "survey": [(1, "{simulated}")],
     "track": [(1, "{simulated} --model {golden}")],

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from evidence import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -331,7 +332,7 @@ PLAIN = st.recursive(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.dictionaries(TEXT, PLAIN, min_size=1, max_size=4))
 def test_what_is_emitted_is_parsed_back_equal(data: dict[str, object]) -> None:
     assert parse(emit(data), "f").data == data
@@ -353,7 +354,9 @@ def only_config_error(raw: bytes, path: Path) -> None:
 
 
 any_file = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=examples(150),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 YAML_LIKE = st.text(
     st.sampled_from("abc01e.-+_:,[]{}#&*!|>'\"%@`?~<= \t\n\r\\xuU\u2028\ud7ff\ufeff\x85\x00"), max_size=60

@@ -22,7 +22,7 @@ from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import plain
-from rig.preflight.breakaway_strokes import UNSEEN_RAD, _unseen_rad, breakaway_strokes
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, _unseen_rad, breakaway_strokes, has_strokes
 from rig.recording.reader import read_run
 from rig.signals import Limits, Sample
 from unseen_travel import check, suited, trials, with_late_tick
@@ -306,7 +306,7 @@ def test_random_motors_turn_little_unseen_and_are_seen_both_ways() -> None:
     """Some of the 500 motors of tools/unseen_travel.py, which takes longer and says more."""
     ends: Counter[str] = Counter()
     for number, (motor, e) in enumerate(trials(80)):
-        if breakaway_strokes(e) is None:
+        if not has_strokes(e, e.breakaway.max_V):
             ends["refused"] += 1
             continue
         stuck = check(motor, check_of(e), e.period_s, number, stuck=True)

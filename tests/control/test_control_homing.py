@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from directional_friction import directional
+from evidence import evidence
 from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, BenchModel, break_away, simulated_bench
 
 from rig.control.breakaway import BreakawayFound
@@ -37,7 +38,7 @@ def home(bench: BenchModel, tolerance_rad: float, timeout_s: float = 40.0) -> Ho
     return homing
 
 
-@pytest.mark.parametrize("start_rad", [0.0, 0.9, -0.5, 0.03])
+@pytest.mark.parametrize("start_rad", [0.0, 0.9, *evidence(-0.5, 0.03)])
 @pytest.mark.parametrize("noise_rad", [0.0, 0.003])
 @pytest.mark.parametrize("name", MOTORS)
 def test_it_comes_to_rest_at_zero(name: str, start_rad: float, noise_rad: float) -> None:

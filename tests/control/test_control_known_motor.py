@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import evidence
 from numpy.typing import NDArray
 from simulated_bench import DEMO, LIMITS, PERIOD_S, simulated_bench
 
@@ -55,7 +56,10 @@ def tracked(model: RealMotor, truth: RealMotor, components: list[tuple[float, fl
     return tracking_error(t, y, yd, after_s=1.5)[0], law, np.column_stack([t, y, yd, u_V])
 
 
-@pytest.mark.parametrize("part", SIZES)
+STAY = ("lag", "stribeck", "force_over_position")
+
+
+@pytest.mark.parametrize("part", [*STAY, *evidence(*(part for part in SIZES if part not in STAY))])
 def test_a_drive_that_knows_the_part_halves_the_error(part: str) -> None:
     truth = CORE._replace(**SIZES[part])
     knows, law, _ = tracked(truth, truth, YD)

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from simulated_bench import DEMO_MOTOR, LIMITS, PERIOD_S, simulated_bench
 
+from rig.config.schema import TrackingSection
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
+from rig.model.error_decay import K1_1_S, K2_1_S2, ErrorDecay
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.signals import Sample
@@ -75,6 +78,38 @@ def test_the_true_model_tracks_best_and_the_reference_sign_beats_the_estimates()
     assert one_percent < 0.02
     assert biased > 2.0 * one_percent
     assert track(DEMO_MOTOR, "estimate") > exact
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(12.0, 36.0), (12.0, 20.0), (6.0, 36.0), (12.0, 36.0 + 1e-9)])
+def test_the_errors_decay_solves_its_equation(k1: float, k2: float) -> None:
+    designed = ErrorDecay(0.1, k1, k2)
+    t = np.linspace(0.0, 1.5, 31)
+    peer = solve_ivp(
+        lambda _, x: [x[1], -k1 * x[1] - k2 * x[0]], (0.0, 1.5), [0.1, 0.0], t_eval=t, rtol=1e-10, atol=1e-13
+    )
+    found = np.array([designed.at(one) for one in t.tolist()]).T
+    assert found == pytest.approx(peer.y, abs=1e-8)
+
+
+def test_from_an_offset_the_true_models_error_dies_away_as_designed() -> None:
+    """A wrong model's does not: its gain is a third too high."""
+
+    def farthest_rad(model: Motor) -> float:
+        bench = simulated_bench(seed=1)
+        bench.guard.sign_proven = True
+        law = Tracking(model, MotorObserver(model, PERIOD_S, 0.003), SumOfSines(YD), 12.0, 36.0, 1.5, offset_rad=0.1)
+        off: list[float] = []
+
+        def watch(t_s: float) -> None:
+            error = law.yd_rad - bench.driver.bench.state.y - 0.02
+            off.append(abs(error - law.decay.at(t_s)[0]))
+
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(law, "track", watch)
+        return max(off)
+
+    assert farthest_rad(DEMO_MOTOR) < 0.01
+    assert farthest_rad(Motor(0.17, 6.5 / 1.5, coulomb(0.3))) > 2.0 * farthest_rad(DEMO_MOTOR)
 
 
 def test_tracking_error_is_the_rms_and_the_largest_after_the_fade() -> None:
@@ -160,3 +195,8 @@ def test_one_time_of_effect_in_the_future_does_not_hold_back_the_drives_after_it
         states.append(state)
     assert states[1].v == pytest.approx(states[0].v, abs=0.01)
     assert states[1].y == pytest.approx(states[0].y, abs=0.001)
+
+
+def test_a_report_takes_the_gains_that_a_config_leaves_out_as_the_schema_does() -> None:
+    fields = TrackingSection.model_fields
+    assert (fields["k1_1_s"].default, fields["k2_1_s2"].default) == (K1_1_S, K2_1_S2)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from design_tasks import DEMO, READING, task
+from evidence import evidence
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -22,7 +23,7 @@ MOTORS = {"demo": DEMO, "slow": (0.41, 1.23, 0.42, 0.02), "high gain": (0.092, 1
 FITS = 80
 
 
-@pytest.mark.parametrize("name", MOTORS)
+@pytest.mark.parametrize("name", ["demo", *evidence("slow", "high gain")])
 def test_the_expected_interval_is_the_scatter_of_fits(name: str) -> None:
     """Of tau, K and f_c, with the delay and the start unknown; the worst of them is what a design states."""
     tau_s, K, fc_V, asym_V = MOTORS[name]

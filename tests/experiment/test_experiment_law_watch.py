@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -16,7 +17,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig as command
-from processes import PATIENCE_S, alive, wait_until
+from processes import alive, wait_until
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
 import rig
@@ -310,7 +311,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
         )
-    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None, 3 * PATIENCE_S)
+    wait_until(lambda: (folder / "mark").exists() or host.poll() is not None)
     return host
 
 
@@ -334,7 +335,7 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
     [keeper] = keepers_of(host.pid)
     for number in numbers:
         host.send_signal(number)
-    said = host.communicate(timeout=120)[1]
+    said = host.communicate()[1]
     assert host.returncode == -signal.SIGKILL
     wait_until(lambda: not alive(keeper))
     [folder] = (tmp_path / "runs").iterdir()
@@ -357,7 +358,7 @@ def test_a_stop_of_a_panel_ends_a_law_that_does_not_return(tmp_path: Path) -> No
     host = hanging(tmp_path, "spins")
     [folder] = (tmp_path / "runs").glob("2*")
     request_stop(folder)
-    said = host.communicate(timeout=120)[1]
+    said = host.communicate()[1]
     assert host.returncode == 1 and "INTERRUPTED" in said and "Stop by panel" in said
     assert [event.kind for event in rig.read(folder).events][-3:] == ["stop", "fault", "end"]
 
@@ -366,7 +367,7 @@ def test_a_run_whose_loop_is_killed_leaves_no_keeper(tmp_path: Path) -> None:
     host = hanging(tmp_path, "spins")
     [keeper] = keepers_of(host.pid)
     host.kill()
-    host.communicate(timeout=120)
+    host.communicate()
     wait_until(lambda: not alive(keeper))
     [folder] = (tmp_path / "runs").iterdir()
     wait_until(lambda: '"loop_died"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
@@ -393,3 +394,28 @@ def test_a_run_without_its_keeper_goes_on_and_says_so(tmp_path: Path) -> None:
     assert run.failure == "" and run.result is not None
     assert any("no process watches the law" in note and "status -9" in note for note in run.result.notes)
     assert keepers_of(os.getpid()) == [] and signal.getsignal(asks()) is signal.SIG_DFL
+
+
+def test_where_a_motor_could_move_no_law_goes_on_without_its_keeper(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bounded = law_times(load(rig.ready("simulated")), virtual=True)._replace(cpu_s=60.0)
+    monkeypatch.setattr(law_watch, "law_times", lambda *_, **__: bounded)
+    run = rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path / "killed")
+    assert "LAW_UNWATCHED" in run.failure and "status -9" in run.failure
+    assert [event.kind for event in run.events][-3:] == ["stop", "fault", "end"]
+
+
+def test_where_a_motor_could_move_no_law_begins_without_its_keeper(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    bounded = law_times(load(rig.ready("simulated")), virtual=True)._replace(cpu_s=60.0)
+    monkeypatch.setattr(law_watch, "law_times", lambda *_, **__: bounded)
+    monkeypatch.setattr(law_watch, "Keeper", full)
+    with pytest.raises(Fault, match=r"LAW_UNWATCHED.*Resource temporarily unavailable"):
+        rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path)
+    [samples] = tmp_path.glob("*/samples.csv")
+    assert len(samples.read_text(encoding="utf-8").splitlines()) == 1, "a header, and no row"

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
+from evidence import evidence
 
 import whole
 
@@ -20,7 +21,7 @@ GAINS = [{"h1_V": 0.43, "h2_V": 0.80}]  # such as its own search finds
 TRIES = 4
 STOPPED_S = (0.04, 0.08, 0.15, 1.0)
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.realtime
 
 
 def shorter(config: dict[str, Any]) -> dict[str, Any]:
@@ -44,13 +45,16 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
 
 
-@pytest.mark.parametrize("name", ["demo", "modbus-rtu", "modbus-tcp"])
+@pytest.mark.alone
+@pytest.mark.parametrize(
+    ("name", "is_short"), [("demo", True), ("modbus-rtu", True), ("modbus-tcp", True), *evidence(("demo", False))]
+)
 def test_a_run_beside_a_quiet_witness_ends_whole(
-    name: str, tmp_path: Path, record_property: Callable[[str, object], None]
+    name: str, is_short: bool, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     """Whatever came has to be right in every run; how many there were is in the test's report."""
     config = yaml.safe_load((ROOT / f"config/{name}.yaml").read_text(encoding="utf-8"))
-    if name != "demo":
+    if is_short:
         shorter(config)
     config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
     watchdog_s = config["daq"]["watchdog_s"]

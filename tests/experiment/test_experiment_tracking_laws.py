@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_line import rig
+from evidence import evidence
 
 from rig import config, experiment
 from rig.estimators import LEADING
@@ -53,7 +54,9 @@ def sagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Ident
     return path, run, models
 
 
-@pytest.mark.parametrize(("name", "law"), [(STRIBECK, "stribeck"), (UNBALANCED, "force_over_position"), (SAG, "sag")])
+@pytest.mark.parametrize(
+    ("name", "law"), [(SAG, "sag"), *evidence((STRIBECK, "stribeck"), (UNBALANCED, "force_over_position"))]
+)
 def test_with_the_laws_the_error_is_at_most_half_at_each_seed(
     name: str, law: str, sagging: tuple[Path, Path, Identification], tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ The bound is longer by what this machine was late in that run: device, loop, law
 from __future__ import annotations
 
 import pytest
+from evidence import evidence
 
 from faults import realtime
 from faults.realtime import DEVICES, KILLED_LAW, NO_WATCHDOG, REAL_ROWS, RealDevice
@@ -16,12 +17,14 @@ pytestmark = [pytest.mark.realtime, pytest.mark.long]
 @pytest.mark.parametrize(
     ("name", "device"),
     [
-        ("law hangs", NO_WATCHDOG),
-        ("law sleeps", NO_WATCHDOG),
         ("law hangs in C, SIGINT twice", NO_WATCHDOG),
         ("law hangs in C", DEVICES[0]),
-        ("law hangs, SIGTERM", NO_WATCHDOG),
-        (KILLED_LAW.name, NO_WATCHDOG),
+        *evidence(
+            ("law hangs", NO_WATCHDOG),
+            ("law sleeps", NO_WATCHDOG),
+            ("law hangs, SIGTERM", NO_WATCHDOG),
+            (KILLED_LAW.name, NO_WATCHDOG),
+        ),
     ],
     ids=str,
 )

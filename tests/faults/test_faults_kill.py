@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 import yaml
 from click.testing import CliRunner
+from evidence import evidence
 from processes import wait_until
 
 from rig.cli import main
@@ -30,7 +31,7 @@ RIG = [sys.executable, "-m", "rig"]
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, *evidence(signal.SIGTERM)])
 def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Signals) -> None:
     link, trace, runs = tmp_path / "device", tmp_path / "trace.csv", tmp_path / "runs"
     config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
@@ -55,7 +56,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
         wait_until(lambda: cycles() >= 6)
         os.kill(loop.pid, number)
         killed_s = time.monotonic()
-        status = loop.wait(timeout=60)
+        status = loop.wait()
         assert status == (-9 if number == signal.SIGKILL else 1)
         wait_until(lambda: time.monotonic() > killed_s + 0.5)
     finally:
@@ -63,7 +64,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
             loop.kill()
             loop.wait()
         device.send_signal(signal.SIGINT)
-        device.wait(timeout=10)
+        device.wait()
     with trace.open() as file:
         rows = [(float(r["t_s"]), float(r["drive_V"]), float(r["y_rad"]), r["fault"]) for r in csv.DictReader(file)]
     driven = [t for t, volts, _, _ in rows if volts != 0.0]

@@ -3,6 +3,7 @@
 import random
 
 import pytest
+from evidence import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +20,7 @@ def test_seeds_and_damaged_seeds(name: str) -> None:
     seeds = list(target.seeds())
     for seed in seeds:
         target.feed(seed)
-    for _ in range(INPUTS.get(name, 1000)):
+    for _ in range(examples(INPUTS.get(name, 1000))):
         data = bytearray(draw.choice(seeds))
         for _ in range(draw.randint(1, 4)):
             at = draw.randrange(len(data) + 1)
@@ -41,7 +42,10 @@ def test_anything(name: str) -> None:
     feed = TARGETS[name].feed
 
     @settings(
-        max_examples=INPUTS.get(name, 1000), deadline=None, suppress_health_check=list(HealthCheck), database=None
+        max_examples=examples(INPUTS.get(name, 1000)),
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        database=None,
     )
     @given(st.binary(max_size=300) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")))
     def feeds(data: bytes) -> None:

@@ -45,7 +45,7 @@ class SecondChip:
         node = shutil.which("node")
         if node is None or not (_FOLDER / "node_modules" / "avr8js").is_dir():
             missing = "node" if node is None else "avr8js"
-            raise RuntimeError(f"{missing} is missing, on which the second emulator runs: run tools/setup.sh")
+            raise RuntimeError(f"{missing} is missing, on which the second emulator runs: run `make setup`")
         m, f = bench.motor, bench.motor.friction
         if f.falls_with_speed or f.viscous_V_s_rad or bench.noise_rad or bench.offset_rad:
             raise ValueError("the second emulator's bench has neither Stribeck nor viscous friction, noise nor offset")

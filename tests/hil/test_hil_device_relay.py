@@ -11,6 +11,7 @@ from typing import Any, Literal, Unpack
 
 import numpy as np
 import pytest
+from evidence import evidence
 from raised import fault_of
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
@@ -73,8 +74,8 @@ def told_blocks(host: VirtualHost, reader: FrameReader | None = None) -> list[tu
 # ---------------------------------------------------------------------- at the pin
 
 
-@pytest.mark.parametrize("watchdog_ms", [30, 100, 1000])
-@pytest.mark.parametrize("clock_error_ppm", [0.0, 5000.0, -5000.0])
+@pytest.mark.parametrize("watchdog_ms", [100, *evidence(30, 1000)])
+@pytest.mark.parametrize("clock_error_ppm", [5000.0, *evidence(0.0, -5000.0)])
 def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms: int, clock_error_ppm: float) -> None:
     rng = random.Random(watchdog_ms)
     rate = 1.0 + 1e-6 * clock_error_ppm

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import pytest
+from evidence import evidence
 from raised import fault_of
 from virtual_host import BoardOptions
 
@@ -61,7 +62,7 @@ def ticks(board: VirtualBoard, driver: SerialDriver, u_V: float, n: int) -> list
 # ---------------------------------------------------------------------- opening, and time
 
 
-@pytest.mark.parametrize("ppm", [-20000, -5000, 0, 4000, 5000, 20000])
+@pytest.mark.parametrize("ppm", [-20000, 4000, *evidence(-5000, 0, 5000, 20000)])
 def test_the_devices_clock_is_found(ppm: int) -> None:
     board = VirtualBoard(BenchParameters(MOTOR), clock_error_ppm=ppm)
     info = make(board).open()

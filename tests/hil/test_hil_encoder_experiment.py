@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import yaml
 from click.testing import CliRunner
+from evidence import evidence
 
 from rig.backends.backend import Line
 from rig.backends.registry import connect
@@ -86,7 +87,7 @@ def test_the_whole_experiment_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: 
 ENDLESS = {"travel": "none", "soft_rad": None, "hard_rad": None}
 
 
-@pytest.mark.parametrize("where", ["host", "device"])
+@pytest.mark.parametrize("where", ["device", *evidence("host")])
 def test_a_shaft_without_limits_is_identified_and_turned_on_and_on(tmp_path: Path, where: str) -> None:
     gains = [{"h1_V": 0.42, "h2_V": 0.84}, {"h1_V": 0.3, "h2_V": 0.76}]
     path = changed(
@@ -128,7 +129,7 @@ def test_a_bound_in_turns_holds_in_the_device_from_where_the_command_finds_the_s
     assert ended.value.code == "DEVICE_TRAVEL"
 
 
-@pytest.mark.parametrize("limits", [{}, ENDLESS], ids=["limits", "endless"])
+@pytest.mark.parametrize("limits", [{}, *evidence(ENDLESS)], ids=["limits", "endless"])
 def test_tests_until_the_motor_is_known_run_in_the_device_on_counts(tmp_path: Path, limits: dict[str, Any]) -> None:
     until = {"until": {"interval_percent": 0.1}, "where": "device"}
     relay = dict.fromkeys(("target", "cycles", "second_ratio")) | until

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 from device_relay import COUNT, COUNT_TICK, Z_MAX, DeviceRelay
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -38,7 +39,7 @@ bounds = st.one_of(st.integers(1, 600), st.integers(1, Z_MAX), st.just(Z_MAX))
 directions = st.sampled_from([1, -1])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     centre=st.integers(508 * COUNT, 516 * COUNT),
     z_bound=bounds,
@@ -49,7 +50,7 @@ def test_near_the_centre(centre: int, z_bound: int, direction: int, counts: list
     decisions(centre, z_bound, direction, counts)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     centre=st.integers(0, 0xFFFF * COUNT),
     z_bound=bounds,
@@ -60,7 +61,7 @@ def test_any_reading_any_centre(centre: int, z_bound: int, direction: int, count
     decisions(centre, z_bound, direction, counts)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     centre=st.integers(0, 1023),
     z_bound=bounds,

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from evidence import evidence
 from virtual_host import BENCH, HELD, LSB_RAD, SESSION, SETUP, TICK_S, VirtualHost, armed_host
 
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -25,7 +26,7 @@ from rig.backends.serial.frames import (
 )
 from rig.model.bench import SensorWiring
 
-PHASES = 80
+PHASES = 20
 SLACK_S = 2e-6  # of microseconds cut off by the device's clock
 
 
@@ -52,8 +53,8 @@ def latched_at_zero(host: VirtualHost, code: Code) -> None:
     assert host.pin_V() > 0.0
 
 
-@pytest.mark.parametrize("watchdog_ms", [1, 30, 100, 1000])
-@pytest.mark.parametrize("clock_error_ppm", [0.0, 5000.0, -5000.0])
+@pytest.mark.parametrize("watchdog_ms", [1, 100, *evidence(30, 1000)])
+@pytest.mark.parametrize("clock_error_ppm", [5000.0, *evidence(0.0, -5000.0)])
 @pytest.mark.parametrize("last", ["read", "drive"])
 def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(
     watchdog_ms: int, clock_error_ppm: float, last: str

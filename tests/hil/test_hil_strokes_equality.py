@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 from device_strokes import DeviceStrokes
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,7 +53,7 @@ all_ways = st.tuples(st.sampled_from([1, -1]), st.sampled_from([1, -1]))
 short = st.builds(CountedTimes, st.integers(1, 30), st.integers(1, 12))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(
     plan=plans(490, 530),
     centre=st.integers(500, 520),
@@ -67,7 +68,7 @@ def test_any_readings(
     decisions(plan, centre, times, still, counts, ways)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     plan=plans(400, 600),
     times=short,
@@ -87,7 +88,7 @@ def test_readings_that_move_and_stand_still(
     decisions(plan, 512, times, still, counts, ways)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     plan=plans(-(2**31), 2**31 - 1),
     centre=st.integers(-(2**31), 2**31 - 1),

@@ -111,30 +111,31 @@ def test_it_can_be_asked_for_and_says_where_it_does_not_apply() -> None:
 
 def test_its_line_alone_puts_it_on_the_command_line_into_configs_and_into_the_report(tmp_path: Path) -> None:
     """The line is there before rig is loaded, as it is for those in the file."""
+    run = tmp_path / "run"
+    shutil.copytree(GOLDEN / "simulated", run)
+    commands = [
+        ["identify", "--help"], ["identify", str(run), "--method", "largest-speed", "--verbose"], ["schema"],
+        ["report", str(run)],
+    ]  # fmt: skip
     script = f"""
-import sys
+import json
+from click.testing import CliRunner
 from rig.estimators import ESTIMATORS, EstimatorEntry
 ESTIMATORS.append(EstimatorEntry(*{tuple(LINE)!r}))
 from rig.cli import main
-main(sys.argv[1:])
+print(json.dumps([CliRunner().invoke(main, words).output for words in {commands!r}]))
 """
-    run = tmp_path / "run"
-    shutil.copytree(GOLDEN / "simulated", run)
-
-    def rig(*arguments: str | Path) -> str:
-        done = subprocess.run(
-            [sys.executable, "-c", script, *map(str, arguments)],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return done.stdout
-
-    assert "|largest-speed]" in "".join(rig("identify", "--help").split())
-    assert "\nlargest-speed  0.2000" in rig("identify", run, "--method", "largest-speed", "--verbose")
-    assert '"largest-speed"' in rig("schema")
-    rig("report", run)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    helped, identified, schema, _ = json.loads(done.stdout)
+    assert "|largest-speed]" in "".join(helped.split())
+    assert "\nlargest-speed  0.2000" in identified
+    assert '"largest-speed"' in schema
     page = (run / "report.html").read_text()
     assert ".VM {" in page
     assert '<span class="swatch VM"></span>largest speed' in page

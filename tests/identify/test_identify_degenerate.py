@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from command_line import rig
+from evidence import evidence, examples
 from foreign_bench import PAPER, Columns, motor, plain_csv, relay, sampled, ticks
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -21,7 +22,7 @@ from rig.identify.identification import METHODS
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.reader import read
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # identifications, on a machine that others share
+pytestmark = pytest.mark.long
 
 ROWS = (2, 3, 19, 20, 40, 76, 150, 300, 600)
 REAL = sampled(motor(**PAPER), relay(PAPER["fc_V"]), ticks(max(ROWS)), 0.004)
@@ -116,7 +117,7 @@ def one_line(path: Path, others: list[Path], methods: tuple[str, ...] | None, ma
         estimate.as_result()
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     stretches=st.lists(STRETCH, min_size=1, max_size=2),
     methods=st.none() | st.sampled_from(METHODS).map(lambda method: (method,)),
@@ -140,7 +141,7 @@ def test_a_degenerate_log_is_a_line_or_a_refusal(
 STAGES = ("breakaway", "search", "relay-1", "relay-2", "hysteretic-1", "hysteretic-2", "track:sampled-data")
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(25), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     stages=st.dictionaries(st.sampled_from(STAGES), STRETCH, min_size=1, max_size=4),
     drive_times=st.booleans(),
@@ -164,10 +165,13 @@ def test_a_run_with_a_degenerate_stage_is_a_line_or_a_refusal(
     one_line(tmp_path / "run.csv", [], None, any(stretch.is_real for stretch in stages.values()))
 
 
-@pytest.mark.parametrize("method", [None, *METHODS])
+@pytest.mark.parametrize("method", [None, *evidence(*METHODS)])
 @pytest.mark.parametrize(
     "stretch",
-    [CONSTANT, Stretch(300, "constant", "ramp"), Stretch(600, "zero", "noise"), Stretch(600, "real", "real", 1e300)],
+    [
+        Stretch(600, "real", "real", 1e300),
+        *evidence((CONSTANT,), (Stretch(300, "constant", "ramp"),), (Stretch(600, "zero", "noise"),)),
+    ],
     ids=lambda s: f"{s.drive}, {s.position}",
 )
 def test_the_command_says_it_in_lines_of_its_own(tmp_path: Path, stretch: Stretch, method: str | None) -> None:

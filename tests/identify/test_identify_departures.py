@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_test
 from campaign_real.kinds import KINDS, Case, case
@@ -56,19 +57,21 @@ def test_there_is_a_law_for_each_part_of_the_model() -> None:
     "name",
     [
         "dead_band 0.05",
-        "gain_by_sign 3",
-        "sag 3",
-        "lag 10",
-        "viscous_by_direction 10",
         "stribeck 0.15",
-        "drag 0.05",
-        "bristle 30",
         "force_over_position 0.05",
-        "friction_over_position 10",
-        "cogging 0.05",
         "backlash 10",
-        "linearity 10",
-        "drift 15",
+        *evidence(
+            "gain_by_sign 3",
+            "sag 3",
+            "lag 10",
+            "viscous_by_direction 10",
+            "drag 0.05",
+            "bristle 30",
+            "friction_over_position 10",
+            "cogging 0.05",
+            "linearity 10",
+            "drift 15",
+        ),
     ],
 )
 def test_the_law_of_a_motor_is_named_and_its_numbers_are_right_with_it(name: str) -> None:
@@ -88,7 +91,7 @@ def test_the_law_of_a_motor_is_named_and_its_numbers_are_right_with_it(name: str
     assert [law.name for law in answer.law] == named
 
 
-@pytest.mark.parametrize("number", [2, 3, 4])
+@pytest.mark.parametrize("number", [2, *evidence(3, 4)])
 def test_a_plain_motor_has_no_law_and_keeps_its_plain_estimate(number: int) -> None:
     one = case(CAMPAIGN, number, [])
     found = _identified(one)

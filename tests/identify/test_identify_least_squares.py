@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, Samples, motor, record, simulate, write_csv
@@ -105,7 +106,7 @@ def test_the_recursions_last_value_is_the_batchs() -> None:
     assert np.isnan(estimate.iterates[:, :2]).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(
     st.floats(0.05, 0.5),
     st.floats(1.0, 15.0),
@@ -126,7 +127,7 @@ def test_any_motor_any_number_of_runs(tau: float, K: float, fc: float, asym: flo
     assert total(y, drives) == pytest.approx(fc - asym, abs=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 4))
 def test_total_least_squares_is_the_best_of_all_frictions(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

@@ -54,3 +54,18 @@ def test_many_tests_with_one_defect_are_one_sentence() -> None:
     (objection,) = judge_records(tests)
     assert objection.reason.startswith("relay-1: the position moves by")
     assert objection.reason.endswith("(and 18 other tests alike)")
+
+
+def test_a_reading_that_stays_while_there_is_no_drive_is_a_shaft_at_rest() -> None:
+    moved = to_and_fro(0.7 * STEP_RAD, 100 * STEP_RAD)
+    at_end = moved.y_rad == moved.y_rad.max()
+    assert judge_records([replace(moved, u_V=np.where(at_end, 0.0, moved.u_V))]) == []
+
+
+def test_a_position_against_its_name_is_asked_about_with_what_to_type_if_the_name_is_right() -> None:
+    moved = to_and_fro(0.0)
+    turns = replace(moved, y_rad=100.0 * moved.y_rad, name="steps.csv")
+    (objection,) = judge_records([turns])
+    assert "span 49.9 rad, 7.9 turns" in objection.reason
+    assert "if it is right, type --position y_rad:rad" in objection.reason
+    assert judge_records([replace(turns, units_stated=True)]) == []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence
 from foreign_bench import (
     PAPER,
     QUICK,
@@ -27,7 +28,7 @@ from rig.recording.errors import IdentifyError
 from rig.recording.reader import read
 from rig.recording.recording import Recording
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # identifications, on a machine that others share
+pytestmark = pytest.mark.long
 
 PLAIN = ("t_s", "u_V", "y_rad")
 WITH_DRIVE_TIMES = (*PLAIN, "t_u_s")
@@ -77,41 +78,52 @@ def outcomes(path: Path, truth: dict[str, float], choices: list[slice]) -> dict[
     return seen
 
 
+FEW = [slice(0, 60), slice(350, 520), slice(300, 900), slice(0, ROWS)]
+
+
 @pytest.mark.parametrize(
-    ("drive", "truth", "names"),
+    ("drive", "truth", "names", "choices"),
     [
-        ("relay", PAPER, PLAIN),
-        ("relay", QUICK, PLAIN),
-        ("chirp", PAPER, PLAIN),
-        ("square", PAPER, PLAIN),
-        ("relay", PAPER, WITH_DRIVE_TIMES),
-        ("chirp", PAPER, WITH_DRIVE_TIMES),
+        ("relay", PAPER, PLAIN, FEW),
+        *evidence(
+            ("relay", PAPER, PLAIN, contiguous()),
+            ("relay", QUICK, PLAIN, contiguous()),
+            ("chirp", PAPER, PLAIN, contiguous()),
+            ("square", PAPER, PLAIN, contiguous()),
+            ("relay", PAPER, WITH_DRIVE_TIMES, contiguous()),
+            ("chirp", PAPER, WITH_DRIVE_TIMES, contiguous()),
+        ),
     ],
 )
 def test_every_stretch_of_a_good_record_is_right_or_not_believed(
-    tmp_path: Path, drive: str, truth: dict[str, float], names: tuple[str, ...]
+    tmp_path: Path, drive: str, truth: dict[str, float], names: tuple[str, ...], choices: list[slice]
 ) -> None:
     law = {"relay": relay(truth["fc_V"]), "chirp": chirp(1.4, 15.0), "square": square(1.2, 1.0)}[drive]
     columns = sampled(motor(**truth), law, ticks(ROWS), 0.004, seed=7)
-    seen = outcomes(plain_csv(tmp_path / "a.csv", columns, names), truth, contiguous())
+    seen = outcomes(plain_csv(tmp_path / "a.csv", columns, names), truth, choices)
     assert seen.get("wrong", []) == []
     assert slice(0, ROWS) in seen["ok"]  # refusing all would be easy
     assert slice(0, 60) not in seen["ok"]  # 0.6 s
 
 
-def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_all(tmp_path: Path) -> None:
+@pytest.mark.parametrize("numbers", [[1, 12], *evidence([1, 2, 3, 5, 8, 12])])
+def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_all(
+    tmp_path: Path, numbers: list[int]
+) -> None:
     """Cut where the drive steps up to its maximum, as one would by eye."""
     columns = sampled(motor(**PAPER), relay(0.5), ticks(ROWS), 0.004, seed=3)
     up = np.flatnonzero((columns["u_V"][1:] > 1.5) & (columns["u_V"][:-1] < 0.0)) + 1
     assert up.size > 12
-    cuts = [slice(int(up[a]), int(up[a + cycles])) for cycles in (1, 2, 3, 5, 8, 12) for a in (0, up.size - 1 - cycles)]
+    cuts = [slice(int(up[a]), int(up[a + cycles])) for cycles in numbers for a in (0, up.size - 1 - cycles)]
     seen = outcomes(plain_csv(tmp_path / "a.csv", columns), PAPER, cuts)
     assert seen.get("wrong", []) == []
     assert cuts[-1] in seen["ok"]
     assert cuts[0] not in seen.get("ok", [])
 
 
-@pytest.mark.parametrize(("drive", "names"), [("relay", PLAIN), ("relay", WITH_DRIVE_TIMES), ("square", PLAIN)])
+@pytest.mark.parametrize(
+    ("drive", "names"), [("relay", PLAIN), *evidence(("relay", WITH_DRIVE_TIMES), ("square", PLAIN))]
+)
 def test_every_few_rows_of_a_record_are_right_or_not_believed(
     tmp_path: Path, drive: str, names: tuple[str, ...]
 ) -> None:

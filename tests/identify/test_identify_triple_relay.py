@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, drawn, motor
@@ -126,7 +127,7 @@ def test_exact_data_give_the_motor_to_eight_digits_from_bad_guesses(guess: tuple
 factors = st.floats(0.3, 3.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     st.floats(0.08, 0.5),
     st.floats(1.0, 20.0),

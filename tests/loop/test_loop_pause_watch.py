@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
+from processes import PATIENCE_S
 from raised import fault_of
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
@@ -14,7 +15,6 @@ from rig.faults import Fault
 from rig.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
 from rig.signals import Sample
 
-PATIENCE_S = 60.0
 RAILS = (5, 1018)
 
 

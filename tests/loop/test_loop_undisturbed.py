@@ -144,10 +144,8 @@ def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_pa
         return list((tmp_path / "runs").glob("*/report.html"))
 
     hung = 0
-    deadline_s = time.monotonic() + 60
     while not results():
         assert run.poll() is None, "the run ended without a report"
-        assert time.monotonic() < deadline_s, "the run hangs"
         for child in children(run.pid):
             if not hung and "rig.recording.follow" in command_of(child):
                 os.kill(child, signal.SIGSTOP)
@@ -269,7 +267,7 @@ def late_shares(
     return [late / ticks for late, ticks in counts]
 
 
-@pytest.mark.realtime
+@pytest.mark.alone
 @pytest.mark.parametrize("disturbance", [stopped_writer, progress_into_a_full_pipe, reader_that_burns_a_core])
 def test_ticks_are_as_punctual_beside_a_disturbance(
     disturbance: Callable[[Recorder], contextlib.AbstractContextManager[None]], tmp_path: Path
@@ -278,13 +276,13 @@ def test_ticks_are_as_punctual_beside_a_disturbance(
     assert disturbed <= quiet + 0.3
 
 
-@pytest.mark.realtime
+@pytest.mark.alone
 def test_a_thread_in_the_same_process_would_be_seen(tmp_path: Path) -> None:
     quiet, disturbed = late_shares(busy_thread, tmp_path)
     assert disturbed > quiet + 0.3
 
 
-@pytest.mark.realtime
+@pytest.mark.alone
 def test_a_writer_that_stays_stopped_ends_the_run_at_zero_drive_with_every_row_kept(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, STAGES)
     recorder.stall_timeout_s = 0.3

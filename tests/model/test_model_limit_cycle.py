@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from crossing import Crossing
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -43,7 +44,7 @@ def test_the_table_of_check_values(
     assert cycle.stable
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(motors)
 def test_the_switching_conditions_hold_and_nothing_else_switches(parameters: tuple[float, ...]) -> None:
     tau, K, fc, beyond, share = parameters

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from crossing import Crossing
 from directional_friction import directional
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -97,7 +98,7 @@ def test_bias_and_direction_show_in_motion_only_as_asymmetry() -> None:
         assert one.advance(State(2.0), u_V, 0.5) == pytest.approx(other.advance(State(2.0), u_V, 0.5))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(taus, gains, levels, levels, st.floats(1.0, 1.5), st.floats(-0.2, 0.2), speeds, drives, spans)
 def test_advance_is_the_solution_of_the_differential_equation(
     tau: float, K: float, plus: float, minus: float, ratio: float, bias: float, v: float, u_V: float, dt_s: float
@@ -111,7 +112,7 @@ def test_advance_is_the_solution_of_the_differential_equation(
     assert np.array(motor.advance(state, u_V, dt_s)) == pytest.approx(expected, abs=1e-7 * scale)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(taus, gains, levels, speeds, drives, spans, st.integers(2, 7))
 def test_many_small_steps_are_one_large_step(
     tau: float, K: float, fc: float, v: float, u_V: float, dt_s: float, steps: int
@@ -125,7 +126,7 @@ def test_many_small_steps_are_one_large_step(
     assert np.array(state) == pytest.approx(np.array(whole), abs=1e-9 * (1.0 + abs(v) + K * 4.0))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     taus,
     gains,

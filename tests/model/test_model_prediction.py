@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -176,7 +177,7 @@ def test_a_solution_of_the_equations_with_additional_switching_is_no_cycle(cycle
         theorem._check_no_additional_switching(cycle)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.0, 1.0), st.floats(0.02, 2.0), st.floats(0.05, 3.0)
 )  # fmt: skip
@@ -196,7 +197,7 @@ def test_started_on_the_cycle_the_loop_switches_as_the_theorem_says_and_not_once
 # ------------------------------------------------------------------ Properties 3.1 and 3.2, of the exact cycle
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.floats(0.05, 2.0))
 def test_property_3_1_no_cycle_unless_h2_exceeds_the_friction(
     tau: float, K: float, fc: float, share: float, h1: float
@@ -211,7 +212,7 @@ def test_property_3_1_no_cycle_unless_h2_exceeds_the_friction(
     assert run.end != "time" or len(tops) < 3 or tops[-1] < tops[0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.0, 0.8), st.floats(0.1, 2.0), st.floats(0.1, 2.0),
     st.floats(1.05, 2.0),

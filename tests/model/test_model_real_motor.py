@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_motors import CASES, EACH, FRAME, PLAIN, relay, with_parts
@@ -266,7 +267,7 @@ def test_a_piece_is_the_record_from_its_start_on() -> None:
     assert whole[first : pieces.first_row[2]] == pytest.approx(alone[: pieces.first_row[2] - first], abs=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     st.floats(0.05, 0.6), st.floats(1.0, 10.0), st.floats(0.0, 0.7), st.floats(-0.1, 0.1), st.floats(0.0, 0.015),
     st.floats(0.2, 3.0), st.integers(0, 1000),
@@ -299,7 +300,7 @@ MIRRORED = (
 )  # fmt: skip
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.sets(st.sampled_from(sorted(EACH)), max_size=5), st.integers(0, 1000))
 def test_a_mirrored_motor_moves_as_the_mirror_image(names: set[str], seed: int) -> None:
     motor = with_parts(*names)
@@ -311,7 +312,7 @@ def test_a_mirrored_motor_moves_as_the_mirror_image(names: set[str], seed: int) 
     assert response(mirrored, frame, (edges, -levels), t_s, Pieces.one(-1.0, -0.2)) == pytest.approx(-y, abs=1e-7)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.sampled_from(("stribeck", "drag", "bristle", "friction_over_position", "drift", "cogging")), st.floats(1, 9))
 def test_an_undriven_motor_comes_to_rest(name: str, v0: float) -> None:
     motor = with_parts(name)._replace(bias_V=0.0)
@@ -321,7 +322,7 @@ def test_an_undriven_motor_comes_to_rest(name: str, v0: float) -> None:
     assert y[-1] == pytest.approx(y[-2], abs=1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.dictionaries(st.sampled_from(sorted(EACH)), st.floats(-3.0, 1.0), max_size=8), st.integers(0, 1000))
 def test_any_mixture_of_parts_of_any_size_gives_numbers(sizes: dict[str, float], seed: int) -> None:
     numbers = {key: value * 10.0**size for name, size in sizes.items() for key, value in EACH[name].items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import Bench, dcr, motor, simulate
@@ -23,7 +24,7 @@ def test_position_is_the_recorded_one() -> None:
     assert y == pytest.approx(samples.true[50:, 1], abs=1e-11)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     st.floats(0.05, 0.6), st.floats(1.0, 10.0), st.floats(0.0, 0.7), st.floats(-0.1, 0.1), st.floats(0.0, 0.015),
     st.floats(0.2, 3.0), st.integers(0, 1000),

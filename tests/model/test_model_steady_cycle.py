@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -95,7 +96,7 @@ def test_its_derivatives_are_those_of_central_differences(case: str) -> None:
         assert jacobian[:, k] == pytest.approx(numeric, abs=1e-7)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(st.floats(0.05, 0.5), st.floats(0.5, 20.0), st.floats(0.0, 0.6), st.floats(0.7, 1.4), st.floats(0.7, 1.4))
 def test_the_five_conditions_are_those_of_the_exact_stages_and_so_are_their_derivatives(
     tau: float, K: float, fc: float, early: float, late: float

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from crossing import Crossing
+from evidence import examples
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
@@ -83,7 +84,7 @@ def well_posed(motor: Motor, v: float, u_V: float) -> None:
         assume(abs(net) > 0.02 * motor.K_rad_s_V)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(motors(), speeds, drives, spans)
 def test_advance_is_the_solution_of_the_differential_equation(motor: Motor, v: float, u_V: float, dt_s: float) -> None:
     well_posed(motor, v, u_V)
@@ -122,7 +123,7 @@ def test_time_path_and_integral_between_two_speeds_are_those_of_quadrature(
     assert end.y == pytest.approx(y_rad, abs=2e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.floats(0.0, 30.0), st.floats(-60.0, 60.0), st.floats(1e-3, 1e3))
 @example(0.0, 1e-9, 50.0)
 @example(3.0, 0.0, 50.0)
@@ -160,7 +161,7 @@ def test_the_error_falls_with_the_order_as_the_bound_does(monkeypatch: pytest.Mo
     assert errors[-1] < 1e-6 * errors[0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(taus, gains, levels, widths, viscous, speeds, drives, spans)
 def test_without_a_drop_of_friction_it_is_the_closed_form(
     tau: float, K: float, fc: float, width: float, fv: float, v: float, u_V: float, dt_s: float
@@ -179,7 +180,7 @@ def test_without_a_drop_of_friction_it_is_the_closed_form(
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(taus, gains, levels, st.floats(0.01, 0.3), speeds, drives, spans)
 def test_with_a_vanishing_stribeck_velocity_it_is_static_friction_at_rest_only(
     tau: float, K: float, fc: float, drop: float, v: float, u_V: float, dt_s: float
@@ -193,7 +194,7 @@ def test_with_a_vanishing_stribeck_velocity_it_is_static_friction_at_rest_only(
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(motors(), speeds, drives, spans, st.integers(2, 5))
 def test_many_small_steps_are_one_large_step(motor: Motor, v: float, u_V: float, dt_s: float, steps: int) -> None:
     well_posed(motor, v, u_V)
@@ -204,7 +205,7 @@ def test_many_small_steps_are_one_large_step(motor: Motor, v: float, u_V: float,
     assert np.array(state) == pytest.approx(np.array(whole), abs=1e-10 * (1.0 + abs(v) + motor.K_rad_s_V * 4.0))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(motors(), speeds, drives)
 def test_the_mirrored_motor_moves_in_the_mirror(motor: Motor, v: float, u_V: float) -> None:
     f = motor.friction
@@ -272,7 +273,7 @@ def test_without_drive_it_comes_to_rest_and_stays() -> None:
     assert TWO.stopping_distance(-5.0) == -distance
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(motors(), speeds, drives)
 def test_terminal_velocity_is_where_long_motion_ends(motor: Motor, v: float, u_V: float) -> None:
     well_posed(motor, v, u_V)
@@ -281,7 +282,7 @@ def test_terminal_velocity_is_where_long_motion_ends(motor: Motor, v: float, u_V
     assert motor.advance(State(v), u_V, 300.0 * motor.tau_s).v == pytest.approx(end, abs=1e-3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(motors(), speeds, drives, spans)
 def test_pieces_meet_and_velocity_keeps_its_sign_within_each(motor: Motor, v: float, u_V: float, dt_s: float) -> None:
     state, total = State(v, 0.1, 0.0), 0.0
@@ -339,7 +340,7 @@ def test_the_law_is_that_of_the_theory() -> None:
 # ------------------------------------------------------------------ whole records
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(
     taus, gains, levels, st.sampled_from([0.0, 0.05, 0.3]), widths, st.floats(-0.1, 0.1), st.floats(0.0, 0.02), speeds,
     st.lists(st.tuples(drives, st.floats(0.0, 0.3)), min_size=1, max_size=8), st.integers(1, 40),

@@ -402,6 +402,28 @@ def test_a_page_says_within_a_second_that_it_is_not_connected_and_then_sends_not
     assert seen["connects_again"]
 
 
+def test_a_run_that_is_over_is_not_called_silent_while_its_report_is_drawn() -> None:
+    """The page's own code."""
+    lives = [
+        {"age_ms": 10, "is_over": False, "stage": "relay-1"},
+        {"age_ms": 3100, "is_over": False, "stage": "relay-1"},
+        {"age_ms": 3100, "is_over": False, "stage": "identify"},
+        {"age_ms": 3100, "is_over": True, "stage": "track"},
+    ]
+    words = SILENCE.parents[3] / "rig" / "panel" / "static" / "words.js"
+    says = f"console.log(JSON.stringify({json.dumps(lives)}.map(whyOld)))"
+    program = f'import {{ whyOld }} from "{words.as_uri()}"; {says}'
+    told = subprocess.run(
+        ["node", "--input-type=module", "-e", program], stdout=subprocess.PIPE, check=True, timeout=PATIENCE_S
+    )
+    assert json.loads(told.stdout) == [
+        "",
+        "The run is silent: no reading for 3 s.",
+        "The run computes: no reading for 3 s.",
+        "The run is over: rig draws the report.",
+    ]
+
+
 def test_a_page_hears_something_at_least_four_times_a_second(tmp_path: Path) -> None:
     """A page that hears nothing for 0.7 s says that it is not connected."""
     watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch

@@ -33,7 +33,6 @@ def commands(tmp_path: Path, platform: str, *lines: str) -> tuple[list[int], str
     return ended["statuses"], said, done.stderr
 
 
-@pytest.mark.timeout(600)
 def test_on_windows_all_but_the_devices_of_linux(tmp_path: Path) -> None:
     config = {name: shlex.quote(str(ROOT / f"config/{name}.yaml")) for name in ("simulated", "demo", "uno", "campaign")}
     statuses, said, errors = commands(
@@ -68,7 +67,6 @@ def test_on_windows_all_but_the_devices_of_linux(tmp_path: Path) -> None:
     assert "run it on Linux" in errors
 
 
-@pytest.mark.timeout(600)
 def test_on_macos_a_run_is_recorded(tmp_path: Path) -> None:
     simulated = shlex.quote(str(ROOT / "config/quick.yaml"))
     statuses, said, errors = commands(tmp_path, "darwin", f"jog {simulated} --u-V 1.0")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from evidence import examples
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -383,7 +384,7 @@ def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Pa
     speed=st.floats(0.5, 5.5),
     latency_s=st.floats(0.0, 0.03),
 )
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_the_stopping_sum_bounds_what_the_exact_motor_travels(
     tau_s: float, fc_V: float, speed: float, latency_s: float
 ) -> None:
@@ -551,7 +552,9 @@ KEYS = [
 ]
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+@settings(
+    max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+)
 @given(
     st.dictionaries(st.sampled_from(KEYS), NUMBERS, min_size=1, max_size=3), st.lists(NUMBERS, min_size=4, max_size=4)
 )

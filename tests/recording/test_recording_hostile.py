@@ -7,7 +7,6 @@ import json
 import os
 import re
 import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
@@ -30,8 +29,8 @@ from rig.strict_json import MOST_DIGITS, MOST_LEVELS, MOST_VALUES, JsonError
 
 GOOD = Path(__file__).parents[2] / "tools" / "fuzz" / "run"
 NAME = "20260101T000000Z-run"
-PATIENT_S = 60.0  # a merge bomb or a nesting of 100,000 took for ever, or all memory: this is no measure of speed
 
+# this one, and a nesting of 100,000, took for ever, or all memory
 BOMB = "m0: &m0 {k: 1}\n" + "".join(f"m{k}: &m{k} {{<<: [{', '.join([f'*m{k - 1}'] * 8)}]}}\n" for k in range(1, 11))
 VALUES = {  # of JSON; each with a word of what is said
     "infinite": ("1e400", "too large for a number"),
@@ -86,7 +85,6 @@ def put(path: Path, text: str) -> None:
 def test_a_hostile_value_in_a_small_file_is_named_by_each_reader(tmp_path: Path, file: str, value: str) -> None:
     folder, (text, said) = run_of(tmp_path), VALUES[value]
     put(folder / file, f'{{"name": "x",\n"a": {text}}}')
-    began_s = time.monotonic()
     with pytest.raises(RecordingError, match=said) as told:
         (read_meta if file == "meta.json" else read_result)(folder)
     assert told.value.path == folder / file and told.value.cure
@@ -95,7 +93,6 @@ def test_a_hostile_value_in_a_small_file_is_named_by_each_reader(tmp_path: Path,
     assert row.state == "damaged" and said in (row.problem or "")
     assert any(said in note for note in Runs(tmp_path).row(folder)["notes"])
     assert [message["type"] for message in shown(folder)] == ["operator", "live"]
-    assert time.monotonic() - began_s < PATIENT_S
 
 
 @pytest.mark.parametrize("value", VALUES)
@@ -181,14 +178,12 @@ def test_a_row_of_any_form_never_ends_the_live_view(tmp_path: Path, row: str) ->
 def test_a_hostile_config_is_named_by_check_and_by_report(tmp_path: Path, config: str) -> None:
     folder, (text, said) = run_of(tmp_path), CONFIGS[config]
     put(folder / "config.yaml", text)
-    began_s = time.monotonic()
     with pytest.raises(ConfigError, match=said):
         load(folder / "config.yaml")
     report = load_for_report(folder)
     is_yaml = config == "date"  # only not of an experiment
     assert is_yaml or any("config.yaml" in said_of and re.search(said, said_of) for said_of in report.missing)
     assert shown(folder)[-1]["limits"]["drive_V"] is None
-    assert time.monotonic() - began_s < PATIENT_S
 
 
 def a_link(path: Path) -> None:

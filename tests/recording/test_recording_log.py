@@ -36,6 +36,9 @@ def parse(folder: Path, text: str, log: LogFormat = COUNTED) -> Recording:
         ROWS.replace(",", " "),
         ROWS.replace(",", ";"),
         f"pm,255\n{ROWS}",  # a capture that began within a line
+        f"# made by hand\n{ROWS}",
+        f"# millis pwm counts\n{ROWS}",
+        f"time,duty,position\n[ms],[pwm],[counts]\n{ROWS}",  # the row of units is right
         f"# my bench\nTime (ms),Motor PWM,Encoder counts\n{ROWS}",
         "counts,other,pwm,t\n0,a,255,0\n360,b,-51,10\n720,,0,20\n",
         "current,speed,ms,pwm,counts\n9,9,0,255,0\n9,9,10,-51,360\n9,9,20,0,720\n",
@@ -178,6 +181,12 @@ def test_a_column_that_is_not_there_and_one_that_is_taken_twice(tmp_path: Path) 
             LogFormat(LogColumn("ms"), LogColumn("V"), LogColumn("rad")),
             "column 'pwm' sounds like pwm",
             "if it is in V: --drive pwm:V",
+        ),
+        (
+            NAMED.replace("\n", "\n(us),(pwm),(counts)\n", 1),
+            COUNTED,
+            "column 'millis' sounds like us, and --time says ms",
+            "type --time us",
         ),
         (
             NAMED,

@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from processes import wait_until
 
 from rig.faults import Fault
 from rig.recording import layout
@@ -59,13 +60,6 @@ def record(recorder: Recorder, ticks: range, stage: str = "relay-1") -> None:
         sample = Sample(t_s, math.sin(t_s), 512 + tick % 7, seq=tick & 0xFFFF)
         recorder.sample(tick, sample, stage, 0.1 * t_s, math.nan, 1.8, 12.5, 1500.25, 1)
         recorder.complete(t_s + 0.0034, 1.7 / 3, 8)
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 20
-    while not true():
-        assert time.monotonic() < deadline_s, "nothing happened"
-        time.sleep(0.002)
 
 
 def lines(path: Path) -> list[str]:

@@ -24,7 +24,7 @@ MOTOR = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.5, "supply_V": 12.0}
 
 
 def run(*words: str | Path) -> str:
-    return subprocess.run(words, check=True, capture_output=True, text=True, timeout=120).stdout
+    return subprocess.run(words, check=True, capture_output=True, text=True).stdout
 
 
 @pytest.fixture(scope="module")

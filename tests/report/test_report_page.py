@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from evidence import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
@@ -589,7 +590,7 @@ RESULT = st.fixed_dictionaries(
 
 @pytest.mark.usefixtures("undrawn")
 @given(result=RESULT, meta=st.dictionaries(st.sampled_from(["backend", "truth", "versions", "period_s"]), ANY_JSON))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_result_however_odd_keeps_the_page_from_being_made(
     tmp_path: Path, result: dict[str, Any], meta: dict[str, Any]
 ) -> None:

@@ -17,7 +17,6 @@ FILE = os.environ.get("RIG_EMPS", "")
 PUBLISHED = published.PUBLISHED
 
 
-@pytest.mark.timeout(900)  # two identifications of a long record
 @pytest.mark.skipif(not FILE, reason="RIG_EMPS names no file: the record is not part of the project")
 def test_a_real_drive_has_its_published_numbers_and_the_law_predicts_what_it_has_not_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -62,6 +62,7 @@ def test_a_data_file_is_refused_by_file_and_line_for_a_key_that_nobody_knows_and
             load(file, named.Room)
 
 
+@pytest.mark.evidence
 def test_each_mutant_of_the_firmware_compiles_without_a_warning(tmp_path: Path) -> None:
     workshop = Workshop(ROOT, tmp_path)
     workshop.prepare(only="firmware")
@@ -179,7 +180,7 @@ def workshop(tmp_path: Path) -> Workshop:
     (source / "tests").mkdir(parents=True)
     (source / "code_of_ours.py").write_text(CODE)
     (source / "tests" / "test_code.py").write_text(TESTS)
-    (source / "pytest.ini").write_text("[pytest]\nmarkers =\n    realtime\n    alone\n")
+    (source / "pytest.ini").write_text("[pytest]\nmarkers =\n    realtime\n    alone\n    evidence\n")
     workshop = Workshop(source, tmp_path / "work")
     workshop.prepare()
     return workshop

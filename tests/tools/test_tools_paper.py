@@ -292,7 +292,7 @@ class TestSection5:
         gains = experiment.relay.gains
         assert gains is not None
         assert tuple((g.h1_V, g.h2_V) for g in gains) == surviving.BENCH_GAINS
-        assert experiment.relay.cycles == surviving.BENCH_PERIODS
+        assert experiment.relay.cycles in surviving.BENCH_PERIODS_SHOWN
         assert experiment.period_s == surviving.BENCH_PERIOD_S
         assert experiment.tachometer is not None
         assert experiment.tachometer.gear_ratio == surviving.BENCH_GEAR_RATIO

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
 from campaign_real.departing_motor import Bench
@@ -54,7 +55,7 @@ def test_healthy_motors_that_are_hard_to_see_are_known_in_time(number: int, most
     assert one.beyond_rad == 0.0
 
 
-@pytest.mark.parametrize("number", [12, 37, 55])
+@pytest.mark.parametrize("number", [12, *evidence(37, 55)])
 @pytest.mark.parametrize("brakes", [True, False])
 def test_a_test_that_is_broken_off_leaves_the_shaft_within_the_soft_limits(
     monkeypatch: pytest.MonkeyPatch, number: int, *, brakes: bool

@@ -37,7 +37,7 @@ T0_NS = 500_000  # the loops' phase
 NO_STALLS = Stalls(*np.zeros((4, 0), dtype=np.int64))
 
 
-@pytest.mark.realtime
+@pytest.mark.alone
 @pytest.mark.parametrize("loop", available())
 def test_each_loop_runs_so_many_ticks_and_none_early(loop: str, tmp_path: Path) -> None:
     running = start(loop, "ordinary", build("wake_up_loop", tmp_path))
@@ -55,7 +55,7 @@ def test_each_loop_runs_so_many_ticks_and_none_early(loop: str, tmp_path: Path) 
         assert (block.ticks is not None) == loop.startswith(("ours", "C"))
 
 
-@pytest.mark.realtime
+@pytest.mark.alone
 @pytest.mark.parametrize("loop", ["ours, spin", "C, spin"])
 def test_the_evidence_of_both_loops_belongs_to_their_ticks(loop: str, tmp_path: Path) -> None:
     running = start(loop, "ordinary", build("wake_up_loop", tmp_path))
@@ -76,7 +76,7 @@ def test_the_evidence_of_both_loops_belongs_to_their_ticks(loop: str, tmp_path: 
     assert np.all(ticks.queued_ns >= 0) and np.all(ticks.faults >= 0)
 
 
-@pytest.mark.realtime
+@pytest.mark.alone
 def test_the_witness_notes_that_it_stood_still(tmp_path: Path) -> None:
     witness = Witness(build("witness", tmp_path))
     if not fifo_is_allowed(WITNESS_PRIORITY):

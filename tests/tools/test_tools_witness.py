@@ -22,7 +22,7 @@ while time.monotonic() < until_s: pass
 """
 TRIES = 5
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.alone
 
 
 def spun(cores: int) -> float:

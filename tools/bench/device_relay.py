@@ -121,7 +121,7 @@ def main() -> int:
     ):
         a, b = getattr(host, name), getattr(device, name)
         rows.append((words, f"{a:.3%}", f"{b:.3%}", f"{b / a:.2f}"))
-    table = markdown(("median over the motors, worst of tau, K, fc", "host, 10 ms", "device, 1 ms", "ratio"), rows)
+    table = markdown(("median over the motors, worst of tau, K, f_c", "host, 10 ms", "device, 1 ms", "ratio"), rows)
     took_s = time.perf_counter() - began
     tell(
         {"motors": arguments.motors, "host": host._asdict(), "device": device._asdict(), "narrower": narrower},

@@ -24,7 +24,7 @@ _LEFT_OUT = (
     ".ruff_cache", ".hypothesis", ".import_linter_cache",
 )  # fmt: skip
 _NODE_MODULES = (Path("tests/hil/avr8js/node_modules"), Path("firmware/emulator/pico/node_modules"))
-_NO_CLOCK = ("-m", "not (realtime or alone)")
+_NO_CLOCK = ("-m", "not (realtime or alone or evidence)")
 _FILE_BYTES = 2 << 30
 _NICE = 10
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+\.py(?:::[^\[\s]+(?:\[.*?\])?)?)(?: - (.*))?$", re.MULTILINE)

@@ -199,7 +199,11 @@ def section(result: Result) -> Section:
             f"half period is {significant(largest, 6)} in magnitude: the cycle is "
             f"{Claim(first.cycle.stable).says('stable', 'unstable')}.",
         ),
-        Remark("ours", _segments_words(result)),
+        Remark(
+            more_expand(result).agreement,
+            "Of the other segments the paper says “so do …”; the rest of that sentence did not survive. "
+            f"{_segments_words(result)}",
+        ),
         _courses(result),
         _portraits(result),
         Heading("Convergence to the cycle"),
@@ -270,6 +274,12 @@ def expands_and_is_stable(result: Result) -> Claim:
     first = result.found[0]
     third = first.segment_eigenvalues[2]
     return Claim(near(third).holds and third > 1.0 and first.cycle.stable)
+
+
+def more_expand(result: Result) -> Claim:
+    """Segments other than the third expand by themselves, too, as a sentence of the paper seems to say."""
+    alone = [value for found in result.found for value in found.segment_eigenvalues[:2]]
+    return Claim(any(value > EXPANDS for value in alone))
 
 
 def properties_hold(result: Result) -> Claim:

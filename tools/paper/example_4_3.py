@@ -76,14 +76,14 @@ class Result:
     """Numbers of Example 4.3.
 
     viscous, tustin   viscous friction alone, and Tustin's law as chosen
-    reproducing   the cycle under a law that gives the paper's digits
+    reproducing   a law whose cycle has the paper's digits
     without_stribeck   the cycle under Coulomb and viscous friction alone that has the paper's t2 and t3
     step_V    Stribeck steps fs - fc of the sweep; errors (n, 3): of tau_eff, K_eff, fc; ratio_errors (n,): of tau/K
     """
 
     viscous: Case
     tustin: Case
-    reproducing: HalfPeriod
+    reproducing: Case
     without_stribeck: HalfPeriod
     step_V: Array
     errors: Array
@@ -97,7 +97,7 @@ def compute(points: int = 7) -> Result:
     return Result(
         _case("viscous alone", FC_V),
         _case("Tustin", FS_V),
-        _cycle(REPRODUCING),
+        _case_of("Tustin, with the paper's digits", REPRODUCING),
         _cycle(WITHOUT_STRIBECK),
         steps,
         np.array([_errors(case) for case in sweep]),
@@ -107,11 +107,15 @@ def compute(points: int = 7) -> Result:
 
 def _case(name: str, fs_V: float) -> Case:
     tau, K, _ = surviving.MOTOR
-    motor = Motor(tau, K, tustin(FC_V, fs_V, STRIBECK_RAD_S, VISCOUS_V_S_RAD))
+    return _case_of(name, Motor(tau, K, tustin(FC_V, fs_V, STRIBECK_RAD_S, VISCOUS_V_S_RAD)))
+
+
+def _case_of(name: str, motor: Motor) -> Case:
+    tau, K, fc = motor.tau_s, motor.K_rad_s_V, motor.friction.plus_V
     cycle = _cycle(motor)
     t1, t2, t3 = cycle.durations_s
     seen = Features(t1, t2, t3, cycle.y_events_rad[1], cycle.y_events_rad[0])
-    starts = {"the motor's own values": (tau, K, FC_V), "describing function (two-stage)": _two_stage(motor, cycle)}
+    starts = {"the motor's own values": (tau, K, fc), "describing function (two-stage)": _two_stage(motor, cycle)}
     starts |= {f"({', '.join(f'{v:g}' for v in guess)})": guess for guess in example_4_2c.STARTS}
     return Case(name, motor, cycle, {key: iterate(seen, surviving.GAINS[0], at) for key, at in starts.items()})
 
@@ -157,7 +161,7 @@ def _digits(cycle: HalfPeriod) -> list[bool]:
 
 def reproduced(result: Result) -> Claim:
     """The reproducing law's cycle has all the paper's digits."""
-    return Claim(all(_digits(result.reproducing)))
+    return Claim(all(_digits(result.reproducing.cycle)))
 
 
 def ratio_without_stribeck(result: Result) -> Claim:
@@ -178,7 +182,7 @@ def four_iterations(result: Result) -> Claim:
 
 def _errors(case: Case) -> Array:
     tau, K = case.effective
-    return np.asarray(case.theta / np.array([tau, K, FC_V]) - 1.0)
+    return np.asarray(case.theta / np.array([tau, K, case.motor.friction.plus_V]) - 1.0)
 
 
 def section(result: Result) -> Section:
@@ -218,7 +222,8 @@ def section(result: Result) -> Section:
             f"With K = {REPRODUCING.K_rad_s_V:g} (rad/s)/V and {_law_words(REPRODUCING)} the cycle "
             f"{reproduced(result).says('has all the surviving digits', 'does not have all the surviving digits')} "
             "(last "
-            "line of the table). Four numbers do not fix the six of motor and law, so this need not be the paper's.",
+            "line of the table). Four numbers do not fix the six of motor and law, so this need not be the paper's. "
+            f"Identified as Coulomb's, its τ/K is {_percent(result.reproducing.ratio_error)} off.",
         ),
         Heading("Identified as Coulomb friction"),
         Paragraph(
@@ -365,7 +370,7 @@ def _duration_table(result: Result) -> Table:
             (Cell("ours, continuous time"), *ours),
             (Cell("difference"), *(share(float(e)) for e in off)),
             (Cell("same τ and K, no Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.without_stribeck))),
-            (Cell("another K, with a Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.reproducing))),
+            (Cell("another K, with a Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.reproducing.cycle))),
         ),
         f"The cycle under Tustin's friction at (h<sub>1</sub>, h<sub>2</sub>) = {_gains_words()}.",
     )
@@ -373,15 +378,15 @@ def _duration_table(result: Result) -> Table:
 
 def _identified_table(result: Result) -> Table:
     rows = []
-    for case in (result.viscous, result.tustin):
+    for case in (result.viscous, result.tustin, result.reproducing):
         tau, K = case.effective
-        errors = _errors(case)
+        fc, errors = case.motor.friction.plus_V, _errors(case)
         own = case.motor.tau_s / case.motor.K_rad_s_V
         ratio = float(case.theta[0] / case.theta[1])
         rows += [
             (Cell(f"{case.name}: the motor"), number(case.motor.tau_s, 5), number(case.motor.K_rad_s_V, 5),
-             number(FC_V, 4), number(own, 5)),
-            (Cell("with viscous friction absorbed"), number(tau, 5), number(K, 5), number(FC_V, 4), number(tau / K, 5)),
+             number(fc, 4), number(own, 5)),
+            (Cell("with viscous friction absorbed"), number(tau, 5), number(K, 5), number(fc, 4), number(tau / K, 5)),
             (Cell("identified"), *(number(float(v), 5) for v in case.theta), number(ratio, 5)),
             (Cell("error against the absorbed"), *(share(float(e)) for e in errors), share(case.ratio_error)),
         ]  # fmt: skip
@@ -389,7 +394,7 @@ def _identified_table(result: Result) -> Table:
         ("", "τ, s", "K, (rad/s)/V", "f<sub>c</sub>, V", "τ/K, V s²/rad"),
         tuple(rows),
         "Triple-relay identification (24)–(29) of the exact cycle, with viscous friction alone (f<sub>s</sub> = "
-        "f<sub>c</sub>) and with Tustin's law.",
+        "f<sub>c</sub>), with Tustin's law as chosen, and with the law whose cycle has the paper's digits.",
     )
 
 

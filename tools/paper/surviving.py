@@ -31,7 +31,7 @@ TUSTIN_POSITION_RAD = 0.3871
 
 # Section V
 BENCH_GAINS = (RelayGains(1.0, 1.25), RelayGains(1.2, 1.35))
-BENCH_PERIODS = 10
+BENCH_PERIODS_SHOWN = (8, 10)  # of both cycles, in Fig. 20; how many were averaged did not survive
 BENCH_PERIOD_S = 0.010
 BENCH_GEAR_RATIO = 9.0
 BENCH_ITERATIONS = 4

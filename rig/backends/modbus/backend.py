@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
@@ -147,6 +147,12 @@ class ModbusBackend(LineBackend):
         from rig.backends.modbus.opening import emulated_board
 
         return emulated_board(e, link, trace)
+
+    @override
+    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
+        """An I/O block with the config's register map, on the same kind of line."""
+        port = "emulated-tcp" if is_tcp(e.daq.port) else "emulated"
+        return {"daq": {"port": port, "usb_serial": None}, "emulated": {}}
 
     @override
     def emulated_hint(self, e: Experiment, port: str) -> str:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
 
 from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
 from rig.backends.driver import Driver, RelayRules
+from rig.backends.emulated.words import without_real_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
+from rig.backends.serial.flashing import FULL_DUTY, board_of
 from rig.backends.serial.ports import adapter_of, is_emulated, is_virtual
 from rig.backends.serial.rules import serial_rules
 from rig.backends.serial.section import SerialKeys
@@ -25,6 +27,7 @@ if TYPE_CHECKING:  # it loads slowly
     from rig.calibration import DriveMap
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
+_RESONATOR_PPM = 4000.0  # an Uno's ceramic resonator is good to half a percent
 
 
 class SerialBackend(LineBackend):
@@ -147,6 +150,16 @@ class SerialBackend(LineBackend):
         from rig.backends.serial.opening import emulated_board
 
         return emulated_board(e, link, trace, chip=chip)
+
+    @override
+    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
+        """The firmware's core on this machine, with the board's steps of the drive, behind the same USB adapter."""
+        if is_emulated(e):
+            return {"daq": {"port": without_real_time(e.daq.port or "")}, "emulated": {}}
+        return {
+            "daq": {"port": "emulated", "usb_serial": None, "adapter": adapter_of(e)},
+            "emulated": {"drive_counts": FULL_DUTY[board_of(e)], "clock_error_ppm": _RESONATOR_PPM},
+        }
 
     @override
     def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:

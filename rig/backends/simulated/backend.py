@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 from typing_extensions import override
 
@@ -60,6 +61,11 @@ class SimulatedBackend(Backend):
     @override
     def in_virtual_time(self, e: Experiment) -> bool:
         return True
+
+    @override
+    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
+        """As it is."""
+        return {"daq": {}, "emulated": {}}
 
     @override
     @contextmanager

@@ -5,10 +5,8 @@ import { Narrowing } from "./narrowing.js";
 import { Phase } from "./phase.js";
 import { Rows } from "./rows.js";
 import { Scope } from "./scope.js";
-import { fixed, whole } from "./words.js";
+import { DRAWS, fixed, whole, whyOld } from "./words.js";
 
-const OLD_MS = 1000; // rows older than this are not live: the run computes, or it hangs
-const COMPUTES = "identify"; // the stage in which nothing drives
 const FAULTS_KEPT = 20;
 
 export class Bench {
@@ -108,8 +106,8 @@ export class Bench {
     if (live === null) return;
     const { y_rad, u_V } = this.#rows;
     const number = (id, text) => setText(byId(id), text);
-    setText(byId("stage"), live.stage ?? "starting");
-    setText(byId("words"), live.words ?? "");
+    setText(byId("stage"), live.is_over ? "report" : (live.stage ?? "starting"));
+    setText(byId("words"), live.is_over ? DRAWS : (live.words ?? ""));
     number("stage-left", fixed(live.stage_left_s, 1));
     number("run-left", fixed(live.run_left_s, 1));
     number("y", fixed(y_rad.at(-1), 3, { signed: true }));
@@ -122,11 +120,10 @@ export class Bench {
     number("skipped", whole(live.loop?.skipped));
     number("link-errors", whole(live.loop?.link_errors));
     number("age", whole(live.age_ms));
-    const old = live.age_ms > OLD_MS;
-    document.body.classList.toggle("old", old);
-    show(byId("computing"), old);
-    const silent = `no reading for ${fixed(live.age_ms / 1000, 0)} s`;
-    if (old) setText(byId("computing"), live.stage === COMPUTES ? `The run computes: ${silent}.` : `The run is silent: ${silent}.`);
+    const old = whyOld(live);
+    document.body.classList.toggle("old", old !== "");
+    show(byId("computing"), old !== "");
+    if (old) setText(byId("computing"), old);
     this.#scope.draw();
     this.#phase.draw();
     this.#onDrawn(live.n);

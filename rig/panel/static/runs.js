@@ -58,8 +58,8 @@ export class Runs {
   #row(run) {
     const tick = element("input", { type: "checkbox", title: ENTER_TICKS, checked: this.#ticked.includes(run.name), ariaLabel: `Lay ${run.name} over others` });
     tick.addEventListener("change", () => this.#tick(run.name, tick));
-    const verdict = run.fault ?? VERDICTS[run.verdict] ?? "–";
-    const kind = run.fault || run.verdict === "failed" ? "bad" : run.verdict === "ok" ? "good" : "plain";
+    const verdict = (run.rehearsal ? "rehearsal: " : "") + (run.fault ?? VERDICTS[run.verdict] ?? "–");
+    const kind = run.rehearsal ? "plain" : run.fault || run.verdict === "failed" ? "bad" : run.verdict === "ok" ? "good" : "plain";
     const open = run.report ? element("a", { href: `#report/${encodeURIComponent(run.name)}`, textContent: "Report", ariaLabel: `Report of ${run.name}` }) : "";
     const cell = (label, ...children) => {
       const td = element("td", {}, ...children);

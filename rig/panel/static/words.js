@@ -35,6 +35,20 @@ export function percent([value, half]) {
   return Number.isFinite(share) ? `±${share < 10 ? share.toFixed(2) : share.toFixed(0)} %` : NONE;
 }
 
+const OLD_MS = 1000; // rows older than this are not live: the run computes, or it hangs
+const COMPUTES = "identify"; // the stage in which nothing drives
+
+/** The run is over, and its process is not: it writes the result and draws the report. */
+export const DRAWS = "The run is over: rig draws the report.";
+
+/** Why the newest reading of a live message is old; empty while it is not. */
+export function whyOld({ age_ms, is_over, stage }) {
+  if (!(age_ms > OLD_MS)) return "";
+  if (is_over) return DRAWS;
+  const silent = `no reading for ${fixed(age_ms / 1000, 0)} s`;
+  return stage === COMPUTES ? `The run computes: ${silent}.` : `The run is silent: ${silent}.`;
+}
+
 /** When a run began, in the reader's own time. */
 export function moment(iso) {
   const when = new Date(iso);

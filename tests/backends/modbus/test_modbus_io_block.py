@@ -7,6 +7,7 @@ import struct
 from typing import Any
 
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from modbus_device import (
@@ -253,7 +254,7 @@ def test_it_says_who_it_is() -> None:
     assert block.request(b"\x2b\x0e\x04\x01", 0.0) == b"\x2b\x0e\x04\x81\x00\x00\x01\x01\x12emulated I/O block"
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(pdus=st.lists(st.binary(min_size=1, max_size=253), min_size=1, max_size=8))
 def test_any_bytes_at_all_are_answered_and_move_nothing(pdus: list[bytes]) -> None:
     block = IoBlock.of(modbus(), emulated(), 1)
@@ -281,7 +282,7 @@ WELL_FORMED = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(pdus=st.lists(st.tuples(WELL_FORMED, st.floats(0.0, 0.05)), min_size=1, max_size=20))
 def test_whatever_is_asked_of_an_armed_block_its_output_stays_within_the_largest_drive(
     pdus: list[tuple[bytes, float]],

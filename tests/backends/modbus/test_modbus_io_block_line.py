@@ -7,6 +7,7 @@ import struct
 from typing import Any
 
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from modbus_device import (
@@ -115,7 +116,7 @@ def test_its_unit_id_is_the_config_s() -> None:
     assert words(Master(it, 247).ask(read(POSITION, 1))) == [512]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(sent=st.lists(st.tuples(st.binary(max_size=300), st.floats(0.0, 0.01)), max_size=8))
 def test_noise_on_the_line_moves_nothing_and_the_next_request_is_answered(sent: list[tuple[bytes, float]]) -> None:
     it = device()

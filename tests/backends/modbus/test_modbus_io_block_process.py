@@ -154,7 +154,7 @@ def test_the_stock_client_hears_nothing_of_another_unit() -> None:
 def test_the_line_that_is_printed_to_try_it_works(tcp: bool) -> None:
     with ModbusBoard() as board:
         command = mbpoll_line(modbus(), start(board, tcp), 115200).split()
-        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert [line.split() for line in done.stdout.splitlines() if line.startswith("[")] == [
         ["[16]:", "512"], ["[17]:", "0"], ["[18]:", "0"], ["[19]:", "0"]
     ]  # fmt: skip

@@ -24,7 +24,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial import flash
-from rig.backends.serial.emulated.firmware_build import source_folder
+from rig.backends.serial.emulated.firmware_build import Variant, source_folder
 from rig.backends.serial.flash import FlashError, Port
 from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
 from rig.cli import main
@@ -391,3 +391,49 @@ def test_ports_are_listed_with_their_usb_chips(monkeypatch: pytest.MonkeyPatch) 
     on_usb.vid, on_usb.pid = 0x2341, 0x0043
     monkeypatch.setattr(list_ports, "comports", lambda: [on_board, on_usb])
     assert flash.serial_ports() == [Port("/dev/ttyS0"), Port("/dev/ttyACM0", 0x2341, 0x0043)]
+
+
+# ---------------------------------------------------------------------- as a config says
+
+
+def test_a_config_says_what_the_firmware_is_for_and_no_option_contradicts_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built: list[Variant] = []
+
+    def build(options: Variant) -> Path:
+        built.append(options)
+        return tmp_path / "firmware.hex"
+
+    monkeypatch.setattr("rig.backends.serial.emulated.firmware_build.build_uno", build)
+    path = tmp_path / "bench.yaml"
+    text = (Path(__file__).resolve().parents[3] / "config/uno.yaml").read_text(encoding="utf-8")
+    path.write_text(text.replace("port: /dev/ttyACM0", "port: /dev/ttyACM7"), encoding="utf-8")
+    result = rig_flash(path, "--supply", "--end-switches", "--dry-run")
+    assert result.exit_code == 0, result.output
+    assert "-P /dev/ttyACM7 " in result.output
+    assert built == [Variant("IN1_IN2", 1_000_000, supply=True, end_switches=True)]
+    for wrong, says in (
+        (("--bridge", "pwm-dir"), f"--bridge pwm-dir, but drive.bridge of {path} is in1-in2"),
+        (("--baud", "115200"), f"--baud 115200, but daq.baud of {path} is 1000000"),
+        (("--board", "pico"), f"--board pico, but sensor.counts_max of {path} is that of the uno"),
+        (("--port", "/dev/ttyACM0"), f"--port /dev/ttyACM0, but daq.port of {path} is /dev/ttyACM7"),
+        (("--encoder",), f"--encoder, but {path} has no section sensor.encoder"),
+        (("--tachometer",), f"--tachometer, but {path} has no section tachometer"),
+    ):
+        refused = rig_flash(path, *wrong, "--dry-run")
+        assert (refused.exit_code, says in refused.output) == (2, True), refused.output
+    assert len(built) == 1
+
+
+@pytest.mark.parametrize(
+    ("config", "says"),
+    [
+        ("modbus-rtu", "its device, `driver: modbus`, runs no firmware of rig"),
+        ("demo", "does not name the bridge, and with the wrong one 0 V can be full drive"),
+        ("none", "no such file"),
+    ],
+)
+def test_a_config_that_does_not_tell_the_firmware_is_refused(config: str, says: str) -> None:
+    refused = rig_flash(Path(__file__).resolve().parents[3] / "config" / f"{config}.yaml", "--dry-run")
+    assert refused.exit_code == 2 and says in refused.output

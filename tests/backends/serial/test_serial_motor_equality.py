@@ -11,6 +11,7 @@ from statistics import fmean, pstdev
 from typing import Any
 
 import pytest
+from evidence import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from real_motors import CASES, FRAME, relay, with_parts
@@ -42,7 +43,7 @@ def motors(draw: st.DrawFn) -> Motor:
 steps = st.lists(st.tuples(st.floats(-12.0, 12.0), st.floats(0.0, 3.0)), min_size=1, max_size=8)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @example(Motor(1.0, 1.0, Friction(1.0, 0.0, 1.0, 0.0), 0.5), 5e-324, 0.0, [(0.0, 1.0)])
 @given(motors(), st.floats(-20.0, 20.0), st.floats(-2.0, 2.0), steps)
 def test_motor_in_c_is_the_motor_of_the_model(
@@ -57,7 +58,7 @@ def test_motor_in_c_is_the_motor_of_the_model(
         assert y == pytest.approx(state.y, rel=1e-9, abs=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(motors(), st.floats(-20.0, 20.0), st.floats(-2.0, 2.0), steps)
 def test_motion_with_stops_equals_small_steps_of_the_python_bench(
     motor: Motor, v0: float, y0: float, sequence: list[tuple[float, float]]
@@ -176,7 +177,7 @@ def _board_at(y_rad: float, **parameters: Any) -> VirtualBoard:
     return VirtualBoard(replace(BenchParameters(motor, start_rad=y_rad), **parameters), 3)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     st.floats(-2.6, 2.6),
     st.floats(-0.3, 0.3),

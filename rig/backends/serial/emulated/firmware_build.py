@@ -33,6 +33,10 @@ _BUILT: Final = {
 }
 _PACKAGE = FOLDER
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
+_NO_HEADER: Final = {  # what the compiler says: a library that Debian packs apart from what needs it
+    "avr/io.h: No such file": f"avr-gcc has no C library: install it (Debian: apt-get install {_AVR_PACKAGES})",
+    "error: simavr/": "the emulated chip lacks simavr: install it (Debian: apt-get install libsimavr-dev)",
+}
 _EMULATORS: Final = (  # ports that begin with, what is emulated there, a source of it
     ("emulated-chip", "chip", "emulator/chip.c"),
     ("emulated-pico", "Pico", "emulator/pico/chip.js"),
@@ -186,7 +190,7 @@ def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None 
     node = shutil.which("node")
     if node is None or not (emulator / "node_modules" / "rp2040js").is_dir():
         missing = "node" if node is None else "rp2040js"
-        raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run tools/setup.sh")
+        raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run `make setup`")
     folder = _make(build_folder, ["pico-chip", *options.variables()], _PICO_TOOLS) / "pico"
     return PicoFirmware(folder / f"{options.name_for('pico')}.uf2", node, emulator / "main.js", folder / "bench.node")
 
@@ -219,8 +223,9 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
             made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     except OSError as error:
         raise EmulationError(f"the firmware cannot be built in {folder}: {error}") from error
-    if "avr/io.h: No such file" in made.stderr:  # Debian's avr-gcc comes without its library
-        raise EmulationError(f"avr-gcc has no C library: install it (Debian: apt-get install {_AVR_PACKAGES})")
+    for said, words in _NO_HEADER.items():
+        if said in made.stderr:
+            raise EmulationError(words)
     if made.returncode != 0:
         raise EmulationError(f"building the firmware failed: `{' '.join(command)}`\n{made.stderr.strip()}")
     return folder

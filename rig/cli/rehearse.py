@@ -1,0 +1,80 @@
+"""`rig rehearse`: the whole experiment of a config on an emulated device, with a motor made from its data sheet."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+from rig import config, preflight
+from rig.cli.driving import compiled, finish, perform
+from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
+from rig.cli.options import CONFIG, JSON, OUT, PACE
+
+
+@click.command()
+@CONFIG
+@click.option("--no-load-rpm", type=float, help="Speed of the motor's own shaft without load; needs --gear.")
+@click.option(
+    "--rated-V", "rated_V", type=float, help="Supply that this speed is given for, V. Default: drive.supply_V."
+)
+@click.option("--gear", type=float, help="Turns of the motor for one of the measured shaft; 1: there is no gear.")
+@click.option(
+    "--friction-V", "friction_V", type=float,
+    help="Coulomb friction, V: supply times no-load current over stall current. Default: 5 % of the supply.",
+)  # fmt: skip
+@click.option(
+    "--tau-s", type=float, help="Time constant with the load, s. Default: half of limits.coast_tau_s.",
+)  # fmt: skip
+@click.option(
+    "--coasting", is_flag=True,
+    help="The bridge lets the motor run free while PWM is low, as an L298 with PWM at its enable (docs/real-bench.md).",
+)  # fmt: skip
+@OUT
+@PACE
+@JSON
+def rehearse(
+    config_path: Path,
+    no_load_rpm: float | None,
+    rated_V: float | None,
+    gear: float | None,
+    friction_V: float | None,
+    tau_s: float | None,
+    coasting: bool,
+    out: Path,
+    pace: float | None,
+    as_json: bool,
+) -> None:
+    """Rehearse a bench that is not there yet: the whole experiment, on an emulated motor.
+
+    The checks, the experiment and the report are those of `rig run`; the device is emulated, in virtual time. The
+    motor is made from the data sheet: from these options, else from motor.no_load_speed_rad_s and drive.supply_V. A
+    config with a section `emulated` has a motor already; options change it. Every result says that it is a rehearsal.
+    """
+    try:
+        sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
+        document = config.read(config_path, takes_pipe=True)
+        experiment, _ = preflight.check(document, ("emulated",))
+        experiment = preflight.rehearsed(document, experiment, sheet, pace)
+    except config.ConfigError as error:
+        fail_config(error)
+    except preflight.SheetError as error:
+        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    if not as_json:
+        _show_motor(experiment)
+    compiled(designs=experiment.relay.until is not None)
+    from rig import experiment as script
+
+    with faults():
+        finish(perform(partial(script.run, experiment, out), as_json), as_json)
+
+
+def _show_motor(e: config.Experiment) -> None:
+    """The motor that is behind the emulated device."""
+    assert e.emulated is not None
+    motor = e.emulated.motor
+    click.echo(
+        f"rehearsal with a motor of tau {motor.tau_s:g} s, K {motor.K_rad_s_V:g} (rad/s)/V, f_c "
+        f"{0.5 * (motor.fc_plus_V + motor.fc_minus_V):.3g} V"
+    )
