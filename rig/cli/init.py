@@ -64,10 +64,10 @@ def init(
     tests: str | None,
     yes: bool,
 ) -> None:
-    """Write a commented config for your bench to FILE, bench.yaml by default.
+    """Write a config with comments for your bench.
 
-    Asks for what is not given as an option. The config passes `rig check`; its other numbers are examples, and its
-    comments say how to measure each. It never replaces a file.
+    To FILE, bench.yaml by default. Asks for what is not given as an option. The config passes `rig check`; its other
+    numbers are examples, and its comments say how to measure each. It never replaces a file.
     """
     from rig import preflight
     from rig.backends.links.usb_port import usb_port

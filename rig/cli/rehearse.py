@@ -46,7 +46,7 @@ def rehearse(
     pace: float | None,
     as_json: bool,
 ) -> None:
-    """Rehearse a bench that is not there yet: the whole experiment, on an emulated motor.
+    """Run the whole experiment of a bench on an emulated motor.
 
     The checks, the experiment and the report are those of `rig run`; the device is emulated, in virtual time. The
     motor is made from the data sheet: from these options, else from motor.no_load_speed_rad_s and drive.supply_V. A
