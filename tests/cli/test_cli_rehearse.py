@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import yaml
 from command_line import rig
 
 from rig.panel.runs import Runs
+from rig.report.source import load
+from rig.report.words import headline
 from rig.results.meta import REHEARSAL
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,8 +50,17 @@ def test_its_files_its_report_and_its_last_words_say_so_and_it_finds_the_motor(r
     told = (rehearsal.parents[1] / "told.txt").read_text()
     assert REHEARSAL in told and "off the emulated motor" in told
     page = (rehearsal / "report.html").read_text(encoding="utf-8")
-    assert "<title>Rehearsal: " in page and "The made-up motor is identified" in page
+    assert "<title>Rehearsal: " in page
     assert f'<p class="rehearsal">R{REHEARSAL[1:]}.</p>' in page
+
+
+def test_a_rehearsal_that_went_well_leads_to_the_bench_and_to_no_controller(rehearsal: Path) -> None:
+    run = load(rehearsal)
+    assert run.result.answer is not None
+    well = run.result.model_copy(update={"answer": run.result.answer.model_copy(update={"verdict": "ok"})})
+    found = headline(replace(run, result=well))
+    assert found.title == "The made-up motor is identified"
+    assert [step.command for step in found.next_steps] == [""] and "Wire the bench" in found.next_steps[0].text
 
 
 def test_each_command_that_reads_it_says_so(rehearsal: Path, tmp_path: Path) -> None:

@@ -12,16 +12,15 @@ import pytest
 
 from rig import config
 from rig.config import ConfigError, Experiment
-from rig.config.edit import changed
+from rig.config.edit import Value, changed
+from rig.config.problems import Path as Key
 from rig.preflight import DataSheet, SheetError, check, rehearsed
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTHING = DataSheet()
 
 
-def rehearsal(
-    name: str, sheet: DataSheet = NOTHING, values: Mapping[tuple[str | int, ...], Any] | None = None
-) -> Experiment:
+def rehearsal(name: str, sheet: DataSheet = NOTHING, values: Mapping[Key, Value] | None = None) -> Experiment:
     """A ready config, with these values, rehearsed."""
     document = config.read(ROOT / "config" / f"{name}.yaml")
     document = replace(document, data=changed(document.data, values or {}))
@@ -62,7 +61,7 @@ def test_a_data_sheet_gives_the_speed_behind_the_gear_at_its_own_supply() -> Non
     motor = found.emulated.motor
     assert motor.K_rad_s_V * (24.0 - 0.4) == pytest.approx(10_000.0 * math.tau / 60.0 / 20.0, rel=1e-3)
     assert motor.tau_s == 0.05
-    assert 0.5 * (motor.fc_plus_V + motor.fc_minus_V) == pytest.approx(0.4)
+    assert motor.fc_plus_V + motor.fc_minus_V == pytest.approx(2.0 * 0.4)
 
 
 def test_a_motor_that_is_there_already_is_taken_and_options_change_what_they_say() -> None:
@@ -86,7 +85,7 @@ def test_a_motor_that_is_there_already_is_taken_and_options_change_what_they_say
     ],
 )
 def test_each_device_has_its_emulated_one_in_virtual_time(name: str, port: str, becomes: str) -> None:
-    values: dict[tuple[str | int, ...], Any] = {("daq", "port"): port}
+    values: dict[Key, Value] = {("daq", "port"): port}
     if name == "pico":
         values[("daq", "usb_serial")] = "E660"
     found = rehearsal(name, values=values)
