@@ -28,6 +28,7 @@ ALLOWED: dict[str, set[str]] = {
     "rig/cli/flash.py": {"flash"},
     "rig/cli/init.py": {"init"},
     "rig/cli/jog.py": {"jog"},
+    "rig/cli/run.py": {"run"},
     "rig/cli/tune.py": {"tune"},
     "rig/cli/panel.py": {"panel"},
 }
