@@ -279,7 +279,6 @@ def main(arguments: list[str]) -> int:
         seen_s = time.monotonic()
         while not over:
             over = waiting.wait(REFRESH_S)
-            live.vertical_overflow = "visible" if over else "ellipsis"
             happened, rows = events.lines(), samples.lines()
             for line in happened:
                 with suppress(ValueError, KeyError, TypeError):

@@ -33,7 +33,7 @@ class Parameter:
 PARAMETERS = (
     Parameter("tau_s", "τ", "s", 1.0, "velocity time constant"),
     Parameter("K_rad_s_V", "K", "(rad/s)/V", 1.0, "velocity gain of the measured shaft"),
-    Parameter("fc_V", "f_c", "V", 1.0, "Coulomb friction, referred to the drive"),
+    Parameter("fc_V", "f_c", "V", 1.0, "Coulomb friction, as a voltage"),
     Parameter("asym_V", "a", "mV", 1e3, "asymmetry of the effective drive"),
     Parameter("delay_s", "d", "ms", 1e3, "from a sample to the effect of its drive"),
 )

@@ -152,7 +152,7 @@ def _table(rows: Sequence[Row], percent: float, shown: Shown) -> list[str]:
         held = np.array([one.inside for one in known])
         errors = 100.0 * np.median(np.abs([one.error or () for one in known]), axis=0)
         largest = 100.0 * np.max(np.abs([one.error or () for one in known]), axis=0)
-        of = ", ".join(name.split("_")[0] for name in OF)
+        of = ", ".join(name.split("_")[0].replace("fc", "f_c") for name in OF)
         low, high = bounds(int(held.sum()), held.size)
         lines += [
             f"| intervals at the stop that hold the truth: {of} | {_percents(np.mean(held, axis=0))} |",
