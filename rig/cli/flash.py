@@ -132,11 +132,16 @@ def _told(config_path: Path, asked: dict[str, Any]) -> dict[str, Any]:
 
     Exits with status 2 where the config cannot be read, is not for such a board, or says something else.
     """
+    from rig.backends.registry import backend_of
+    from rig.backends.serial.backend import SerialBackend
     from rig.backends.serial.flashing import WRONG_BRIDGE, of_config
     from rig.config import ConfigError, load
 
     try:
-        told = of_config(load(config_path))
+        experiment = load(config_path)
+        if not isinstance(backend_of(experiment), SerialBackend):
+            raise ValueError(f"its device, `driver: {experiment.daq.driver}`, runs no firmware of rig")
+        told = of_config(experiment)
     except ConfigError as error:
         fail_config(error)
     except ValueError as error:

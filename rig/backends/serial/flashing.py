@@ -22,10 +22,8 @@ def board_of(e: Experiment) -> str:
 def of_config(e: Experiment) -> dict[str, tuple[str, str | int | bool | None]]:
     """What a config says of the firmware of its board, by option of `rig flash`: the key that says it, and its value.
 
-    None: the config does not say it. Raises ValueError, for people, where there is no such board.
+    None: the config does not say it. Raises ValueError, for people, where the firmware does not speak at its baud rate.
     """
-    if e.daq.driver != "serial":
-        raise ValueError(f"its device, `driver: {e.daq.driver}`, runs no firmware of rig")
     if e.daq.baud not in CHIP_BAUDS:
         raise ValueError(f"daq.baud is {e.daq.baud}, and the firmware speaks {' or '.join(map(str, CHIP_BAUDS))}")
     encoder = e.sensor.encoder
