@@ -270,8 +270,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LAW_UNWATCHED": FaultEntry(
         "no process watches the law of your own: one that never returns could not be stopped",
-        "start again; the words behind it say why its keeper did not start, or ended: free memory, the limit of "
-        "processes (`ulimit -u`), or somebody ended it",
+        "the words behind it say why its keeper did not start, or ended: too little memory, too low a limit of processes "
+        "(`ulimit -u`), or somebody ended it. Mend that, and type `rig run CONFIG` again",
     ),
     "INTERNAL": FaultEntry(
         "the program failed",

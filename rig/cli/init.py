@@ -21,7 +21,9 @@ from rig.config import ConfigError, new_bench
 @click.option("--board", type=click.Choice(list(new_bench.BOARDS)), help="The board.")
 @click.option("--sensor", type=click.Choice(list(new_bench.SENSORS)), help="The position sensor.")
 @click.option(
-    "--bridge", type=click.Choice(list(new_bench.BRIDGES)), help="The bridge, as it is sold, or by its inputs."
+    "--bridge",
+    type=click.Choice([*new_bench.BRIDGES, *new_bench.RUNS_FREE]),
+    help="The bridge, as it is sold, or by its inputs.",
 )
 @click.option(
     "--limits", type=click.Choice(list(new_bench.LIMITS)), help="What bounds the shaft's travel. Default: stops."
@@ -100,7 +102,9 @@ def init(
     try:
         board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
         sensor = _chosen("sensor", sensor, new_bench.SENSORS)
-        bridge = _chosen("bridge", bridge, {name: one.words for name, one in new_bench.BRIDGES.items()})
+        bridges = {name: one.words for name, one in new_bench.BRIDGES.items()} | new_bench.RUNS_FREE
+        bridge = _chosen("bridge", bridge, bridges)
+        new_bench.require_braking(bridge)
         is_encoder = sensor == "encoder"
         _refuse_unused(
             {} if is_encoder else {"--counts-per-turn": counts_per_turn, "--gear": gear}, "--sensor encoder", sensor
@@ -164,6 +168,9 @@ def init(
         click.echo(f"no board with a USB serial number is at {port}: rig cannot tell another one there from this one")
     else:
         click.echo(f"this config is for the board with USB serial number {number_on_usb}, and for no other")
+    click.echo(
+        f"`rig rehearse {shlex.quote(str(file))}` drives a made-up motor on it: does all fit, before you wire it?"
+    )
     click.echo(flash_line(experiment, board))
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
