@@ -270,7 +270,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LAW_UNWATCHED": FaultEntry(
         "no process watches the law of your own: one that never returns could not be stopped",
-        "the words behind it say why its keeper did not start, or ended: too little memory, too low a limit of processes "
+        "the words behind it say why its keeper did not start, or ended: too little memory, too few processes allowed "
         "(`ulimit -u`), or somebody ended it. Mend that, and type `rig run CONFIG` again",
     ),
     "INTERNAL": FaultEntry(
