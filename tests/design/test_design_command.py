@@ -122,7 +122,7 @@ def test_a_run_without_a_model_is_refused(tmp_path: Path) -> None:
 def test_a_model_without_friction_is_refused(tmp_path: Path) -> None:
     said = rig("design", CONFIG, "--model", run_folder(tmp_path, fc_V=0.0))
     assert said.exit_code == 2
-    assert "fc > 0" in said.stderr
+    assert "f_c > 0" in said.stderr
 
 
 def test_a_motor_that_the_bench_cannot_move_is_refused(tmp_path: Path) -> None:
