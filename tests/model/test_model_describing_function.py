@@ -70,6 +70,6 @@ def test_values_out_of_range_are_refused() -> None:
             predict(*bad)
     with pytest.raises(ValueError, match="amplitude"):
         triple_relay(0.0, 0.1, 1, 1)
-    with pytest.raises(ValueError, match="h2 > fc"):
+    with pytest.raises(ValueError, match="h2 > f_c"):
         linear_part(Oscillation(1.0, 1.0), 1.0, 1.0, 0.5)
     assert np.isfinite(predict(0.17, 6.5, 0.0, 0.8, 1.0)).all()
