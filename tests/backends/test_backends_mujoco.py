@@ -70,6 +70,7 @@ def test_a_shaft_without_load_has_the_numbers_of_its_model_and_no_law(tmp_path: 
     assert found["fc_V"] == pytest.approx(shaft.motor.friction.fc_V, rel=0.01)
 
 
+@pytest.mark.evidence
 def test_an_unbalanced_load_is_named_with_its_size_and_the_motor_behind_it_is_found(tmp_path: Path) -> None:
     shaft = Shaft(mass_kg=2e-3)
     result, said = identified(tmp_path, shaft)

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig
+from evidence import evidence
 
 from rig import config as configs
 from rig import session
@@ -161,10 +162,16 @@ def test_what_the_device_had_latched_since_the_last_run_is_said(
     ("measured_V", "at_least", "said"),
     [
         (13.0, False, "a motor supply of 13.0 V, drive.supply_V is 12 V: K is 8 % too large then, and f_c too small"),
-        (11.0, False, "a motor supply of 11.0 V, drive.supply_V is 12 V: K is 8 % too small then, and f_c too large"),
-        (13.0, True, "at least 13.0 V, drive.supply_V is 12 V: K is at least 8 % too large"),
         (12.4, False, ""),
-        (11.0, True, ""),
+        *evidence(
+            (
+                11.0,
+                False,
+                "a motor supply of 11.0 V, drive.supply_V is 12 V: K is 8 % too small then, and f_c too large",
+            ),
+            (13.0, True, "at least 13.0 V, drive.supply_V is 12 V: K is at least 8 % too large"),
+            (11.0, True, ""),
+        ),
     ],
 )
 def test_a_supply_that_is_a_little_off_is_said_and_makes_the_estimates_doubtful(

@@ -131,9 +131,11 @@ def _id(value: Row | Backend | Stage) -> str:
 
 
 def _ends_alike(case: tuple[Row, Backend]) -> Hashable:
-    """On the board, how a run ends; of another device, only which it is."""
+    """On the board, how a run ends; of another device, only which it is. Encoders: tests/hil/test_hil_encoder.py."""
     row, backend = case
-    return (row.codes, row.early) if backend is BOARD else backend.key
+    if backend is BOARD:
+        return row.codes, row.early
+    return (CHIP if backend is CHIP_ENCODER else backend).key
 
 
 @pytest.mark.filterwarnings("default::faults.worst.Longer")

@@ -24,7 +24,7 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
 
 UNO_FULL = 400
 
@@ -81,6 +81,7 @@ def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, fl
     return 16 * len(y_rad) * period_s / line, float(np.sqrt(2.0) * y_rad.std())
 
 
+@pytest.mark.evidence
 def test_the_chips_limit_cycle_is_the_host_boards() -> None:
     """At 500 Hz, so that where a sample falls in the cycle matters little; drives alike to the unit.
 

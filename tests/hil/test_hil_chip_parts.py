@@ -86,6 +86,7 @@ def test_each_part_moves_the_motor_behind_the_chip_as_on_the_simulated_bench(par
     assert differs_rad > 2e-3 or differs_counts >= 2, "the part makes no difference"
 
 
+@pytest.mark.evidence
 def test_a_run_on_the_chip_names_the_laws_of_the_motor_behind_it(tmp_path: Path) -> None:
     config = yaml.safe_load(DEMO.read_text(encoding="utf-8"))
     config["daq"]["port"] = "emulated-chip"

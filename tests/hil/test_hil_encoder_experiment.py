@@ -32,7 +32,7 @@ from rig.replay import replay
 from rig.signals import Sample
 from rig.testing.line import lines_opened_by
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config/encoder.yaml"

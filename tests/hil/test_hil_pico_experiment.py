@@ -20,7 +20,7 @@ from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.preflight import check
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

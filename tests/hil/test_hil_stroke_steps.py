@@ -177,6 +177,7 @@ def test_every_stroke_is_as_planned_on_the_unos_chip(sensor: Sensor, speed_rad_s
 
 
 @pytest.mark.long
+@pytest.mark.evidence
 def test_every_stroke_is_as_planned_on_the_picos_chip() -> None:
     e = bench(21.0, sensor="encoder", ramp_V_s=0.1, port="emulated-pico")
     assert is_as_planned(e, driven(e, emulated_pico(e)))

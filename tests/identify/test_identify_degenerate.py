@@ -141,7 +141,8 @@ def test_a_degenerate_log_is_a_line_or_a_refusal(
 STAGES = ("breakaway", "search", "relay-1", "relay-2", "hysteretic-1", "hysteretic-2", "track:sampled-data")
 
 
-@settings(max_examples=examples(25), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.evidence
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     stages=st.dictionaries(st.sampled_from(STAGES), STRETCH, min_size=1, max_size=4),
     drive_times=st.booleans(),

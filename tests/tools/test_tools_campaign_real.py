@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from campaign_real import __main__ as command
 from campaign_real.kinds import KINDS, case
@@ -100,9 +101,11 @@ def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
     ("seed", "number", "pair", "laws"),
     [
         (17, 469, False, {"stribeck"}),
-        (17, 131, True, {"drift", "cogging"}),
-        (19, 107, True, {"drift", "bristle"}),
-        (19, 383, False, {"viscous_by_direction"}),
+        *evidence(
+            (17, 131, True, {"drift", "cogging"}),
+            (19, 107, True, {"drift", "bristle"}),
+            (19, 383, False, {"viscous_by_direction"}),
+        ),
     ],
     ids=[
         "9,413 rows: a mean of the relay's levels is no drive",
