@@ -308,5 +308,5 @@ def test_a_bench_that_it_does_not_have_is_refused() -> None:
 
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(RuntimeError, match=r"node is missing.*tools/setup\.sh"):
+    with pytest.raises(RuntimeError, match=r"node is missing.*make setup"):
         SecondChip(QUICK)
