@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.long]
             (KILLED_LAW.name, NO_WATCHDOG),
         ),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else value.backend.key,
 )
 def test_a_law_that_hangs_leaves_no_drive(name: str, device: RealDevice) -> None:
     [row] = [row for row in (*REAL_ROWS, KILLED_LAW) if row.name == name]
