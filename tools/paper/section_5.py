@@ -158,7 +158,8 @@ def _trial(config: Experiment, seed: int, runs: Path, *, law: bool) -> Trial:
     tracks = {m: _track(outcome.folder, m, outcome.result.tracking) for m in TRACKED}
     tracks[PLAIN] = _plain_track(config, found, estimates[PLAIN], outcome.folder, runs)
     by_law = _by_estimated_sign(config, found, outcome.folder, runs) if law else {}
-    decay = checked.decay(load_run(outcome.folder))
+    run = load_run(outcome.folder)
+    decay = checked.decay(replace(run, meta=run.meta.model_copy(update={"backend": BACKEND})))
     return Trial(seed, estimates, tracks, by_law, plain, tuple(found.cycles.values()), decay)
 
 

@@ -24,9 +24,8 @@ from rig.model.motor import Motor, State
 from rig.report.style import Picture
 from shared.table import Cell, Table, significant
 
-A_RANGE = (0.05, 300.0)  # h1 / h2
-A_VISITED = (0.05, 3.0)  # of the loop itself: beyond, it is soon trapped
-A_TICKS = (0.1, 1.0, 10.0, 100.0)
+A_RANGE = (0.05, 3.0)  # h1 / h2
+A_TICKS = (0.05, 0.1, 0.3, 1.0, 3.0)
 B_MOST = 0.96  # largest fc / h2 of those below 1
 B_BEYOND = (1.0, 1.1)  # where Property 3.1 allows no cycle
 SETTLED = 0.01  # of the distance at the start
@@ -157,7 +156,7 @@ def compute(side: int = 15, searches: int = 10, visits: int = 7, starts: int = 8
     a = np.geomspace(*A_RANGE, side)
     b = np.concatenate((np.linspace(0.0, B_MOST, side), B_BEYOND))
     places = tuple(tuple(_place(x, y, searches, rng) for x in a.tolist()) for y in b.tolist())
-    a_visited, b_visited = np.geomspace(*A_VISITED, visits), np.linspace(0.0, 0.9, visits)
+    a_visited, b_visited = np.geomspace(*A_RANGE, visits), np.linspace(0.0, 0.9, visits)
     seen = tuple(tuple(_visit(x, y, starts, rng) for x in a_visited.tolist()) for y in b_visited.tolist())
     return Result(a, b, places, seen, searches, _scaling(a[:: max(1, side // 4)]), _trapped())
 
