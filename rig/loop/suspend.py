@@ -15,6 +15,7 @@ from rig.faults import Fault
 NOTICED_S = 0.01  # no machine sleeps for less
 EXPLAINED = frozenset(  # faults that a suspend brings about
     {
+        "DEVICE_NOT_ARMED",
         "DEVICE_RESET",
         "DEVICE_WATCHDOG",
         "LATE",
