@@ -115,7 +115,7 @@ def identify(
         given = [data] if isinstance(data, Recording | str | PathLike) else data
         if not isinstance(given, Sequence):
             raise TypeError(WANTED)
-        recordings = [one if isinstance(one, Recording) else reader.read(Path(one)) for one in given]
+        recordings = [r for one in given for r in ([one] if isinstance(one, Recording) else reader.read_all(Path(one)))]
     else:
         raise TypeError(WANTED)
     return Found.of(identify_recordings(recordings, methods, without=without))

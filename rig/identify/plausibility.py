@@ -21,15 +21,14 @@ Array = NDArray[np.float64]
 LONGEST_PERIOD_S = 0.5  # between samples: longer than any motor's time constant
 SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of positions
 SHORTEST_RECORD_S = 0.1
-LARGEST_SPAN_RAD = 40.0  # six turns
 SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
 COARSE_STEP_RAD, COARSEST_STEP_RAD = 0.1, 0.5  # 63 and 13 steps a turn
+FASTEST_RAD_S = 6000.0  # 57,000 rpm
 LARGEST_DRIVE_V = 100.0
 SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
-LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
@@ -41,6 +40,9 @@ FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
 FEW_LEVELS = 8
+# Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
+# them; rows over which a speed is taken; how speed and drive are correlated there.
+TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
 SAY_UNIT = "The column's name says rad: if it is right, type --position y_rad:rad; if not, the unit in place of rad"
 
 
@@ -92,7 +94,8 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     tau = estimate.tau_s
     period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
-        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds?")]
+        current = "or is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
+        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}")]
     if tau < SHORTEST_TAU_S:
         return [Objection("refused", f"tau = {tau:.3g} s is no motor's: is t_s in seconds, not in ks or minutes?")]
     if tau > LONG_TAU_S and period >= 1e3 * SHORTEST_PERIOD_S:
@@ -127,6 +130,14 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
                 f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
             )
         ]
+    if _lacks_sign(test):
+        return [
+            Objection(
+                "refused",
+                f"{name}: the drive is never negative, and the shaft turns both ways, the faster the larger the drive: "
+                "the drive's sign is missing; log it with the sign of the direction",
+            )
+        ]
     if _turns_against_drive(test):
         return [
             Objection(
@@ -136,6 +147,25 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
             )
         ]
     return []
+
+
+def _lacks_sign(test: TimeSeries) -> bool:
+    """Whether the drive is a mere size: never negative, and the shaft turns backwards the faster the larger it is.
+
+    A load that turns the shaft back does so the slower, the more the drive holds against it.
+    """
+    u, y = test.u_V, test.y_rad
+    if u.min() < 0.0 or u.max() <= 0.0 or y.size < FEWEST_BACK:
+        return False
+    rows = min(y.size // 4, SMOOTH_ROWS)
+    v = (y[rows:] - y[:-rows]) / (test.t_s[rows:] - test.t_s[:-rows])
+    at = u[rows // 2 : rows // 2 + v.size]
+    back = v < -TURNS_BACK * float(np.abs(v).max())
+    if int(back.sum()) < max(FEWEST_BACK, TURNS_BACK * v.size) or np.ptp(y) <= 2.0 * _motion(test):
+        return False
+    if np.ptp(at[back]) == 0.0:
+        return bool(at[back][0] == u.max())
+    return float(np.corrcoef(-v[back], at[back])[0, 1]) > FASTER_BACK
 
 
 def _turns_against_drive(test: TimeSeries) -> bool:
@@ -169,15 +199,17 @@ def _units(test: TimeSeries) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
-    elif span > LARGEST_SPAN_RAD:
-        object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
-    elif span > LARGE_SPAN_RAD:
-        object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif step > COARSEST_STEP_RAD:
         object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees? {said}")
     elif step >= COARSE_STEP_RAD or test.noise_rad() > COARSE_STEP_RAD:
         coarse = max(step, test.noise_rad())
         object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees? {said}")
+
+    fastest = float(np.max(np.abs(np.diff(y)) / np.diff(test.t_s)))
+    if fastest > FASTEST_RAD_S and not test.units_stated:
+        object_to(
+            "refused", f"the shaft turns at {fastest:.3g} rad/s, which no small motor does: is y_rad in degrees? {said}"
+        )
 
     if largest > LARGEST_DRIVE_V:
         object_to("refused", f"the drive reaches {largest:.3g} V: is u_V in mV or in duty counts?")
