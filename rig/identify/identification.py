@@ -299,8 +299,8 @@ def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estim
 def _with_causes(judged: Estimate, read: Sequence[TimeSeries]) -> Estimate:
     """The judged estimate with what is wrong in columns and units, which comes first: it is the cause."""
     consequences, estimate = judged.reasons, replace(judged, reasons=())
-    for severity, reason in [*judge_records(read), *judge_motor(estimate, read)]:
-        estimate = estimate.judged(severity, reason)
+    for one in [*judge_records(read, estimate), *judge_motor(estimate, read)]:
+        estimate = estimate.judged(one.verdict, one.reason, spoiled=one.spoils)
     return estimate.judged("ok", *consequences)
 
 
@@ -459,15 +459,19 @@ def _doubt(found: Identification, cause: str) -> None:
 
 def _tells_no_motor(plain: Estimate, data: Measurements) -> bool:
     """Whether the tests say too little of any motor: with laws, too, they would. A fit without an end says nothing."""
-    near = plain.is_motor and plain.converged and _may_have_laws(plain, data)
+    near = plain.is_motor and plain.converged and _bare(plain, data).verdict != "refused"
     return plain.verdict == "refused" and not near
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
-    fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
-    judged = judge_with_laws(fine, data.tests, (0.0, 0.0))
-    return _with_causes(judged, data.tests).verdict != "refused"
+    return not _bare(plain, data).spoiled
+
+
+def _bare(plain: Estimate, data: Measurements) -> Estimate:
+    """The plain estimate judged as if it had no residual."""
+    fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=(), spoiled=False)
+    return _with_causes(judge_with_laws(fine, data.tests, (0.0, 0.0)), data.tests)
 
 
 def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:

@@ -33,6 +33,7 @@ from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
+from rig.identify.thinning import thinned
 from rig.identify.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
@@ -43,7 +44,8 @@ Array = NDArray[np.float64]
 
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
-NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
+# of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
+NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
 MOST_ROWS = 8000  # of all tests
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
@@ -267,7 +269,8 @@ class Beginning:
         )
         durations = [window.duration_s for window in whole.windows]
         known_s = [p if p is not None else _swings_s(test) for p, test in zip(periods_s, tests, strict=True)]
-        cycle_s = min((p for p in known_s if p is not None), default=max(durations) / NO_CYCLE)
+        of_pieces_s = min(max(NO_CYCLE_TAUS * plain.tau_s, SHORTEST_S), LONGEST_S, max(durations) / NO_CYCLE)
+        cycle_s = min((p for p in known_s if p is not None), default=of_pieces_s)
         frame = whole.frames[0]
         travel_rad = (frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad)
         linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
@@ -404,30 +407,6 @@ def _slow(series: TimeSeries) -> TimeSeries:
     """A survey with several rows as one: its sweeps are slow, and its loop keeps the drive nearly as it is."""
     is_survey = series.stage is not None and series.stage.kind is StageKind.SURVEY
     return thinned(series, math.ceil(len(series) / MOST_SURVEY_ROWS)) if is_survey else series
-
-
-def thinned(test: TimeSeries, rows: int) -> TimeSeries:
-    """The test with so many rows at a time as one: their first position, and their mean drive.
-
-    A drive with fewer edges than rows that are left keeps each of them where it was. A relay's does: the mean of its
-    two levels is a small drive that no motor had, and a dead band would explain it. A motor takes the mean of a drive
-    that changes within a small part of its tau.
-    """
-    if rows < 2:
-        return test
-    first = np.arange(0, len(test) - rows + 1, rows)
-    spans = np.diff(np.append(test.edge_s, test.edge_s[-1] + test.period_s))
-    whole = np.add.reduceat(spans, first)
-    mean_V = np.add.reduceat(test.u_V * spans, first) / np.where(whole > 0.0, whole, 1.0)
-    return replace(
-        test,
-        t_s=test.t_s[first],
-        y_rad=test.y_rad[first],
-        t_u_s=None if test.t_u_s is None else test.t_u_s[first],
-        even_s=None if test.even_s is None else test.even_s[first],
-        u_V=mean_V,
-        edges=test.steps if test.steps.edge_s.size <= first.size else None,
-    )
 
 
 def _alone(fit: Fit, of: Sequence[str]) -> tuple[RecordingEstimate, ...]:

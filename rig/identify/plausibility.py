@@ -8,6 +8,7 @@ doubtful if both the column and a thousand times or a thousandth of it are possi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -49,11 +50,13 @@ class Objection(NamedTuple):
 
     verdict: Verdict
     reason: str
+    spoils: bool = True  # whether no better fit mends it
 
 
-def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
+def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) -> list[Objection]:
     """Objections to the recordings: units, columns that do not belong together, gaps, too little motion.
 
+    motor   as it was fitted; None: not known. A quick one turns within a row or two, and that is no spike
     Of many tests of a run that are alike in one of them, the first one is named.
     """
     found: dict[tuple[object, ...], list[Objection]] = {}
@@ -64,11 +67,13 @@ def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
         told = is_told and test.stage is not None
         span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
         columns = _columns(test, span_rad)
-        looks = (_units, _holes, _spikes, _rails, *(() if told else (_little, _information)))
-        for look in (_columns,) if columns else looks:
+        looks = (_units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
+        for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
-                of = (look, number, one.verdict) if test.stage is not None else (look, number, one.verdict, k)
+                of = (place, number, one.verdict) if test.stage is not None else (place, number, one.verdict, k)
                 found.setdefault(of, []).append(one)
+    if not one_way(tests):
+        found = {of: each for of, each in found.items() if each[0].spoils}
     return [first if not others else _as_in_others(first, len(others)) for first, *others in found.values()]
 
 
@@ -207,15 +212,37 @@ def _holes(test: TimeSeries) -> list[Objection]:
     return found
 
 
-def _spikes(test: TimeSeries) -> list[Objection]:
-    """Single positions that differ from the median of their neighbours."""
+def one_way(tests: Sequence[TimeSeries]) -> bool:
+    """Whether all tests together turn the shaft one way only, but for what noise and the sensor's steps explain."""
+    ways = [_ways_rad(test) for test in tests]
+    return not any(forth >= _motion(test) for (forth, _), test in zip(ways, tests, strict=True)) or not any(
+        back >= _motion(test) for (_, back), test in zip(ways, tests, strict=True)
+    )
+
+
+def _ways_rad(test: TimeSeries) -> tuple[float, float]:
+    """Longest way towards +y and towards -y, rad."""
+    y = test.y_rad
+    return float(np.max(y - np.minimum.accumulate(y))), float(np.max(np.maximum.accumulate(y) - y))
+
+
+def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
+    """How far a reversal takes a position from its neighbours at most, rad: by the largest acceleration, 2 K u / tau."""
+    if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
+        return 0.0
+    fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
+    return fastest * test.period_s * min(1.0, test.period_s / motor.tau_s)
+
+
+def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
+    """Single positions that differ from the median of their neighbours by more than a reversal explains."""
     y = test.y_rad
     if y.size < 5:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(y, 5)
     off = np.abs(y[2:-2] - np.median(windows, axis=1))
     k = int(np.argmax(off))
-    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad()):
+    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad(), _turn_rad(test, motor)):
         return [
             Objection(
                 "doubtful",
@@ -277,8 +304,7 @@ def _information(test: TimeSeries) -> list[Objection]:
     """Motion that cannot separate the parameters, in any fit."""
     y = test.y_rad
     motion = _motion(test)
-    forth = float(np.max(y - np.minimum.accumulate(y)))
-    back = float(np.max(np.maximum.accumulate(y) - y))
+    forth, back = _ways_rad(test)
     if 0.0 < max(forth, back) < 2.0 * motion:
         return [
             Objection(
@@ -304,6 +330,7 @@ def _information(test: TimeSeries) -> list[Objection]:
                 "refused",
                 f"{test.name}: the motor moves one way only, so K, f_c and asymmetry cannot be told apart: record a "
                 "drive that moves it both ways",
+                spoils=False,
             ),
         ]
     return coarse

@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rig.identify.driven import together
+from rig.identify.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
 from rig.identify.noise import noise_of
 from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
 from rig.identify.repetition import repeated_share, repetitions, with_repetition
-from rig.identify.sampled_data_verdict import confounding, judge
+from rig.identify.sampled_data_verdict import NEGLIGIBLE, confounding, judge
 from rig.identify.starts import Start, grid_starts, ridge_starts
+from rig.identify.thinning import thinned
+from rig.identify.verdict import spread_rad as test_spread_rad
+from rig.model.real_motor import RealMotor
 from rig.model.sensitivity import Theta, position
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries, Window, joined_times_s, spread_rad
@@ -36,6 +40,8 @@ POLISHED = 3  # number of starts that are iterated
 FIRST_CYCLES = 2.5  # length of the first part of the recording, in cycles: the starts are compared there
 NEAR_PERIODS = 4.0  # periods between two delays to start from
 NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
+PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
+BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
 
@@ -54,7 +60,7 @@ class SampledData(Estimator):
         tests, beside, periods_s = data.tests, data.beside, data.periods_s
         if 0 < len(searches) < len(tests):  # the others tell too little alone
             tests, beside, periods_s = searches, [*tests[len(searches) :], *beside], [None] * len(searches)
-        of_tests = fit(tests, starts, periods_s=periods_s)
+        of_tests = nearest(fit(tests, starts, periods_s=periods_s), tests, periods_s)
         found = together(of_tests, tests, beside)
         estimate = replace(found.estimate, remarks=found.remarks)
         # a search that stands for tests does not speak for those that it contradicts
@@ -98,6 +104,36 @@ def fit(
     best = _extended(problem, _candidates(problem, guesses), [period for period in periods if period is not None])
     problem, best = _with_noise(problem, best)
     return _estimate(problem, best, tests, periods)
+
+
+def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]) -> Estimate:
+    """``found``, or a motor from pieces of the tests where ``found`` leaves more than noise, and that predicts better.
+
+    Over the whole tests a fit may end anywhere. So it is tried again from the motor of the pieces; and where the tests
+    do not bear a plain motor over their whole length, the pieces' own motor is the estimate.
+    """
+    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    leaves = found.rms_rad > max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
+    if found.converged and not leaves:
+        return found
+    free = any(test.t_u_s is None for test in tests)
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    thin = [thinned(test, rows) for test in tests]
+    try:
+        pieces, blocks = fit_in_pieces(thin, free_delay=free)
+    except IdentifyError:
+        return found  # too short for pieces
+    motor = pieces.motor
+    start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
+    again = fit(tests, [start], free_delay=free, periods_s=periods_s)
+    if again.converged and (not found.converged or again.rms_rad < found.rms_rad):
+        found = again
+    if found.converged and not found.rms_rad > PIECES_FROM * noise:
+        return found
+    of_whole = RealMotor(found.tau_s, found.K_rad_s_V, max(found.fc_V, 0.0), found.asym_V, found.delay_s if free else 0.0)
+    if found.converged and blocks.error(motor, pieces.problem) > BETTER * blocks.error(of_whole, pieces.problem):
+        return found
+    return of_pieces(pieces, found, tests)
 
 
 def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProblem:
@@ -254,5 +290,5 @@ def _estimate(
     )
     if not best.converged:
         lost = replace(estimate, converged=False)
-        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise")
+        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise", spoiled=False)
     return estimate
