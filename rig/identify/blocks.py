@@ -8,15 +8,15 @@ it stands a linear model, which has no friction, in the same folds.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.fit import Fit, Problem, refitted, solve
+from rig.identify.departures.fit import Fit, Problem, solve
 from rig.identify.departures.fit import start as begin
-from rig.identify.departures.pieces import FEWEST_ROWS, Cut
+from rig.identify.departures.pieces import Cut
 from rig.identify.noise import WHITE
 from rig.model.real_motor import RealMotor
 
@@ -28,6 +28,8 @@ SHORTEST_BLOCK_S = 0.15
 SHOWN_S, SHOWN_ROWS, SHOWN_SHARE = 0.1, 5, 0.34  # of a block: what shows its start
 FOLDS = 4
 FOLD_ITERATIONS = 6
+MOST_ERROR = 0.5  # of a motor that predicts
+THAN_LINEAR, SMALL_ERROR = 1.1, 0.02  # times the linear model's error; smaller ones are no difference
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,7 @@ class Blocks:
         return found
 
 
-@dataclass(frozen=True)
-class HeldOut:
+class HeldOut(NamedTuple):
     """What a motor predicts, and a linear model in the same folds.
 
     error, linear_error   RMS error over that of 'it stays as it was'
@@ -113,6 +114,11 @@ class HeldOut:
     linear_error: float
     block_s: float
     blocks: int
+
+    @property
+    def is_useful(self) -> bool:
+        """Whether it predicts: its error is not large, and hardly larger than the linear model's."""
+        return self.error <= MOST_ERROR and self.error <= max(THAN_LINEAR * self.linear_error, SMALL_ERROR)
 
 
 def held_out(blocks: Blocks, problem: Problem, motor: RealMotor) -> HeldOut:
@@ -140,19 +146,3 @@ def _of_starts(problem: Problem, cut: Cut) -> Problem:
 def _ratio(squares: Array, stays: Array) -> float:
     total = float(stays.sum())
     return math.sqrt(float(squares.sum()) / total) if total > 0.0 else math.inf
-
-
-def enough_rows(cut: Cut) -> bool:
-    """Whether every piece has the fewest rows that it needs."""
-    return min(cut.lengths) >= FEWEST_ROWS
-
-
-def refit(fit: Fit, blocks: Blocks) -> Fit:
-    """The fit on the blocks, white, from its motor."""
-    given = replace(fit.problem, cut=blocks.cut, robust_rad=math.inf, noise=WHITE)
-    return solve(begin(given, fit.motor))
-
-
-def scaled(fits: Sequence[Fit]) -> list[float]:
-    """RMS of each, rad."""
-    return [refitted(fit).rms_rad for fit in fits]

@@ -12,6 +12,7 @@ import numpy as np
 
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import are_one_motor, disagreement, estimates_of_each
+from rig.identify.blocks import HeldOut
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
@@ -28,7 +29,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
-from rig.identify.verdict import largest_drive_V
+from rig.identify.verdict import in_percent, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -97,10 +98,10 @@ class Identification:
     @property
     def answer(self) -> Answer | None:
         """The numbers to use, with their laws, u95 and verdict, as in result.json; None without an estimate."""
-        law = self.motor_law
+        law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
         return answer_of(
             {method: estimate.as_result() for method, estimate in self.estimates.items()},
-            **({} if law is None else law.of_answer()),
+            **({} if law is None else law.of_answer(self.leading, largest_V)),
         )
 
     @property
@@ -416,6 +417,9 @@ def _add_motor_law(
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
+    if law.predicts is not None and law.estimate is not None:
+        law = replace(law, estimate=by_prediction(law.estimate, law.predicts))
+        found.motor_law = law
     for method, estimate in found.estimates.items():
         reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
         if not reservations or not (method == LEADING or estimate.verdict == "ok"):
@@ -425,6 +429,21 @@ def _add_motor_law(
         else:  # the law is the cause, so it comes first; what it explains is left out
             others = _said(disagreement(each)) if law.explains else estimate.reasons
             found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)
+    if law.predicts is not None and law.estimate is None and LEADING in found.estimates:
+        found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts)
+
+
+def by_prediction(estimate: Estimate, predicts: HeldOut) -> Estimate:
+    """The estimate refused if it does not predict; if it does, refused for nothing but what no fit mends."""
+    if not predicts.is_useful:
+        return estimate.judged(
+            "refused",
+            f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the motion, "
+            f"a linear model's {in_percent(predicts.linear_error)}; see that drive and position belong together, and "
+            "record larger motion without loads that change",
+            spoiled=False,
+        )
+    return replace(estimate, verdict="doubtful") if estimate.verdict == "refused" and not estimate.spoiled else estimate
 
 
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:

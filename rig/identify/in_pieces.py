@@ -19,9 +19,11 @@ from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.noise import WHITE
+from rig.identify.plausibility import one_way
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
 
+INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``PARAMETERS``
 LENGTHS_S = (0.15, 0.5, 2.0)
 TAUS = 4
 FRICTIONS = (0.05, 0.35)  # of the largest drive
@@ -42,7 +44,8 @@ def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit
         else (0.0, 0.0)
     )
     whole = Cut.whole(tests, delay_s[1])
-    free = (*CORE, DELAY) if free_delay else CORE
+    core = tuple(name for name in CORE if name != "bias_V" or not one_way(tests))
+    free = (*core, DELAY) if free_delay else core
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
     sigma = max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad)
     largest_V = max(float(np.abs(window.steps.u_V).max()) for window in whole.windows)
@@ -85,7 +88,7 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(pieces))
     size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in free])
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
-    at = range(len(free))
+    at = [INDEX[name] for name in free]
     full[np.ix_(at, at)] = covariance * np.outer(size, size)
     delay = motor.delay_s if DELAY in free else plain.delay_s
     values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay)

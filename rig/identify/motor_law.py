@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, with_own_noise
@@ -29,19 +30,33 @@ from rig.identify.departures.profile import profiles
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
+from rig.identify.model_error import model_error
 from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
+from rig.identify.plausibility import one_way
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
 from rig.identify.thinning import thinned
 from rig.identify.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
-from rig.recording.series import TimeSeries
+from rig.recording.series import TimeSeries, Window
 from rig.recording.stage import StageKind
-from rig.results import BudgetEntry, FittedRecord, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
+from rig.results import (
+    BudgetEntry,
+    FittedRecord,
+    FoundLawResult,
+    GradedNumber,
+    HoldsResult,
+    LawFrameResult,
+    MotorLawResult,
+    PieceResult,
+    PredictsResult,
+)
 
 Array = NDArray[np.float64]
 
+GRADES = {"exact": ASKED, "good": 0.10, "rough": 0.25}  # half width of u95, relative to the number: at most
+NOT_KNOWN = "not known"
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 # of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
@@ -49,6 +64,8 @@ NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
 MOST_ROWS = 8000  # of all tests
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
+AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
+SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
@@ -94,6 +111,8 @@ class MotorLaw:
     records         what was fitted
     left_out        a sentence for each record that was not, or not whole
     alone           tau, K and friction of each recording alone, with the laws as they are for all
+    predicts        how well this motor predicts blocks that it was not fitted to; None: not looked at
+    holds           the drives, speeds and travel of the tests
     explains        whether laws were found, and nothing but u95 is left against the estimate with them: what else is
                     wrong with a plain estimate comes from the laws
     """
@@ -108,6 +127,8 @@ class MotorLaw:
     alone: tuple[RecordingEstimate, ...] = ()
     motor: FramedMotor | None = None
     explains: bool = False
+    predicts: HeldOut | None = None
+    holds: HoldsResult | None = None
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -213,9 +234,31 @@ class MotorLaw:
             law_records=self.records,
         )
 
-    def of_answer(self) -> dict[str, Any]:
-        """What ``answer_of`` takes beside the estimates."""
+    def graded(self, estimate: Estimate, largest_V: float) -> dict[str, GradedNumber]:
+        """How good each number of an estimate of these tests is, by u95."""
+        sizes, turns_both = sizes_of(estimate, largest_V), self.holds is None or self.holds.ways == "both"
+        found = {}
+        for name, size in sizes.items():
+            half = self.budget.u95[name]
+            share = half / size if math.isfinite(half) else math.inf
+            grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
+            known = grade != NOT_KNOWN
+            found[name] = GradedNumber(value=getattr(estimate, name) if known else None, u95=half, grade=grade)
+        if not turns_both:
+            found["fc_less_bias_V"], found["fc_V"] = found["fc_V"], GradedNumber(grade=NOT_KNOWN)
+        return found
+
+    def of_answer(self, estimate: Estimate | None, largest_V: float) -> dict[str, Any]:
+        """What ``answer_of`` takes beside the estimates.
+
+        estimate    that of the answer
+        largest_V   largest drive of the tests, V
+        """
+        predicts = self.predicts
         return {
+            "grade": None if estimate is None or not estimate.is_motor else self.graded(estimate, largest_V),
+            "predicts": None if predicts is None else PredictsResult(**predicts._asdict()),
+            "holds": self.holds,
             "with_laws": None if self.estimate is None else self.estimate.as_result(),
             "law": tuple(
                 FoundLawResult(
@@ -276,10 +319,12 @@ class Beginning:
         linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
         bench = whole.every(0.5 * cycle_s).bench(motor, linearity_rad)
         sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+        turns_one_way = one_way(tests)
+        core = tuple(name for name in CORE if name != "bias_V") if turns_one_way else CORE
         chooser = Chooser(
-            [law for law in DEPARTURES if law.fits(bench)],
+            [law for law in DEPARTURES if law.fits(bench) and not (law.both_ways and turns_one_way)],
             bench,
-            (*CORE, DELAY) if free_delay else CORE,
+            (*core, DELAY) if free_delay else core,
             delay_s,
             max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
         )
@@ -351,13 +396,17 @@ def motor_law(
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     by_size = profiles(parts, choice.laws, begun.chooser)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
-    lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad), own)
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
+    blocks = Blocks.of(whole, fit.motor.tau_s)
+    scales = ScaleErrors.of(stated, *begun.travel_rad)
+    lines = budget(nuisances, by_size, instead, scales, own, model_error(parts, blocks.cut))
+    predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
+    holds = _holds(whole)
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, growth, records, tuple(left_out))
+        return MotorLaw((), (), None, lines, growth, records, tuple(left_out), predicts=predicts, holds=holds)
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
@@ -371,6 +420,8 @@ def motor_law(
         tuple(left_out),
         _alone(parts, of_windows),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
+        predicts=predicts,
+        holds=holds,
     )
 
 
@@ -391,6 +442,28 @@ def joined(parts: Fit, of: Sequence[str]) -> Fit:
 def _free_run(fit: Fit, whole: Cut) -> Fit:
     """The tests, each predicted whole: only its start is fitted."""
     return solve(begin(replace(fit.problem, cut=whole, free=(), robust_rad=math.inf, noise=WHITE), fit.motor))
+
+
+def _holds(whole: Cut) -> HoldsResult:
+    """What the tests hold."""
+    y_rad = np.concatenate([window.y_rad for window in whole.windows])
+    u_V = np.abs(np.concatenate([window.steps.u_V for window in whole.windows]))
+    speeds = np.concatenate([_speeds(window) for window in whole.windows])
+    size = np.abs(speeds)
+    moving = size[size > AT_REST * float(size.max(initial=0.0))]
+    forth, back = (bool(np.quantile(way * speeds, 0.98) > 0.1 * float(size.max())) for way in (1.0, -1.0))
+    return HoldsResult(
+        drive_V=(float(u_V[u_V > 0.0].min(initial=math.inf)), float(u_V.max())) if u_V.any() else (0.0, 0.0),
+        speed_rad_s=(float(np.quantile(moving, 0.02)), float(np.quantile(moving, 0.98))) if moving.size else None,
+        travel_rad=(float(y_rad.min()), float(y_rad.max())),
+        ways="both" if forth and back else "forward" if forth else "backward",
+    )
+
+
+def _speeds(window: Window) -> Array:
+    """Mean speeds over a tenth of a second, or over some rows, rad/s."""
+    rows = min(max(4, round(SPEED_OVER_S / window.period_s)), window.t_s.size - 1)
+    return np.asarray((window.y_rad[rows:] - window.y_rad[:-rows]) / (window.t_s[rows:] - window.t_s[:-rows]))
 
 
 def _record(series: TimeSeries) -> FittedRecord:

@@ -24,6 +24,7 @@ SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of
 SHORTEST_RECORD_S = 0.1
 LARGEST_SPAN_RAD = 40.0  # six turns
 SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
+FINE_RAD = 0.05  # 126 steps a turn; in degrees it would be 7,200
 COARSE_STEP_RAD, COARSEST_STEP_RAD = 0.1, 0.5  # 63 and 13 steps a turn
 LARGEST_DRIVE_V = 100.0
 SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
@@ -174,6 +175,8 @@ def _units(test: TimeSeries) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
+    elif max(step, test.noise_rad()) < FINE_RAD:
+        pass  # as fine as an encoder's radians: no sign of degrees, and the column's name says rad
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif span > LARGE_SPAN_RAD:
@@ -328,8 +331,8 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, so K, f_c and asymmetry cannot be told apart: record a "
-                "drive that moves it both ways",
+                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is what "
+                "both take that way: record a drive that moves it both ways",
                 spoils=False,
             ),
         ]

@@ -22,6 +22,7 @@ from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
 from rig.identify.noise import noise_of
 from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
+from rig.identify.plausibility import one_way
 from rig.identify.repetition import repeated_share, repetitions, with_repetition
 from rig.identify.sampled_data_verdict import NEGLIGIBLE, confounding, judge
 from rig.identify.starts import Start, grid_starts, ridge_starts
@@ -149,12 +150,13 @@ def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProble
                 f"{test.name}: the {still} never changes",
                 "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
             )
-    return OutputErrorProblem(windows, bounds, (True, True, True, True, free_delay))
+    return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), free_delay))
 
 
 def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
     """The full vectors of the starts, the best first."""
-    scored = [_score(problem.windows, start, delay_s) for delay_s in _first_delays(problem) for start in starts]
+    asym = problem.free[3]
+    scored = [_score(problem.windows, one, delay_s, asym) for delay_s in _first_delays(problem) for one in starts]
     return [x0 for _, x0 in sorted(scored, key=lambda candidate: candidate[0])]
 
 
@@ -210,7 +212,9 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
 
 
-def _score(windows: Sequence[Window], start: Start, delay_s: float) -> tuple[float, Array]:
+def _score(
+    windows: Sequence[Window], start: Start, delay_s: float, free_asym: bool = True
+) -> tuple[float, Array]:
     """Sum of squares of a start, with its linear part (gain, offset, drift) solved, and the resulting full vector."""
     gain = start.K_rad_s_V
     states = [initial_state(window) for window in windows]
@@ -237,7 +241,7 @@ def _score(windows: Sequence[Window], start: Start, delay_s: float) -> tuple[flo
     for window, (v0, y0) in zip(windows, states, strict=True):
         y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
         drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
-    asym = float(np.mean(drifts)) / gain
+    asym = float(np.mean(drifts)) / gain if free_asym else 0.0
     shared = [math.log(start.tau_s), math.log(gain), start.fc_V, asym, delay_s]
     return cost, np.array(shared + [value for state in states for value in state])
 

@@ -13,6 +13,7 @@ class GainBySign(Departure):
     cause = "two half bridges that are not alike?"
     unit = "1"
     numbers = ("gain_by_sign",)
+    both_ways = True
     told_by = "two relay tests, one of them with an offset"
 
     def range_of(self, bench: Bench) -> float:

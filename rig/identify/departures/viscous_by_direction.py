@@ -13,6 +13,7 @@ class ViscousByDirection(Departure):
     cause = "a gear or a screw under load?"
     unit = "V s/rad"
     numbers = ("viscous_by_direction_V_s_rad",)
+    both_ways = True
     told_by = "a relay test of another amplitude"
 
     def range_of(self, bench: Bench) -> float:
