@@ -413,7 +413,7 @@ def _add_motor_law(
         judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
         odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
-        objections = [*_said(odd or disagreement(law.alone)), *data.supplies]
+        objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
@@ -429,6 +429,8 @@ def _add_motor_law(
         else:  # the law is the cause, so it comes first; what it explains is left out
             others = _said(disagreement(each)) if law.explains else estimate.reasons
             found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)
+    if law.estimate is None and law.bounded and LEADING in found.estimates:
+        found.estimates[LEADING] = found.estimates[LEADING].judged("doubtful", *law.bounded)
     if law.predicts is not None and law.estimate is None and LEADING in found.estimates:
         found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts)
 

@@ -61,7 +61,8 @@ ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 # of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
 NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
-MOST_ROWS = 8000  # of all tests
+MOST_ROWS, FEWER_ROWS = 8000, 3000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
+LEAVES = 8.0  # residual over the sensor's noise of such a fit
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
@@ -111,6 +112,7 @@ class MotorLaw:
     records         what was fitted
     left_out        a sentence for each record that was not, or not whole
     alone           tau, K and friction of each recording alone, with the laws as they are for all
+    bounded         a sentence for each number at a bound of the fit
     predicts        how well this motor predicts blocks that it was not fitted to; None: not looked at
     holds           the drives, speeds and travel of the tests
     explains        whether laws were found, and nothing but u95 is left against the estimate with them: what else is
@@ -127,6 +129,7 @@ class MotorLaw:
     alone: tuple[RecordingEstimate, ...] = ()
     motor: FramedMotor | None = None
     explains: bool = False
+    bounded: tuple[str, ...] = ()
     predicts: HeldOut | None = None
     holds: HoldsResult | None = None
 
@@ -366,20 +369,28 @@ def motor_law(
     further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
-    Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
+    Of more than 8,000 rows several at a time are taken as one, or of 3,000 where the plain motor leaves far more than
+    noise. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
     further = [(_slow(series), number) for series, number in further]
-    folded = [_folded(test, rows, plain.tau_s) for test in tests]
+    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    most = FEWER_ROWS if plain.rms_rad > LEAVES * noise_rad else MOST_ROWS
+    folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
     begun = Beginning.of(folded, plain, periods_s, stated)
     tested = sum(window.t_s.size for window in begun.whole.windows)
     left_out: list[str] = []
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
-        beside = [(_folded(series, of_rows, plain.tau_s), number) for series, number in further]
+        beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
+        if choice.laws and not further and len(set(names)) > 1:
+            each = begun.whole.each(names)
+            if begun.chooser.better_each(choice, each):
+                begun = replace(begun, whole=each, chooser=begun.chooser.with_drift_each())
+                choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
         kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
         left_out += remarks
         if not remarks:
@@ -402,11 +413,14 @@ def motor_law(
     lines = budget(nuisances, by_size, instead, scales, own, model_error(parts, blocks.cut))
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     holds = _holds(whole)
+    bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, growth, records, tuple(left_out), predicts=predicts, holds=holds)
+        return MotorLaw(
+            (), (), None, lines, growth, records, tuple(left_out), bounded=bounded, predicts=predicts, holds=holds
+        )
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
@@ -420,6 +434,7 @@ def motor_law(
         tuple(left_out),
         _alone(parts, of_windows),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
+        bounded=bounded,
         predicts=predicts,
         holds=holds,
     )
@@ -442,6 +457,18 @@ def joined(parts: Fit, of: Sequence[str]) -> Fit:
 def _free_run(fit: Fit, whole: Cut) -> Fit:
     """The tests, each predicted whole: only its start is fitted."""
     return solve(begin(replace(fit.problem, cut=whole, free=(), robust_rad=math.inf, noise=WHITE), fit.motor))
+
+
+def _at_bounds(fit: Fit, laws: Sequence[Departure]) -> Iterator[str]:
+    """A sentence for each number that the fit would take beyond its bound: what it says is the bound."""
+    titles = {name: (law.title, law.unit) for law in laws for name in law.numbers}
+    titles |= {"tau_s": ("tau", "s"), "fc_V": ("f_c", "V"), "bias_V": ("the asymmetry", "V")}
+    for name in fit.problem.free:
+        low, high = fit.problem.limits.get(name, (-math.inf, math.inf))
+        value = getattr(fit.motor, name)
+        if name in titles and value != 0.0 and not low < value < high:
+            title, unit_of = titles[name]
+            yield f"{title} is at its bound, {value:.3g} {unit_of}: the record asks for more than any bench has"
 
 
 def _holds(whole: Cut) -> HoldsResult:
@@ -471,9 +498,9 @@ def _record(series: TimeSeries) -> FittedRecord:
     return FittedRecord(name=series.name, rows=rows, duration_s=float(series.t_s[-1] - series.t_s[0]))
 
 
-def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
-    """The series as it is taken where all records have ``of_rows``."""
-    return thinned(series, min(math.ceil(of_rows / MOST_ROWS), int(tau_s / series.period_s / ROWS_OF_TAU)))
+def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSeries:
+    """The series as it is taken where all records have ``of_rows``, for at most ``most``."""
+    return thinned(series, min(math.ceil(of_rows / most), int(tau_s / series.period_s / ROWS_OF_TAU)))
 
 
 def _slow(series: TimeSeries) -> TimeSeries:

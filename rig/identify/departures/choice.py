@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.departure import NOTHING, Bench, Departure
+from rig.identify.departures.drift import Drift, DriftEach
 from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
@@ -33,9 +34,11 @@ MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
+NEAR_NOISE = 1.1  # residual in blocks over the sensor's noise up to which likelihood alone decides
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
+FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
@@ -141,6 +144,20 @@ class Chooser:
             )
         return Choice(laws, fit, tuple(growth))
 
+    def with_drift_each(self) -> Chooser:
+        """The same, but friction drifts in the course of each recording: of records whose frames say so."""
+        return replace(self, candidates=[DriftEach() if one.name == Drift.name else one for one in self.candidates])
+
+    def better_each(self, choice: Choice, each: Cut) -> bool:
+        """Whether a drift in each recording alone explains the pieces of ``choice`` as well as all its laws do."""
+        fit, drift = choice.fit, DriftEach()
+        cut = replace(fit.problem.cut, frames=each.frames)
+        problem = replace(self.problem(cut, (drift,), math.inf), noise=fit.problem.noise)
+        motor = RealMotor(*fit.motor[:4], delay_s=fit.motor.delay_s)
+        alone = solve(start(problem, motor))
+        prices = sum(self.price(law, fit, 0.0) for law in choice.laws)
+        return (alone.cost - fit.cost) / unit(fit) + self.price(drift, fit, 0.0) < prices
+
     def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
         """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
         for law in laws:
@@ -182,7 +199,7 @@ class Chooser:
         longer = whole.every(max(BLOCK_S, BLOCK_TAUS * fit.motor.tau_s))
         cut = longer if longer.longest_s > fit.problem.cut.longest_s else fit.problem.cut
         full = self._in_blocks(fit, laws, fit.motor, cut)
-        if full < AT_NOISE * self.sigma_rad:
+        if full < NEAR_NOISE * self.sigma_rad:
             return None
         cuts: dict[Departure, float] = {}
         for law in laws:
@@ -267,10 +284,17 @@ class Chooser:
             motor = fit.motor._replace(**promise.first)
             trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
             worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
-            if worth > 0.0:
+            if worth > 0.0 and not self._hardly_shows(fit, trial):
                 found.append((worth, trial, (*laws, law)))
         found.sort(key=lambda entry: -entry[0])
         return [(trial, more) for _, trial, more in found]
+
+    def _hardly_shows(self, fit: Fit, richer: Fit) -> bool:
+        """Whether the richer fit leaves nearly as much, far beyond noise: no further law is tried on top of it."""
+        if fit.rms_rad < FAR * self.sigma_rad:
+            return False
+        left, all_of_it = (max(one.rms_rad**2 - self.sigma_rad**2, 1e-300) for one in (richer, fit))
+        return 1.0 - math.sqrt(left / all_of_it) < FIRST_CUT
 
     def _last(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """The least-squares fit with the noise of its own residual, without the laws that are not worth it then."""

@@ -10,7 +10,7 @@ class GainBySign(Departure):
 
     name = "gain_by_sign"
     title = "gain that differs by sign"
-    cause = "two half bridges that are not alike?"
+    cause = "two half bridges that are not alike? Or an encoder that loses counts one way?"
     unit = "1"
     numbers = ("gain_by_sign",)
     both_ways = True
