@@ -440,9 +440,9 @@ def by_prediction(estimate: Estimate, predicts: HeldOut) -> Estimate:
     if not predicts.is_useful:
         return estimate.judged(
             "refused",
-            f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the motion, "
-            f"a linear model's {in_percent(predicts.linear_error)}; see that drive and position belong together, and "
-            "record larger motion without loads that change",
+            f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the "
+            f"motion, a linear model's {in_percent(predicts.linear_error)}; see that drive and position belong "
+            "together, and record larger motion without loads that change",
             spoiled=False,
         )
     return replace(estimate, verdict="doubtful") if estimate.verdict == "refused" and not estimate.spoiled else estimate

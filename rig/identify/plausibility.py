@@ -230,7 +230,7 @@ def _ways_rad(test: TimeSeries) -> tuple[float, float]:
 
 
 def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
-    """How far a reversal takes a position from its neighbours at most, rad: by the largest acceleration, 2 K u / tau."""
+    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau."""
     if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
         return 0.0
     fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
@@ -331,8 +331,8 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is what "
-                "both take that way: record a drive that moves it both ways",
+                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is "
+                "what both take that way: record a drive that moves it both ways",
                 spoils=False,
             ),
         ]

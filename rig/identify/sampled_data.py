@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rig.identify.driven import together
-from rig.identify.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.estimator import Estimator
+from rig.identify.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identify.measurements import Measurements
 from rig.identify.noise import noise_of
 from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
@@ -131,7 +131,8 @@ def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[fl
         found = again
     if found.converged and not found.rms_rad > PIECES_FROM * noise:
         return found
-    of_whole = RealMotor(found.tau_s, found.K_rad_s_V, max(found.fc_V, 0.0), found.asym_V, found.delay_s if free else 0.0)
+    delay_s = found.delay_s if free else 0.0
+    of_whole = RealMotor(found.tau_s, found.K_rad_s_V, max(found.fc_V, 0.0), found.asym_V, delay_s)
     if found.converged and blocks.error(motor, pieces.problem) > BETTER * blocks.error(of_whole, pieces.problem):
         return found
     return of_pieces(pieces, found, tests)
@@ -212,9 +213,7 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
 
 
-def _score(
-    windows: Sequence[Window], start: Start, delay_s: float, free_asym: bool = True
-) -> tuple[float, Array]:
+def _score(windows: Sequence[Window], start: Start, delay_s: float, free_asym: bool = True) -> tuple[float, Array]:
     """Sum of squares of a start, with its linear part (gain, offset, drift) solved, and the resulting full vector."""
     gain = start.K_rad_s_V
     states = [initial_state(window) for window in windows]

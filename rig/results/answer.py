@@ -28,10 +28,10 @@ class GradedNumber(Part):
 
 
 class PredictsResult(Part):
-    """How well the answer predicts blocks of the records that it was not fitted to, in four folds, and a linear model."""
+    """How well the answer predicts blocks of the records that it was not fitted to, in four folds."""
 
     error: Number = Field(None, description="RMS error over that of 'it stays as it was'; 0: exact")
-    linear_error: Number = Field(None, description="the same of a linear model, which has no friction, in the same folds")
+    linear_error: Number = Field(None, description="the same of a linear model without friction, in the same folds")
     block_s: Number = Field(None, description="length of a block, s; its first 0.1 s shows its start")
     blocks: Count | None = Field(None, description="number of blocks")
 

@@ -35,7 +35,7 @@ Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
 def recorded(
     motor: RealMotor, levels_V: tuple[float, ...], *, ways: tuple[float, ...] = (1.0, -1.0), seed: int = 1
 ) -> Columns:
-    """Time, drive and position over 10 s: levels at random for 0.15 to 0.6 s each, an encoder of 1,440 counts a turn."""
+    """Time, drive and position over 10 s: levels at random for 0.15 to 0.6 s each, 1,440 counts a turn."""
     random = np.random.default_rng(seed)
     t_s = PERIOD_S * np.arange(2000)
     u_V = np.empty(t_s.size)
@@ -129,9 +129,10 @@ def test_a_quick_reversal_is_no_spike() -> None:
     known = Estimate("sampled-data", 0.02, 20.0, 0.6)
     spoiled = test.y_rad + (np.arange(200) == 101) * 60.0
     assert not any("rows around" in one.reason for one in judge_records([test], known))
-    assert any("differs by" in one.reason or "jumps" in one.reason for one in judge_records(
-        [TimeSeries(t_s, spoiled, None, u_V)], known
-    ))
+    assert any(
+        "differs by" in one.reason or "jumps" in one.reason
+        for one in judge_records([TimeSeries(t_s, spoiled, None, u_V)], known)
+    )
 
 
 def _whole_fit(columns: Columns) -> tuple[Cut, Problem, RealMotor]:

@@ -27,8 +27,21 @@ from shared.page import today, write
 from shared.table import markdown
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
-LOG = "--time us --drive pwm --full 255 --supply-V 12 --position counts --counts-per-turn 1440".split()
-SPEED = "--time us --drive pwm --full 255 --supply-V 12 --velocity".split()
+LOG = [
+    "--time",
+    "us",
+    "--drive",
+    "pwm",
+    "--full",
+    "255",
+    "--supply-V",
+    "12",
+    "--position",
+    "counts",
+    "--counts-per-turn",
+    "1440",
+]
+SPEED = ["--time", "us", "--drive", "pwm", "--full", "255", "--supply-V", "12", "--velocity"]
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("dead_band_1p3V.csv", (*LOG,)),
     ("closedloop.csv", ()),
@@ -135,7 +148,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parser.parse_args(argv)
     data = Path(os.environ.get("RIG_SHARED_DATA", ""))
     if not os.environ.get("RIG_SHARED_DATA") or not data.is_dir():
-        print("RIG_SHARED_DATA must name the folder with real, emps and cases (docs/evidence/README.md)", file=sys.stderr)
+        print("RIG_SHARED_DATA must name the folder with real, emps and cases", file=sys.stderr)
         return 2
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
