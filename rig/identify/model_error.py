@@ -3,7 +3,7 @@
 On a motor that is what the model says both are no larger than the scatter of the fit tells, and add nothing. On another
 the pieces differ by more than that, for the noise of each is not the cause: then what they differ by says how far the
 numbers may be off (a sandwich covariance over pieces, and half the difference between the halves with low and with high
-drive). Neither sees an error that all pieces share.
+drive). Neither sees an error that all pieces share: where the model leaves far more than noise, 3 % stands for it.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ APART = 1.15  # drive of the half with high drives over that of the other: less 
 DIFFER = 2.5  # standard deviations by which the halves must differ
 PIECES = "pieces that differ"
 DRIVES = "low and high drive"
+LEFT = "what the model leaves out"
+LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
+SHARED = 0.03  # of each number
 
 
 def model_error(fit: Fit, blocks: Cut) -> list[Entry]:
@@ -50,11 +53,14 @@ def model_error(fit: Fit, blocks: Cut) -> list[Entry]:
         return []
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
     lines = (_pieces(matrix, gradient, unit(fit), at), _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
-    return [
+    found = [
         Entry(source, *(half * size).tolist())
         for source, half in zip((PIECES, DRIVES), lines, strict=True)
         if half.any()
     ]
+    if fit.rms_rad > LEAVES * fit.problem.sigma_rad:
+        found.append(Entry(LEFT, *(SHARED * abs(getattr(fit.motor, name)) for name in OF)))
+    return found
 
 
 def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> Array:
