@@ -194,8 +194,11 @@ class Chooser:
         """The law that takes least of the error in blocks of the tests; None if each takes as much as is asked.
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
-        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it.
+        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it. Where it leaves white
+        noise, likelihood is right.
         """
+        if fit.problem.noise.white:
+            return None
         longer = whole.every(max(BLOCK_S, BLOCK_TAUS * fit.motor.tau_s))
         cut = longer if longer.longest_s > fit.problem.cut.longest_s else fit.problem.cut
         full = self._in_blocks(fit, laws, fit.motor, cut)
