@@ -8,6 +8,7 @@ doubtful if both the column and a thousand times or a thousandth of it are possi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,10 @@ Array = NDArray[np.float64]
 LONGEST_PERIOD_S = 0.5  # between samples: longer than any motor's time constant
 SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of positions
 SHORTEST_RECORD_S = 0.1
+LARGEST_SPAN_RAD = 40.0  # six turns
 SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
+FINE_RAD = 0.05  # 126 steps a turn; in degrees it would be 7,200
 COARSE_STEP_RAD, COARSEST_STEP_RAD = 0.1, 0.5  # 63 and 13 steps a turn
-FASTEST_RAD_S = 6000.0  # 57,000 rpm
 LARGEST_DRIVE_V = 100.0
 SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
@@ -39,6 +41,7 @@ MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
+LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 FEW_LEVELS = 8
 # Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
 # them; rows over which a speed is taken; how speed and drive are correlated there.
@@ -51,11 +54,13 @@ class Objection(NamedTuple):
 
     verdict: Verdict
     reason: str
+    spoils: bool = True  # whether no better fit mends it
 
 
-def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
+def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) -> list[Objection]:
     """Objections to the recordings: units, columns that do not belong together, gaps, too little motion.
 
+    motor   as it was fitted; None: not known. A quick one turns within a row or two, and that is no spike
     Of many tests of a run that are alike in one of them, the first one is named.
     """
     found: dict[tuple[object, ...], list[Objection]] = {}
@@ -66,11 +71,13 @@ def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
         told = is_told and test.stage is not None
         span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
         columns = _columns(test, span_rad)
-        looks = (_units, _holes, _spikes, _rails, *(() if told else (_little, _information)))
-        for look in (_columns,) if columns else looks:
+        looks = (_units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
+        for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
-                of = (look, number, one.verdict) if test.stage is not None else (look, number, one.verdict, k)
+                of = (place, number, one.verdict) if test.stage is not None else (place, number, one.verdict, k)
                 found.setdefault(of, []).append(one)
+    if not one_way(tests):
+        found = {of: each for of, each in found.items() if each[0].spoils}
     return [first if not others else _as_in_others(first, len(others)) for first, *others in found.values()]
 
 
@@ -199,17 +206,17 @@ def _units(test: TimeSeries) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
+    elif max(step, test.noise_rad()) < FINE_RAD:
+        pass  # as fine as an encoder's radians: no sign of degrees, and the column's name says rad
+    elif span > LARGEST_SPAN_RAD:
+        object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
+    elif span > LARGE_SPAN_RAD:
+        object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif step > COARSEST_STEP_RAD:
         object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees? {said}")
     elif step >= COARSE_STEP_RAD or test.noise_rad() > COARSE_STEP_RAD:
         coarse = max(step, test.noise_rad())
         object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees? {said}")
-
-    fastest = float(np.max(np.abs(np.diff(y)) / np.diff(test.t_s)))
-    if fastest > FASTEST_RAD_S and not test.units_stated:
-        object_to(
-            "refused", f"the shaft turns at {fastest:.3g} rad/s, which no small motor does: is y_rad in degrees? {said}"
-        )
 
     if largest > LARGEST_DRIVE_V:
         object_to("refused", f"the drive reaches {largest:.3g} V: is u_V in mV or in duty counts?")
@@ -239,15 +246,37 @@ def _holes(test: TimeSeries) -> list[Objection]:
     return found
 
 
-def _spikes(test: TimeSeries) -> list[Objection]:
-    """Single positions that differ from the median of their neighbours."""
+def one_way(tests: Sequence[TimeSeries]) -> bool:
+    """Whether all tests together turn the shaft one way only, but for what noise and the sensor's steps explain."""
+    ways = [_ways_rad(test) for test in tests]
+    return not any(forth >= _motion(test) for (forth, _), test in zip(ways, tests, strict=True)) or not any(
+        back >= _motion(test) for (_, back), test in zip(ways, tests, strict=True)
+    )
+
+
+def _ways_rad(test: TimeSeries) -> tuple[float, float]:
+    """Longest way towards +y and towards -y, rad."""
+    y = test.y_rad
+    return float(np.max(y - np.minimum.accumulate(y))), float(np.max(np.maximum.accumulate(y) - y))
+
+
+def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
+    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau."""
+    if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
+        return 0.0
+    fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
+    return fastest * test.period_s * min(1.0, test.period_s / motor.tau_s)
+
+
+def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
+    """Single positions that differ from the median of their neighbours by more than a reversal explains."""
     y = test.y_rad
     if y.size < 5:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(y, 5)
     off = np.abs(y[2:-2] - np.median(windows, axis=1))
     k = int(np.argmax(off))
-    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad()):
+    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad(), _turn_rad(test, motor)):
         return [
             Objection(
                 "doubtful",
@@ -309,8 +338,7 @@ def _information(test: TimeSeries) -> list[Objection]:
     """Motion that cannot separate the parameters, in any fit."""
     y = test.y_rad
     motion = _motion(test)
-    forth = float(np.max(y - np.minimum.accumulate(y)))
-    back = float(np.max(np.maximum.accumulate(y) - y))
+    forth, back = _ways_rad(test)
     if 0.0 < max(forth, back) < 2.0 * motion:
         return [
             Objection(
@@ -334,8 +362,9 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, so K, f_c and asymmetry cannot be told apart: record a "
-                "drive that moves it both ways",
+                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is "
+                "what both take that way: record a drive that moves it both ways",
+                spoils=False,
             ),
         ]
     return coarse

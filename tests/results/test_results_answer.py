@@ -123,9 +123,11 @@ def test_an_older_file_has_the_answer_once_it_is_read_and_is_written_with_it(old
 
 
 def test_the_file_of_a_newer_version_keeps_its_answer_whatever_it_says_beside_it() -> None:
-    newer = {"answer": one(0.2).as_json() | {"method": "x", "grade": {"tau_s": "good"}, "holds": [1]}}
+    graded = {"tau_s": {"value": 0.2, "u95": 0.01, "grade": "good", "since": "later"}}
+    newer = {"answer": one(0.2).as_json() | {"method": "x", "grade": graded, "later": [1]}}
     read = RunResult.model_validate(newer | old_keys())
-    assert read.answer is not None and (read.answer.tau_s, read.answer.grade) == (0.2, {"tau_s": "good"})
+    assert read.answer is not None and read.answer.tau_s == 0.2
+    assert read.answer.grade is not None and read.answer.grade["tau_s"].grade == "good"
     assert RunResult.model_validate({"answer": None} | {"estimates": old_keys()["estimates"]}).answer is None
 
 

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
 COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 NOTHING: Mapping[str, float] = {}
 
@@ -54,6 +55,7 @@ class Departure(ABC):
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
     one_sided        whether its numbers are never below 0
     over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
+    both_ways        whether only a shaft that turns both ways can show it
     told_by          what to record to tell it from laws that look alike
     """
 
@@ -65,11 +67,16 @@ class Departure(ABC):
     shape: tuple[str, ...] = ()
     one_sided: bool = False
     over_position: bool = False
+    both_ways: bool = False
     told_by: str = "a relay test of another amplitude"
 
     @abstractmethod
     def range_of(self, bench: Bench) -> float:
         """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""
+
+    def most(self, bench: Bench) -> float:
+        """Largest size that a fit may give it, in ``unit``: a voltage may be as large as the largest drive."""
+        return max(LARGEST * self.range_of(bench), bench.largest_V if self.unit == "V" else 0.0)
 
     def fits(self, bench: Bench) -> bool:
         """Whether it can be looked for on this bench."""
