@@ -172,14 +172,16 @@ def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
 
     A velocity is the mean since the row before if it comes from a counter: then each row moves by whole steps. Else it
     is a sample, and in between it changes evenly. A velocity that is held over several rows, because it is computed
-    less often than rows are written, tells of those rows alone in which it is new.
+    less often than rows are written, is the mean since it was last new: it tells of those rows in which it is new.
     """
     kept = held_rows(v_rad_per_s)
-    if kept is not None:
-        every = int(kept[1] - kept[0])
-        notes.append(f"the velocity is new in every {every}th row and held in between: only these rows are positions")
-        v_rad_per_s, t_s = v_rad_per_s[kept], t_s[kept]
-    return Summed(_integrated(v_rad_per_s, t_s, notes), kept)
+    if kept is None:
+        return Summed(_integrated(v_rad_per_s, t_s, notes))
+    notes.append(
+        f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it was "
+        "new before, and the position is known in these rows"
+    )
+    return Summed(np.cumsum(v_rad_per_s[kept] * np.diff(t_s[kept], prepend=t_s[kept[0]])), kept)
 
 
 def held_rows(v: Floats) -> Integers | None:
