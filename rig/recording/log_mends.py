@@ -178,8 +178,8 @@ def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
     if kept is None:
         return Summed(_integrated(v_rad_per_s, t_s, notes))
     notes.append(
-        f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it was "
-        "new before, and the position is known in these rows"
+        f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it "
+        "was new before, and the position is known in these rows"
     )
     return Summed(np.cumsum(v_rad_per_s[kept] * np.diff(t_s[kept], prepend=t_s[kept[0]])), kept)
 
