@@ -503,7 +503,7 @@ def _tells_no_motor(plain: Estimate, data: Measurements) -> bool:
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
-    return not _bare(plain, data).spoiled
+    return not any(one.verdict == "refused" and one.spoils for one in judge_records(data.tests, plain))
 
 
 def _bare(plain: Estimate, data: Measurements) -> Estimate:
