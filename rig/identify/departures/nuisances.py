@@ -70,7 +70,7 @@ class Nuisances:
         return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads))
 
     def tempered(self, effect: float) -> Nuisances:
-        """The same where only one of ``effect`` (>= 1) rows says something of its own: pieces differ more than noise."""
+        """The same where only one of ``effect`` (>= 1) rows says something: pieces differ by more than noise."""
         return replace(self, matrix=self.matrix / effect, gradient=self.gradient / effect)
 
     @property
