@@ -114,7 +114,11 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
     run = solve(begin(replace(pieces.problem, cut=whole, free=(), noise=WHITE), motor))
     return replace(
         plain,
-        **dict(zip(PARAMETERS, values, strict=True)),
+        tau_s=motor.tau_s,
+        K_rad_s_V=motor.K_rad_s_V,
+        fc_V=motor.fc_V,
+        asym_V=motor.bias_V,
+        delay_s=delay,
         ci95={
             name: (value - quantile * error, value + quantile * error)
             for name, value, error in zip(PARAMETERS, values, errors, strict=True)
