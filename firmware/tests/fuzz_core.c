@@ -50,8 +50,8 @@ static struct {
     bool homing;
     bool has_zero;    /* of an encoder */
     bool estop_tried; /* its board */
-    uint16_t max_drive, watchdog_ms;
-    uint32_t session;
+    uint16_t max_drive, law_max_drive, watchdog_ms;
+    uint32_t session, law_session;
     unsigned latched; /* bits of what must not be forgotten until it is acknowledged */
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
@@ -192,9 +192,9 @@ static void release_tick(void *context)
 static void look_at_block(const uint8_t *content, size_t n)
 {
     REQUIRE(n >= FRAME_HEADER + 18u && (n - FRAME_HEADER - 18u) % 4u == 0u);
-    REQUIRE(u32(content + FRAME_HEADER + 10u) == witness.session);
+    REQUIRE(u32(content + FRAME_HEADER + 10u) == witness.law_session); /* its last one may wait until after a SETUP */
     for (size_t at = FRAME_HEADER + 18u; at < n; at += 4u) {
-        REQUIRE(size_of((int16_t)u16(content + at + 2)) <= witness.max_drive);
+        REQUIRE(size_of((int16_t)u16(content + at + 2)) <= witness.law_max_drive);
     }
     board.blocks++;
 }
@@ -435,7 +435,6 @@ static void note_state(void)
     REQUIRE(u32(body + 20) == witness.session);
     REQUIRE(((body[18] & RIG_STATUS_ZERO) != 0u) == witness.has_zero);
     REQUIRE(((body[18] & RIG_STATUS_ESTOP_TRIED) != 0u) == (witness.estop_tried && counts_an_encoder()));
-    note_look();
 }
 
 static uint32_t arrival(void)
@@ -496,6 +495,8 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
     case RIG_RELAY | RIG_REPLY:
     case RIG_STROKES | RIG_REPLY:
         REQUIRE(was_armed && !was_running && core.running && !witness.homing);
+        witness.law_session = witness.session;
+        witness.law_max_drive = witness.max_drive;
         witness.relay_centre = (int32_t)u32(content + FRAME_HEADER + 8u) / 16;
         witness.t_voice_us = arrival();
         witness.strokes.run = false;
@@ -508,20 +509,23 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         REQUIRE(!is_in_the_way(content[FRAME_HEADER]));
         witness.latched &= ~(1u << content[FRAME_HEADER]);
         note_state();
+        note_look();
         break;
     case RIG_ZERO | RIG_REPLY:
         REQUIRE(counts_an_encoder() && !was_armed && board.counts == (int32_t)u32(content + FRAME_HEADER));
         REQUIRE((witness.latched & ENCODER_FAULTS) == 0u); /* P13 */
-        note_state();
+        note_state(); /* it has looked at the count before; the next look is at the one that it was told */
         break;
     case RIG_STOP | RIG_REPLY:
         witness.permitted = false;
         witness.pulsing = false;
         REQUIRE(board.pin == 0);
         note_state();
+        note_look();
         break;
     case RIG_READ | RIG_REPLY:
         note_state();
+        note_look();
         note_sample();
         break;
     default:

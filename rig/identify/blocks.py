@@ -78,7 +78,7 @@ class Blocks:
         return np.where(self.shown, 0.0, self.cut.y_rad - self.cut.y_rad[last])
 
     def squares(self, rows: Array) -> Array:
-        """(p,) sum of squares of each block."""
+        """(p,) sum of squares of each block, rad^2; ``rows``: (n,), rad."""
         return np.add.reduceat(rows**2, self.cut.begins)
 
     def error(self, motor: RealMotor, problem: Problem) -> float:

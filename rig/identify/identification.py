@@ -26,6 +26,7 @@ from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.plausibility import is_cut_off, judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
+from rig.identify.reading_filter import reading_filter_s
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
@@ -201,6 +202,9 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
+    if _takes_filter(data, found.estimates.get(LEADING)):
+        found = _found(data)
+        errors = _add_estimates(used, data, found, asked.by_name)
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -251,6 +255,19 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
     data.take_unknown_delay(bound_s)
     data.notes.append("the drive acts later than the recording says: its delay is fitted")
     return True
+
+
+def _takes_filter(data: Measurements, estimate: Estimate | None) -> bool:
+    """Whether the readings of plain files are behind a low-pass filter. Then those of ``data`` are before it."""
+    if estimate is None or estimate.spoiled or any(test.stage is not None for test in data.tests):
+        return False
+    try:
+        lag_s = reading_filter_s(data.tests, estimate)
+    except IdentifyError:
+        return False  # too short for pieces
+    if lag_s > 0.0:
+        data.take_reading_filter(lag_s)
+    return lag_s > 0.0
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
@@ -486,7 +503,7 @@ def _tells_no_motor(plain: Estimate, data: Measurements) -> bool:
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
-    return not _bare(plain, data).spoiled
+    return not any(one.verdict == "refused" and one.spoils for one in judge_records(data.tests, plain))
 
 
 def _bare(plain: Estimate, data: Measurements) -> Estimate:

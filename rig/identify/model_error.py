@@ -8,9 +8,9 @@ drive). Neither sees an error that all pieces share: where the model leaves far 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,14 @@ LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than 
 SHARED = 0.03  # of each number
 
 
-def model_error(fit: Fit, blocks: Cut) -> list[Entry]:
+class ModelError(NamedTuple):
+    """Lines of the budget, and how many rows say as much as one, >= 1: by how much pieces differ more than noise."""
+
+    lines: tuple[Entry, ...] = ()
+    effect: float = 1.0
+
+
+def model_error(fit: Fit, blocks: Cut) -> ModelError:
     """The lines of the budget for what pieces, and low and high drives, differ by; none where they do not.
 
     fit      by least squares, with its noise
@@ -50,9 +57,10 @@ def model_error(fit: Fit, blocks: Cut) -> list[Entry]:
     free = fit.problem.free
     at = [free.index(name) for name in OF if name in free]
     if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):
-        return []
+        return ModelError()
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-    lines = (_pieces(matrix, gradient, unit(fit), at), _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
+    of_pieces, effect = _pieces(matrix, gradient, unit(fit), at)
+    lines = (of_pieces, _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
     found = [
         Entry(source, *(half * size).tolist())
         for source, half in zip((PIECES, DRIVES), lines, strict=True)
@@ -60,11 +68,11 @@ def model_error(fit: Fit, blocks: Cut) -> list[Entry]:
     ]
     if fit.rms_rad > LEAVES * fit.problem.sigma_rad:
         found.append(Entry(LEFT, *(SHARED * abs(getattr(fit.motor, name)) for name in OF)))
-    return found
+    return ModelError(tuple(found), effect)
 
 
-def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> Array:
-    """(3,) half widths that the pieces show beyond the scatter of the fit."""
+def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
+    """(3,) half widths that the pieces show beyond the scatter of as many rows as count, and how many count as one."""
     inverse = _inverse(matrix.sum(axis=0))
     moves = -(gradient @ inverse)[:, at]
     moves = moves - moves.mean(axis=0)
@@ -75,8 +83,11 @@ def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> 
     effective = np.clip((moves**2).sum(axis=0) ** 2 / fourth - 1.0, 1.0, None)
     bar = np.array([chdtri(one, CHANCE) / one for one in effective])
     half = np.array([float(stdtrit(one, 0.975)) for one in effective]) * np.sqrt(squares)
-    beyond = np.sqrt(np.maximum(half**2 - COVERAGE**2 * naive, 0.0))
-    return np.where(squares > bar * naive, beyond, 0.0)
+    differ = squares > bar * naive
+    ratio = squares / naive
+    effect = max(1.0, float(np.exp(np.log(ratio[differ]).mean()))) if differ.any() else 1.0
+    beyond = np.sqrt(np.maximum(half**2 - COVERAGE**2 * naive * effect, 0.0))
+    return np.where(differ, beyond, 0.0), effect
 
 
 def _drives(matrix: Array, gradient: Array, at: Sequence[int], drive_V: Array) -> Array:
@@ -114,8 +125,3 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(
         np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
     )
-
-
-def widest(lines: Sequence[Entry], name: str) -> float:
-    """Root sum of squares of the lines for one number."""
-    return math.hypot(*(getattr(line, name) for line in lines)) if lines else 0.0

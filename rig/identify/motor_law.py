@@ -402,15 +402,16 @@ def motor_law(
     fit = joined(parts, of_windows) if was_known else parts
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
+    whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
+    blocks = Blocks.of(whole, fit.motor.tau_s)
+    of_model = model_error(parts, blocks.cut)
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
-    by_size = profiles(parts, choice.laws, begun.chooser)
-    own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
-    whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
-    blocks = Blocks.of(whole, fit.motor.tau_s)
+    by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
+    own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
-    lines = budget(nuisances, by_size, instead, scales, own, model_error(parts, blocks.cut))
+    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     holds = _holds(whole)
     bounded = tuple(_at_bounds(fit, choice.laws))

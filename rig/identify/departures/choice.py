@@ -34,7 +34,6 @@ MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
-NEAR_NOISE = 1.1  # residual in blocks over the sensor's noise up to which likelihood alone decides
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
@@ -202,8 +201,6 @@ class Chooser:
         longer = whole.every(max(BLOCK_S, BLOCK_TAUS * fit.motor.tau_s))
         cut = longer if longer.longest_s > fit.problem.cut.longest_s else fit.problem.cut
         full = self._in_blocks(fit, laws, fit.motor, cut)
-        if full < NEAR_NOISE * self.sigma_rad:
-            return None
         cuts: dict[Departure, float] = {}
         for law in laws:
             others = tuple(one for one in laws if one is not law)
