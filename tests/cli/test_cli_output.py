@@ -199,10 +199,8 @@ def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tm
     del config["tracking"]
     path = tmp_path / "quick.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "rig", "relay", str(path), "--out", str(tmp_path / "runs")],
-        capture_output=True, text=True, check=True, cwd=ROOT,
-    )  # fmt: skip
+    done = rig("relay", path, "--out", tmp_path / "runs")
+    assert done.exit_code == 0
     said = [re.fullmatch(r" +[0-9]+\.[0-9] s  (.*)", line) for line in done.stderr.splitlines()]
     assert [line[1] for line in said if line] == ["breakaway", "relay-1", "identify"]
     assert all(said), done.stderr

@@ -32,7 +32,7 @@ from rig.replay import replay
 from rig.signals import Sample
 from rig.testing.line import lines_opened_by
 
-pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
+pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config/encoder.yaml"
@@ -72,6 +72,7 @@ def run(folder: Path, path: Path) -> dict[str, Any]:
     return outcome
 
 
+@pytest.mark.evidence
 def test_the_whole_experiment_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: Path) -> None:
     outcome = run(tmp_path, CONFIG)
     estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
