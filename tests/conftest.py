@@ -16,6 +16,11 @@ settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("search", derandomize=False, print_blob=True, deadline=None)
 settings.load_profile("same")
 
+# Rooms about what is found and shown of a motor. Elsewhere a run ends without laws of the motor and without figures.
+FINDINGS = {
+    "api", "campaign", "compare", "export", "fuzz", "identify", "replay", "report", "results", "tools", "tune",
+}  # fmt: skip
+
 
 def pytest_configure() -> None:
     """A runner that was started in the background ignores Ctrl-C, and so would the processes that tests send it to."""
@@ -75,7 +80,8 @@ def _no_figures() -> Iterator[None]:
 @pytest.fixture(autouse=True, scope="module")
 def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
     """To draw the figures of a report takes longer than a run in virtual time: tests marked ``drawn`` look at them."""
-    with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else _no_figures():
+    absent = _no_drawing if request.path.parent.name in FINDINGS else _no_figures
+    with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else absent():
         yield
 
 
@@ -98,8 +104,8 @@ def _no_laws() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="module")
 def _laws_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
-    """To look for laws takes longer than a run in virtual time: tests/identify, and those marked ``laws``, do."""
-    looks = request.node.get_closest_marker("laws") or request.path.parent.name == "identify"
+    """To look for laws takes longer than a run in virtual time: rooms about findings, and those marked ``laws``, do."""
+    looks = request.node.get_closest_marker("laws") or request.path.parent.name in FINDINGS
     with contextlib.nullcontext() if looks else _no_laws():
         yield
 

@@ -244,7 +244,7 @@ def test_any_subset_of_files_makes_a_page_that_says_what_is_missing(run: Path, g
     assert ("For this page its recording was identified" in page.words) == (samples and not result)
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "plain_motor")
 @pytest.mark.parametrize(
     ("rows", "drawn", "not_drawn"),
     [
