@@ -80,7 +80,8 @@ def _no_figures() -> Iterator[None]:
 @pytest.fixture(autouse=True, scope="module")
 def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
     """To draw the figures of a report takes longer than a run in virtual time: tests marked ``drawn`` look at them."""
-    absent = _no_drawing if request.path.parent.name in FINDINGS else _no_figures
+    made = request.node.get_closest_marker("made") or request.path.parent.name in FINDINGS
+    absent = _no_drawing if made else _no_figures
     with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else absent():
         yield
 
