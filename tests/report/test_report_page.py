@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from evidence import examples
+from evidence import evidence, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
@@ -35,8 +35,10 @@ pytestmark = [pytest.mark.long, pytest.mark.drawn]
 
 FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
 # every subset without samples (quick); with them each file alone, the two that know the search, and all four
-SUBSETS = [c for n in range(1, 6) for c in combinations(FILES, n) if "samples.csv" in c or n in (1, 4)]
-SUBSETS.append(("events.jsonl", "result.json"))
+SUBSETS = [
+    *((name,) for name in FILES), ("events.jsonl", "result.json"), FILES,
+    *evidence(*((c,) for n in range(2, 5) for c in combinations(FILES, n) if "samples.csv" in c or n == 4)),
+]  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr", "input", "wbr"}
 
 
