@@ -37,7 +37,8 @@ _CLOSES_S: Final = 5.0
 _VIRTUAL_LEASE_S: Final = 2.0
 _LEAST_CPU_S: Final = 0.002  # page faults and interrupts have cost a good law up to 0.7 ms in one step
 _LOOK_EVERY_STEPS: Final = 50
-_STILL_S: Final = 1.0  # the loop's, besides its waits for replies: a stop, a busy machine
+_STILL_S: Final = 1.0  # the loop's, besides its waits for replies: a busy machine
+_MOST_WAITS: Final = 12  # for a reply, one after the other: four requests that arm a device, three times each
 _NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
 
 
@@ -48,7 +49,7 @@ def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
         bound_s = max(0.5 * e.period_s, _LEAST_CPU_S)
         words += f", by default half a period, {1e3 * _LEAST_CPU_S:g} ms at least"
     lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
-    still_s = lease_s + _STILL_S + 3.0 * e.daq.timeout_s
+    still_s = lease_s + _STILL_S + _MOST_WAITS * e.daq.timeout_s
     if virtual:
         return LawTimes(math.inf, _VIRTUAL_LEASE_S, words, still_s)
     return LawTimes(bound_s, lease_s, words, still_s)
