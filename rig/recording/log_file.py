@@ -13,23 +13,9 @@ import numpy as np
 
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, words_of
+from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, units_said
 from rig.recording.recording import MIN_ROWS, Columns, Floats, Recording, assembled
 
-# Words of a column's name that say its unit, in small letters.
-_NAMES_UNIT: Final = {
-    "time": {"ms": "ms", "millis": "ms", "us": "us", "micros": "us", "s": "s", "sec": "s", "seconds": "s"},
-    "drive": {"pwm": "pwm", "duty": "duty"},
-    "position": {
-        "rad": "rad",
-        "deg": "deg",
-        "turns": "turns",
-        "count": "counts",
-        "counts": "counts",
-        "ticks": "counts",
-    },
-    "velocity": {"rpm": "rpm"},
-}
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identify/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
@@ -102,7 +88,7 @@ def _refuse_other_units(
     for quantity, (name, of_units) in said_of.items():
         given = choices[quantity]
         said = {of_units} & UNITS[quantity].keys()
-        said = said or {unit for word in words_of(name) if (unit := _NAMES_UNIT[quantity].get(word))}
+        said = said or units_said(name, quantity)
         if given.column is None and said and given.unit not in said:
             raise RecordingError(
                 path,

@@ -29,6 +29,22 @@ USUAL_NAMES: Final = {
     "position": {"y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg"},
     "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
 }
+# Words of a column's name that say its unit, in small letters.
+_NAMES_UNIT: Final = {
+    "time": {"ms": "ms", "millis": "ms", "us": "us", "micros": "us", "s": "s", "sec": "s", "seconds": "s"},
+    "drive": {"pwm": "pwm", "duty": "duty", "mv": "mV"},
+    "position": {
+        "rad": "rad",
+        "deg": "deg",
+        "degrees": "deg",
+        "grad": "deg",
+        "turns": "turns",
+        "count": "counts",
+        "counts": "counts",
+        "ticks": "counts",
+    },
+    "velocity": {"rpm": "rpm"},
+}
 _WORD: Final = re.compile(r"[^\W\d_]+")
 LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s"}
@@ -43,6 +59,11 @@ def words_of(name: str) -> list[str]:
 def sounds_like(name: str, quantity: str) -> bool:
     """Whether the first word of a column's name is a usual one for this quantity."""
     return any(word in USUAL_NAMES[quantity] for word in words_of(name)[:1])
+
+
+def units_said(name: str, quantity: str) -> set[str]:
+    """The units of this quantity that a column's name says."""
+    return {unit for word in words_of(name) if (unit := _NAMES_UNIT[quantity].get(word))}
 
 
 class LogFormatError(RigError):
