@@ -62,6 +62,7 @@ class TunedRun:
     """A loop for the motor of a run.
 
     latency_s  that the run's device reports, from a sample to the effect of its drive, s
+    made_up    the run was a rehearsal: nobody measured this motor
     """
 
     folder: Path
@@ -69,6 +70,7 @@ class TunedRun:
     trial: Trial
     prediction: Prediction
     latency_s: float
+    made_up: bool
 
     def options(self) -> dict[str, Any]:
         """Of the law `tuned`, for the section `law` of a config."""
@@ -143,7 +145,7 @@ def tune_run(
     prediction = predict(tuned, trial, draws, on_progress=on_progress)
     if bench is not None:
         _require_inside(bench, prediction)
-    return TunedRun(folder, tuned, trial, prediction, latency_s)
+    return TunedRun(folder, tuned, trial, prediction, latency_s, bool(result.rehearsal))
 
 
 def _require_inside(bench: Experiment, prediction: Prediction) -> None:

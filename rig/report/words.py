@@ -15,6 +15,7 @@ from rig.results import BreakawayResult, EstimateResult, known
 from rig.results.answer_words import rounded as as_digits
 from rig.results.answer_words import share
 
+_KNOWN = 1e-6  # of a value: a half interval that is narrower says that the value was given, and not fitted
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
 
@@ -127,11 +128,12 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
     if bounds is not None:
         low, high = (parameter.factor * b for b in bounds)
         half = 0.5 * (high - low)
-        middle = abs(0.5 * (low + high) - value) < 0.01 * half
-        between = f"{rounded(low, half)} to {rounded(high, half)}"
-        plus_minus = f"± {rounded(half, half)}" if middle else between
-        if value and parameter in HEADLINE_PARAMETERS:
-            relative = share(value, half)
+        if half > _KNOWN * abs(value):
+            middle = abs(0.5 * (low + high) - value) < 0.01 * half
+            between = f"{rounded(low, half)} to {rounded(high, half)}"
+            plus_minus = f"± {rounded(half, half)}" if middle else between
+            if value and parameter in HEADLINE_PARAMETERS:
+                relative = share(value, half)
     error = ""
     true = truth.get(parameter.key, math.nan)
     if math.isfinite(true):
@@ -140,7 +142,8 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         else:
             difference = parameter.factor * (exact - true)
             error = f"{'+' if difference > 0.0 else ''}{rounded(difference, abs(difference))} {parameter.unit}"
-    return Quantity(parameter, exact, rounded(value, half), between, plus_minus, relative, error)
+    shown = half if between else math.nan
+    return Quantity(parameter, exact, rounded(value, shown), between, plus_minus, relative, error)
 
 
 def headline(run: ReportedRun) -> Headline:
