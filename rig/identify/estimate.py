@@ -47,6 +47,7 @@ class Estimate:
                     one's; None without it
     cycles          the limit cycles behind the estimate; () for a method that needs none
     converged       whether its fit came to an end
+    spoiled         whether it was refused for what no better fit mends: wrong columns, a damaged record, no motor
     """
 
     method: str
@@ -73,6 +74,7 @@ class Estimate:
     cycles: tuple[Cycle, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = ()
     converged: bool = True
+    spoiled: bool = False
 
     @property
     def correlation(self) -> Array:
@@ -118,11 +120,15 @@ class Estimate:
         control = needed("control", "to_control()")
         return control.tf([motor.K_rad_s_V], [motor.tau_s, 1.0, 0.0], inputs="u_V", outputs="y_rad", name=self.method)
 
-    def judged(self, verdict: Verdict, *reasons: str) -> Self:
-        """The estimate with a verdict at least as severe as ``verdict``, and further ``reasons``."""
+    def judged(self, verdict: Verdict, *reasons: str, spoiled: bool = True) -> Self:
+        """The estimate with a verdict at least as severe as ``verdict``, and further ``reasons``.
+
+        spoiled   whether a refusal is for what no better fit mends; False: a motor that predicts is used all the same
+        """
         worst = max(self.verdict, verdict, key=VERDICTS.index)
         new = tuple(reason for reason in reasons if reason not in self.reasons)
-        return replace(self, verdict=worst, reasons=self.reasons + new)
+        spoils = self.spoiled or (spoiled and verdict == "refused")
+        return replace(self, verdict=worst, reasons=self.reasons + new, spoiled=spoils)
 
     def as_result(self) -> EstimateResult:
         """As one entry of ``estimates`` in result.json; a number that is not finite becomes None."""

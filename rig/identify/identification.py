@@ -12,6 +12,7 @@ import numpy as np
 
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import are_one_motor, disagreement, estimates_of_each
+from rig.identify.blocks import HeldOut
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
@@ -25,10 +26,11 @@ from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.plausibility import is_cut_off, judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
+from rig.identify.reading_filter import reading_filter_s
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
-from rig.identify.verdict import largest_drive_V
+from rig.identify.verdict import in_percent, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -97,10 +99,10 @@ class Identification:
     @property
     def answer(self) -> Answer | None:
         """The numbers to use, with their laws, u95 and verdict, as in result.json; None without an estimate."""
-        law = self.motor_law
+        law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
         return answer_of(
             {method: estimate.as_result() for method, estimate in self.estimates.items()},
-            **({} if law is None else law.of_answer()),
+            **({} if law is None else law.of_answer(self.leading, largest_V)),
         )
 
     @property
@@ -200,6 +202,9 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
+    if _takes_filter(data, found.estimates.get(LEADING)):
+        found = _found(data)
+        errors = _add_estimates(used, data, found, asked.by_name)
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -252,6 +257,19 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
     return True
 
 
+def _takes_filter(data: Measurements, estimate: Estimate | None) -> bool:
+    """Whether the readings of plain files are behind a low-pass filter. Then those of ``data`` are before it."""
+    if estimate is None or estimate.spoiled or any(test.stage is not None for test in data.tests):
+        return False
+    try:
+        lag_s = reading_filter_s(data.tests, estimate)
+    except IdentifyError:
+        return False  # too short for pieces
+    if lag_s > 0.0:
+        data.take_reading_filter(lag_s)
+    return lag_s > 0.0
+
+
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
     """The estimators of these names, in the order of the list; all if ``methods`` is None. Raises IdentifyError."""
     known = [entry.name for entry in ESTIMATORS]
@@ -299,8 +317,8 @@ def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estim
 def _with_causes(judged: Estimate, read: Sequence[TimeSeries]) -> Estimate:
     """The judged estimate with what is wrong in columns and units, which comes first: it is the cause."""
     consequences, estimate = judged.reasons, replace(judged, reasons=())
-    for severity, reason in [*judge_records(read), *judge_motor(estimate, read)]:
-        estimate = estimate.judged(severity, reason)
+    for one in [*judge_records(read, estimate), *judge_motor(estimate, read)]:
+        estimate = estimate.judged(one.verdict, one.reason, spoiled=one.spoils)
     return estimate.judged("ok", *consequences)
 
 
@@ -412,10 +430,13 @@ def _add_motor_law(
         judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
         odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
-        objections = [*_said(odd or disagreement(law.alone)), *data.supplies]
+        objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
+    if law.predicts is not None and law.estimate is not None:
+        law = replace(law, estimate=by_prediction(law.estimate, law.predicts))
+        found.motor_law = law
     for method, estimate in found.estimates.items():
         reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
         if not reservations or not (method == LEADING or estimate.verdict == "ok"):
@@ -425,6 +446,23 @@ def _add_motor_law(
         else:  # the law is the cause, so it comes first; what it explains is left out
             others = _said(disagreement(each)) if law.explains else estimate.reasons
             found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)
+    if law.estimate is None and law.bounded and LEADING in found.estimates:
+        found.estimates[LEADING] = found.estimates[LEADING].judged("doubtful", *law.bounded)
+    if law.predicts is not None and law.estimate is None and LEADING in found.estimates:
+        found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts)
+
+
+def by_prediction(estimate: Estimate, predicts: HeldOut) -> Estimate:
+    """The estimate refused if it does not predict; if it does, refused for nothing but what no fit mends."""
+    if not predicts.is_useful:
+        return estimate.judged(
+            "refused",
+            f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the "
+            f"motion, a linear model's {in_percent(predicts.linear_error)}; see that drive and position belong "
+            "together, and record larger motion without loads that change",
+            spoiled=False,
+        )
+    return replace(estimate, verdict="doubtful") if estimate.verdict == "refused" and not estimate.spoiled else estimate
 
 
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:
@@ -459,15 +497,19 @@ def _doubt(found: Identification, cause: str) -> None:
 
 def _tells_no_motor(plain: Estimate, data: Measurements) -> bool:
     """Whether the tests say too little of any motor: with laws, too, they would. A fit without an end says nothing."""
-    near = plain.is_motor and plain.converged and _may_have_laws(plain, data)
+    near = plain.is_motor and plain.converged and _bare(plain, data).verdict != "refused"
     return plain.verdict == "refused" and not near
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
-    fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
-    judged = judge_with_laws(fine, data.tests, (0.0, 0.0))
-    return _with_causes(judged, data.tests).verdict != "refused"
+    return not any(one.verdict == "refused" and one.spoils for one in judge_records(data.tests, plain))
+
+
+def _bare(plain: Estimate, data: Measurements) -> Estimate:
+    """The plain estimate judged as if it had no residual."""
+    fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=(), spoiled=False)
+    return _with_causes(judge_with_laws(fine, data.tests, (0.0, 0.0)), data.tests)
 
 
 def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:

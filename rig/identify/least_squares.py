@@ -408,7 +408,7 @@ def _judged(estimate: Estimate, found: Sequence[OneWay], ways: Sequence[Sequence
         _unknown_delays(found, ways),
         _one_direction(runs),
     ):
-        for verdict, reason in objections:
+        for verdict, reason, _ in objections:
             estimate = estimate.judged(verdict, reason)
     return estimate
 

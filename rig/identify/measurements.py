@@ -10,6 +10,7 @@ import numpy as np
 from rig.identify.cycles import NoRelayError, find_cycle
 from rig.identify.mean_cycle import Cycle
 from rig.identify.preprocessing import from_recording
+from rig.identify.reading_filter import unfiltered
 from rig.identify.records import FURTHER, left_out, sound_rows
 from rig.identify.stated_errors import StatedErrors
 from rig.model.supply import SupplyReading
@@ -84,6 +85,15 @@ class Measurements:
         self.tests = [late[id(test)] for test in self.tests]
         self.further = [(late[id(series)], number) for series, number in self.further]
         self.sources = [(name, [late.get(id(series), series) for series in each]) for name, each in self.sources]
+
+    def take_reading_filter(self, lag_s: float) -> None:
+        """From now on the readings are those of the shaft before a low-pass filter of this time constant, s."""
+        moved = {id(test): unfiltered(test, lag_s) for test in self.tests}
+        self.tests = [moved[id(test)] for test in self.tests]
+        self.sources = [(name, [moved.get(id(series), series) for series in each]) for name, each in self.sources]
+        self.notes.append(
+            f"the reading is low-passed by {1e3 * lag_s:.3g} ms, as a smoothed velocity is: undone before the fit"
+        )
 
     def take_searches(self) -> bool:
         """Read the gain searches as tests, too, before the others; whether there were any.

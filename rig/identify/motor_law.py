@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, with_own_noise
@@ -29,26 +30,45 @@ from rig.identify.departures.profile import profiles
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
+from rig.identify.model_error import model_error
 from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
+from rig.identify.plausibility import one_way
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
+from rig.identify.thinning import thinned
 from rig.identify.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
-from rig.recording.series import TimeSeries
+from rig.recording.series import TimeSeries, Window
 from rig.recording.stage import StageKind
-from rig.results import BudgetEntry, FittedRecord, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
+from rig.results import (
+    BudgetEntry,
+    FittedRecord,
+    FoundLawResult,
+    GradedNumber,
+    HoldsResult,
+    LawFrameResult,
+    MotorLawResult,
+    PieceResult,
+    PredictsResult,
+)
 
 Array = NDArray[np.float64]
 
+GRADES = {"exact": ASKED, "good": 0.10, "rough": 0.25}  # half width of u95, relative to the number: at most
+NOT_KNOWN = "not known"
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
-NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
-MOST_ROWS = 8000  # of all tests
+# of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
+NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
+MOST_ROWS, FEWER_ROWS = 8000, 3000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
+LEAVES = 8.0  # residual over the sensor's noise of such a fit
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
+AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
+SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
-ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
+ROWS_OF_TAU, FEWER_OF_TAU = 20, 8  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
@@ -92,6 +112,9 @@ class MotorLaw:
     records         what was fitted
     left_out        a sentence for each record that was not, or not whole
     alone           tau, K and friction of each recording alone, with the laws as they are for all
+    bounded         a sentence for each number at a bound of the fit
+    predicts        how well this motor predicts blocks that it was not fitted to; None: not looked at
+    holds           the drives, speeds and travel of the tests
     explains        whether laws were found, and nothing but u95 is left against the estimate with them: what else is
                     wrong with a plain estimate comes from the laws
     """
@@ -106,6 +129,9 @@ class MotorLaw:
     alone: tuple[RecordingEstimate, ...] = ()
     motor: FramedMotor | None = None
     explains: bool = False
+    bounded: tuple[str, ...] = ()
+    predicts: HeldOut | None = None
+    holds: HoldsResult | None = None
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -211,9 +237,31 @@ class MotorLaw:
             law_records=self.records,
         )
 
-    def of_answer(self) -> dict[str, Any]:
-        """What ``answer_of`` takes beside the estimates."""
+    def graded(self, estimate: Estimate, largest_V: float) -> dict[str, GradedNumber]:
+        """How good each number of an estimate of these tests is, by u95."""
+        sizes, turns_both = sizes_of(estimate, largest_V), self.holds is None or self.holds.ways == "both"
+        found = {}
+        for name, size in sizes.items():
+            half = self.budget.u95[name]
+            share = half / size if math.isfinite(half) else math.inf
+            grade = next((grade for grade, most in GRADES.items() if share <= most), NOT_KNOWN)
+            known = grade != NOT_KNOWN
+            found[name] = GradedNumber(value=getattr(estimate, name) if known else None, u95=half, grade=grade)
+        if not turns_both:
+            found["fc_less_bias_V"], found["fc_V"] = found["fc_V"], GradedNumber(grade=NOT_KNOWN)
+        return found
+
+    def of_answer(self, estimate: Estimate | None, largest_V: float) -> dict[str, Any]:
+        """What ``answer_of`` takes beside the estimates.
+
+        estimate    that of the answer
+        largest_V   largest drive of the tests, V
+        """
+        predicts = self.predicts
         return {
+            "grade": None if estimate is None or not estimate.is_motor else self.graded(estimate, largest_V),
+            "predicts": None if predicts is None else PredictsResult(**predicts._asdict()),
+            "holds": self.holds,
             "with_laws": None if self.estimate is None else self.estimate.as_result(),
             "law": tuple(
                 FoundLawResult(
@@ -267,16 +315,19 @@ class Beginning:
         )
         durations = [window.duration_s for window in whole.windows]
         known_s = [p if p is not None else _swings_s(test) for p, test in zip(periods_s, tests, strict=True)]
-        cycle_s = min((p for p in known_s if p is not None), default=max(durations) / NO_CYCLE)
+        of_pieces_s = min(max(NO_CYCLE_TAUS * plain.tau_s, SHORTEST_S), LONGEST_S, max(durations) / NO_CYCLE)
+        cycle_s = min((p for p in known_s if p is not None), default=of_pieces_s)
         frame = whole.frames[0]
         travel_rad = (frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad)
         linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
         bench = whole.every(0.5 * cycle_s).bench(motor, linearity_rad)
         sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+        turns_one_way = one_way(tests)
+        core = tuple(name for name in CORE if name != "bias_V") if turns_one_way else CORE
         chooser = Chooser(
-            [law for law in DEPARTURES if law.fits(bench)],
+            [law for law in DEPARTURES if law.fits(bench) and not (law.both_ways and turns_one_way)],
             bench,
-            (*CORE, DELAY) if free_delay else CORE,
+            (*core, DELAY) if free_delay else core,
             delay_s,
             max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
         )
@@ -318,20 +369,28 @@ def motor_law(
     further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
-    Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
+    Of more than 8,000 rows several at a time are taken as one, or of 3,000 where the plain motor leaves far more than
+    noise. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
     further = [(_slow(series), number) for series, number in further]
-    folded = [_folded(test, rows, plain.tau_s) for test in tests]
+    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    most = FEWER_ROWS if plain.rms_rad > LEAVES * noise_rad else MOST_ROWS
+    folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
     begun = Beginning.of(folded, plain, periods_s, stated)
     tested = sum(window.t_s.size for window in begun.whole.windows)
     left_out: list[str] = []
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
-        beside = [(_folded(series, of_rows, plain.tau_s), number) for series, number in further]
+        beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
+        if choice.laws and not further and len(set(names)) > 1:
+            each = begun.whole.each(names)
+            if begun.chooser.better_each(choice, each):
+                begun = replace(begun, whole=each, chooser=begun.chooser.with_drift_each())
+                choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
         kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
         left_out += remarks
         if not remarks:
@@ -343,18 +402,26 @@ def motor_law(
     fit = joined(parts, of_windows) if was_known else parts
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
+    whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
+    blocks = Blocks.of(whole, fit.motor.tau_s)
+    of_model = model_error(parts, blocks.cut)
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
-    by_size = profiles(parts, choice.laws, begun.chooser)
-    own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
-    lines = budget(nuisances, by_size, instead, ScaleErrors.of(stated, *begun.travel_rad), own)
-    whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
+    by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
+    own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
+    scales = ScaleErrors.of(stated, *begun.travel_rad)
+    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
+    predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
+    holds = _holds(whole)
+    bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, growth, records, tuple(left_out))
+        return MotorLaw(
+            (), (), None, lines, growth, records, tuple(left_out), bounded=bounded, predicts=predicts, holds=holds
+        )
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
@@ -368,6 +435,9 @@ def motor_law(
         tuple(left_out),
         _alone(parts, of_windows),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
+        bounded=bounded,
+        predicts=predicts,
+        holds=holds,
     )
 
 
@@ -390,44 +460,55 @@ def _free_run(fit: Fit, whole: Cut) -> Fit:
     return solve(begin(replace(fit.problem, cut=whole, free=(), robust_rad=math.inf, noise=WHITE), fit.motor))
 
 
+def _at_bounds(fit: Fit, laws: Sequence[Departure]) -> Iterator[str]:
+    """A sentence for each number that the fit would take beyond its bound: what it says is the bound."""
+    titles = {name: (law.title, law.unit) for law in laws for name in law.numbers}
+    titles |= {"tau_s": ("tau", "s"), "fc_V": ("f_c", "V"), "bias_V": ("the asymmetry", "V")}
+    for name in fit.problem.free:
+        low, high = fit.problem.limits.get(name, (-math.inf, math.inf))
+        value = getattr(fit.motor, name)
+        if name in titles and value != 0.0 and not low < value < high:
+            title, unit_of = titles[name]
+            yield f"{title} is at its bound, {value:.3g} {unit_of}: the record asks for more than any bench has"
+
+
+def _holds(whole: Cut) -> HoldsResult:
+    """What the tests hold."""
+    y_rad = np.concatenate([window.y_rad for window in whole.windows])
+    u_V = np.abs(np.concatenate([window.steps.u_V for window in whole.windows]))
+    speeds = np.concatenate([_speeds(window) for window in whole.windows])
+    size = np.abs(speeds)
+    moving = size[size > AT_REST * float(size.max(initial=0.0))]
+    forth, back = (bool(np.quantile(way * speeds, 0.98) > 0.1 * float(size.max())) for way in (1.0, -1.0))
+    return HoldsResult(
+        drive_V=(float(u_V[u_V > 0.0].min(initial=math.inf)), float(u_V.max())) if u_V.any() else (0.0, 0.0),
+        speed_rad_s=(float(np.quantile(moving, 0.02)), float(np.quantile(moving, 0.98))) if moving.size else None,
+        travel_rad=(float(y_rad.min()), float(y_rad.max())),
+        ways="both" if forth and back else "forward" if forth else "backward",
+    )
+
+
+def _speeds(window: Window) -> Array:
+    """Mean speeds over a tenth of a second, or over some rows, rad/s."""
+    rows = min(max(4, round(SPEED_OVER_S / window.period_s)), window.t_s.size - 1)
+    return np.asarray((window.y_rad[rows:] - window.y_rad[:-rows]) / (window.t_s[rows:] - window.t_s[:-rows]))
+
+
 def _record(series: TimeSeries) -> FittedRecord:
     rows = (series.first_row, series.first_row + len(series) - 1)
     return FittedRecord(name=series.name, rows=rows, duration_s=float(series.t_s[-1] - series.t_s[0]))
 
 
-def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
-    """The series as it is taken where all records have ``of_rows``."""
-    return thinned(series, min(math.ceil(of_rows / MOST_ROWS), int(tau_s / series.period_s / ROWS_OF_TAU)))
+def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSeries:
+    """The series as it is taken where all records have ``of_rows``, for at most ``most``."""
+    rows_of_tau = ROWS_OF_TAU if most == MOST_ROWS else FEWER_OF_TAU
+    return thinned(series, min(math.ceil(of_rows / most), int(tau_s / series.period_s / rows_of_tau)))
 
 
 def _slow(series: TimeSeries) -> TimeSeries:
     """A survey with several rows as one: its sweeps are slow, and its loop keeps the drive nearly as it is."""
     is_survey = series.stage is not None and series.stage.kind is StageKind.SURVEY
     return thinned(series, math.ceil(len(series) / MOST_SURVEY_ROWS)) if is_survey else series
-
-
-def thinned(test: TimeSeries, rows: int) -> TimeSeries:
-    """The test with so many rows at a time as one: their first position, and their mean drive.
-
-    A drive with fewer edges than rows that are left keeps each of them where it was. A relay's does: the mean of its
-    two levels is a small drive that no motor had, and a dead band would explain it. A motor takes the mean of a drive
-    that changes within a small part of its tau.
-    """
-    if rows < 2:
-        return test
-    first = np.arange(0, len(test) - rows + 1, rows)
-    spans = np.diff(np.append(test.edge_s, test.edge_s[-1] + test.period_s))
-    whole = np.add.reduceat(spans, first)
-    mean_V = np.add.reduceat(test.u_V * spans, first) / np.where(whole > 0.0, whole, 1.0)
-    return replace(
-        test,
-        t_s=test.t_s[first],
-        y_rad=test.y_rad[first],
-        t_u_s=None if test.t_u_s is None else test.t_u_s[first],
-        even_s=None if test.even_s is None else test.even_s[first],
-        u_V=mean_V,
-        edges=test.steps if test.steps.edge_s.size <= first.size else None,
-    )
 
 
 def _alone(fit: Fit, of: Sequence[str]) -> tuple[RecordingEstimate, ...]:

@@ -8,6 +8,7 @@ doubtful if both the column and a thousand times or a thousandth of it are possi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,13 +24,13 @@ SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of
 SHORTEST_RECORD_S = 0.1
 LARGEST_SPAN_RAD = 40.0  # six turns
 SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
+FINE_RAD = 0.05  # 126 steps a turn; in degrees it would be 7,200
 COARSE_STEP_RAD, COARSEST_STEP_RAD = 0.1, 0.5  # 63 and 13 steps a turn
 LARGEST_DRIVE_V = 100.0
 SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
-LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
@@ -40,7 +41,11 @@ MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
+LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 FEW_LEVELS = 8
+# Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
+# them; rows over which a speed is taken; how speed and drive are correlated there.
+TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
 SAY_UNIT = "The column's name says rad: if it is right, type --position y_rad:rad; if not, the unit in place of rad"
 
 
@@ -49,11 +54,13 @@ class Objection(NamedTuple):
 
     verdict: Verdict
     reason: str
+    spoils: bool = True  # whether no better fit mends it
 
 
-def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
+def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) -> list[Objection]:
     """Objections to the recordings: units, columns that do not belong together, gaps, too little motion.
 
+    motor   as it was fitted; None: not known. A quick one turns within a row or two, and that is no spike
     Of many tests of a run that are alike in one of them, the first one is named.
     """
     found: dict[tuple[object, ...], list[Objection]] = {}
@@ -64,11 +71,13 @@ def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
         told = is_told and test.stage is not None
         span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
         columns = _columns(test, span_rad)
-        looks = (_units, _holes, _spikes, _rails, *(() if told else (_little, _information)))
-        for look in (_columns,) if columns else looks:
+        looks = (_units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
+        for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
-                of = (look, number, one.verdict) if test.stage is not None else (look, number, one.verdict, k)
+                of = (place, number, one.verdict) if test.stage is not None else (place, number, one.verdict, k)
                 found.setdefault(of, []).append(one)
+    if not one_way(tests):
+        found = {of: each for of, each in found.items() if each[0].spoils}
     return [first if not others else _as_in_others(first, len(others)) for first, *others in found.values()]
 
 
@@ -92,7 +101,8 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     tau = estimate.tau_s
     period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
-        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds?")]
+        current = "or is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
+        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}")]
     if tau < SHORTEST_TAU_S:
         return [Objection("refused", f"tau = {tau:.3g} s is no motor's: is t_s in seconds, not in ks or minutes?")]
     if tau > LONG_TAU_S and period >= 1e3 * SHORTEST_PERIOD_S:
@@ -127,6 +137,14 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
                 f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
             )
         ]
+    if _lacks_sign(test):
+        return [
+            Objection(
+                "refused",
+                f"{name}: the drive is never negative, and the shaft turns both ways, the faster the larger the drive: "
+                "the drive's sign is missing; log it with the sign of the direction",
+            )
+        ]
     if _turns_against_drive(test):
         return [
             Objection(
@@ -136,6 +154,25 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
             )
         ]
     return []
+
+
+def _lacks_sign(test: TimeSeries) -> bool:
+    """Whether the drive is a mere size: never negative, and the shaft turns backwards the faster the larger it is.
+
+    A load that turns the shaft back does so the slower, the more the drive holds against it.
+    """
+    u, y = test.u_V, test.y_rad
+    if u.min() < 0.0 or u.max() <= 0.0 or y.size < FEWEST_BACK:
+        return False
+    rows = min(y.size // 4, SMOOTH_ROWS)
+    v = (y[rows:] - y[:-rows]) / (test.t_s[rows:] - test.t_s[:-rows])
+    at = u[rows // 2 : rows // 2 + v.size]
+    back = v < -TURNS_BACK * float(np.abs(v).max())
+    if int(back.sum()) < max(FEWEST_BACK, TURNS_BACK * v.size) or np.ptp(y) <= 2.0 * _motion(test):
+        return False
+    if np.ptp(at[back]) == 0.0:
+        return bool(at[back][0] == u.max())
+    return float(np.corrcoef(-v[back], at[back])[0, 1]) > FASTER_BACK
 
 
 def _turns_against_drive(test: TimeSeries) -> bool:
@@ -169,6 +206,8 @@ def _units(test: TimeSeries) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
+    elif max(step, test.noise_rad()) < FINE_RAD:
+        pass  # as fine as an encoder's radians: no sign of degrees, and the column's name says rad
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif span > LARGE_SPAN_RAD:
@@ -207,15 +246,37 @@ def _holes(test: TimeSeries) -> list[Objection]:
     return found
 
 
-def _spikes(test: TimeSeries) -> list[Objection]:
-    """Single positions that differ from the median of their neighbours."""
+def one_way(tests: Sequence[TimeSeries]) -> bool:
+    """Whether all tests together turn the shaft one way only, but for what noise and the sensor's steps explain."""
+    ways = [_ways_rad(test) for test in tests]
+    return not any(forth >= _motion(test) for (forth, _), test in zip(ways, tests, strict=True)) or not any(
+        back >= _motion(test) for (_, back), test in zip(ways, tests, strict=True)
+    )
+
+
+def _ways_rad(test: TimeSeries) -> tuple[float, float]:
+    """Longest way towards +y and towards -y, rad."""
+    y = test.y_rad
+    return float(np.max(y - np.minimum.accumulate(y))), float(np.max(np.maximum.accumulate(y) - y))
+
+
+def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
+    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau."""
+    if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
+        return 0.0
+    fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
+    return fastest * test.period_s * min(1.0, test.period_s / motor.tau_s)
+
+
+def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
+    """Single positions that differ from the median of their neighbours by more than a reversal explains."""
     y = test.y_rad
     if y.size < 5:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(y, 5)
     off = np.abs(y[2:-2] - np.median(windows, axis=1))
     k = int(np.argmax(off))
-    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad()):
+    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad(), _turn_rad(test, motor)):
         return [
             Objection(
                 "doubtful",
@@ -277,8 +338,7 @@ def _information(test: TimeSeries) -> list[Objection]:
     """Motion that cannot separate the parameters, in any fit."""
     y = test.y_rad
     motion = _motion(test)
-    forth = float(np.max(y - np.minimum.accumulate(y)))
-    back = float(np.max(np.maximum.accumulate(y) - y))
+    forth, back = _ways_rad(test)
     if 0.0 < max(forth, back) < 2.0 * motion:
         return [
             Objection(
@@ -302,8 +362,9 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, so K, f_c and asymmetry cannot be told apart: record a "
-                "drive that moves it both ways",
+                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is "
+                "what both take that way: record a drive that moves it both ways",
+                spoils=False,
             ),
         ]
     return coarse

@@ -40,8 +40,6 @@ def _plain() -> None:
     position_and_jacobian(theta, t_s, still, t_s)
     position(theta, t_s, still, t_s)
     Motor(0.2, 5.0).response(State(), t_s, t_s, still)
-    still.flags.writeable = False  # as a recorded drive: numba compiles anew for it
-    Motor(0.2, 5.0).response(State(), t_s, t_s, still)
     Noise(0.1, 1.0).whiten(np.ones(8), t_s, [8])
     noise_of(np.ones(8), t_s, [8])
     with suppress(IdentifyError):  # these numbers are no cycle

@@ -18,12 +18,17 @@ from scipy.special import stdtrit
 from rig.identify.driven import together
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.estimator import Estimator
+from rig.identify.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identify.measurements import Measurements
 from rig.identify.noise import noise_of
 from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
+from rig.identify.plausibility import one_way
 from rig.identify.repetition import repeated_share, repetitions, with_repetition
-from rig.identify.sampled_data_verdict import confounding, judge
+from rig.identify.sampled_data_verdict import NEGLIGIBLE, confounding, judge
 from rig.identify.starts import Start, grid_starts, ridge_starts
+from rig.identify.thinning import thinned
+from rig.identify.verdict import spread_rad as test_spread_rad
+from rig.model.real_motor import RealMotor
 from rig.model.sensitivity import Theta, position
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries, Window, joined_times_s, spread_rad
@@ -36,6 +41,8 @@ POLISHED = 3  # number of starts that are iterated
 FIRST_CYCLES = 2.5  # length of the first part of the recording, in cycles: the starts are compared there
 NEAR_PERIODS = 4.0  # periods between two delays to start from
 NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
+PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
+BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
 
@@ -54,7 +61,7 @@ class SampledData(Estimator):
         tests, beside, periods_s = data.tests, data.beside, data.periods_s
         if 0 < len(searches) < len(tests):  # the others tell too little alone
             tests, beside, periods_s = searches, [*tests[len(searches) :], *beside], [None] * len(searches)
-        of_tests = fit(tests, starts, periods_s=periods_s)
+        of_tests = nearest(fit(tests, starts, periods_s=periods_s), tests, periods_s)
         found = together(of_tests, tests, beside)
         estimate = replace(found.estimate, remarks=found.remarks)
         # a search that stands for tests does not speak for those that it contradicts
@@ -100,6 +107,37 @@ def fit(
     return _estimate(problem, best, tests, periods)
 
 
+def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]) -> Estimate:
+    """``found``, or a motor from pieces of the tests where ``found`` leaves more than noise, and that predicts better.
+
+    Over the whole tests a fit may end anywhere. So it is tried again from the motor of the pieces; and where the tests
+    do not bear a plain motor over their whole length, the pieces' own motor is the estimate.
+    """
+    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    leaves = found.rms_rad > max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
+    if found.converged and not leaves:
+        return found
+    free = any(test.t_u_s is None for test in tests)
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    thin = [thinned(test, rows) for test in tests]
+    try:
+        pieces, blocks = fit_in_pieces(thin, free_delay=free)
+    except IdentifyError:
+        return found  # too short for pieces
+    motor = pieces.motor
+    start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
+    again = fit(tests, [start], free_delay=free, periods_s=periods_s)
+    if again.converged and (not found.converged or again.rms_rad < found.rms_rad):
+        found = again
+    if found.converged and not found.rms_rad > PIECES_FROM * noise:
+        return found
+    delay_s = found.delay_s if free else 0.0
+    of_whole = RealMotor(found.tau_s, found.K_rad_s_V, max(found.fc_V, 0.0), found.asym_V, delay_s)
+    if found.converged and blocks.error(motor, pieces.problem) > BETTER * blocks.error(of_whole, pieces.problem):
+        return found
+    return of_pieces(pieces, found, tests)
+
+
 def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProblem:
     """The fit as a problem of least squares with white noise. Raises IdentifyError if nothing changes in a test."""
     # A delay of 0 must not lie at a bound, and a column that is off by a row shows as a negative delay.
@@ -113,12 +151,13 @@ def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProble
                 f"{test.name}: the {still} never changes",
                 "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
             )
-    return OutputErrorProblem(windows, bounds, (True, True, True, True, free_delay))
+    return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), free_delay))
 
 
 def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
     """The full vectors of the starts, the best first."""
-    scored = [_score(problem.windows, start, delay_s) for delay_s in _first_delays(problem) for start in starts]
+    asym = problem.free[3]
+    scored = [_score(problem.windows, one, delay_s, asym) for delay_s in _first_delays(problem) for one in starts]
     return [x0 for _, x0 in sorted(scored, key=lambda candidate: candidate[0])]
 
 
@@ -174,7 +213,7 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
 
 
-def _score(windows: Sequence[Window], start: Start, delay_s: float) -> tuple[float, Array]:
+def _score(windows: Sequence[Window], start: Start, delay_s: float, free_asym: bool = True) -> tuple[float, Array]:
     """Sum of squares of a start, with its linear part (gain, offset, drift) solved, and the resulting full vector."""
     gain = start.K_rad_s_V
     states = [initial_state(window) for window in windows]
@@ -201,7 +240,7 @@ def _score(windows: Sequence[Window], start: Start, delay_s: float) -> tuple[flo
     for window, (v0, y0) in zip(windows, states, strict=True):
         y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
         drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
-    asym = float(np.mean(drifts)) / gain
+    asym = float(np.mean(drifts)) / gain if free_asym else 0.0
     shared = [math.log(start.tau_s), math.log(gain), start.fc_V, asym, delay_s]
     return cost, np.array(shared + [value for state in states for value in state])
 
@@ -254,5 +293,5 @@ def _estimate(
     )
     if not best.converged:
         lost = replace(estimate, converged=False)
-        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise")
+        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise", spoiled=False)
     return estimate

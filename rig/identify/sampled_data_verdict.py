@@ -66,6 +66,7 @@ def _free_run(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[f
         "refused" if share > FREE_RUN_FAILS else "doubtful",
         f"predicted over {length_s:.3g} s, the position is {in_percent(share)} of its motion off; ok asks for "
         f"{100 * FREE_RUN:.2g} %: something that no law here describes moves the motor, or the times are wrong",
+        spoiled=False,
     )
 
 
@@ -93,7 +94,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         return estimate.judged(
             "doubtful",
             f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
-            "after that row's y was read; if it was set before, move u up by a row",
+            "after that row's y was read; if it was set before, move u up by a row (of a log: --drive-row -1)",
         )
     return estimate
 
@@ -105,6 +106,7 @@ def _unexplained(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             "refused",
             f"the model leaves {in_percent(share)} of the position unexplained: check that u and y belong together, "
             "their signs and units",
+            spoiled=False,
         )
     if share > NEGLIGIBLE and estimate.repeated > REPEATED:
         estimate = estimate.judged(
@@ -126,6 +128,7 @@ def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
             f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: "
             "the motor is more than tau, K and Coulomb friction (stops, backlash, loads?), or the times are wrong",
+            spoiled=False,
         )
     return estimate
 

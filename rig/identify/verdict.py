@@ -88,11 +88,13 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
                 "refused",
                 f"the recording cannot separate {TITLES[name]} from the others: "
                 "record a drive that moves the motor both ways",
+                spoiled=False,
             )
         if share > ASKED:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
                 f"{known_to(name, share)}: record more cycles, or slower and larger ones",
+                spoiled=False,
             )
     return estimate
 

@@ -196,9 +196,8 @@ class Motor:
         """
         from rig.model.compiled import motion
 
-        t = np.asarray(t_s, dtype=float)
-        edges = np.asarray(edge_s, dtype=float)
-        drive = np.asarray(edge_u_V, dtype=float)
+        # the loop is compiled for arrays like these only: contiguous, and not read-only as those of a recording are
+        t, edges, drive = (np.require(series, float, ["C", "W"]) for series in (t_s, edge_s, edge_u_V))
         if t.ndim != 1 or edges.shape != drive.shape or edges.ndim != 1 or edges.size == 0:
             raise ValueError("t_s, edge_s and edge_u_V must be one-dimensional, edges and drives of one length")
         if t.size == 0:

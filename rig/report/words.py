@@ -12,12 +12,13 @@ from rig.estimators import LEADING
 from rig.report.source import ReportedRun
 from rig.report.style import stage_kind
 from rig.results import BreakawayResult, EstimateResult, known
+from rig.results.answer_words import graded_words, share, validity
 from rig.results.answer_words import rounded as as_digits
-from rig.results.answer_words import share
 
-_KNOWN = 1e-6  # of a value: a half interval that is narrower says that the value was given, and not fitted
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
+
+STATED = 1e-6  # width of an interval over its number: narrower ones are of what a recording states, not of an estimate
 
 
 @dataclass(frozen=True)
@@ -125,15 +126,16 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
     between = plus_minus = relative = ""
     half = math.nan
+    if bounds is not None and bounds[1] - bounds[0] < STATED * abs(exact):
+        bounds = None  # the times of the recording say it
     if bounds is not None:
         low, high = (parameter.factor * b for b in bounds)
         half = 0.5 * (high - low)
-        if half > _KNOWN * abs(value):
-            middle = abs(0.5 * (low + high) - value) < 0.01 * half
-            between = f"{rounded(low, half)} to {rounded(high, half)}"
-            plus_minus = f"± {rounded(half, half)}" if middle else between
-            if value and parameter in HEADLINE_PARAMETERS:
-                relative = share(value, half)
+        middle = abs(0.5 * (low + high) - value) < 0.01 * half
+        between = f"{rounded(low, half)} to {rounded(high, half)}"
+        plus_minus = f"± {rounded(half, half)}" if middle else between
+        if value and parameter in HEADLINE_PARAMETERS:
+            relative = share(value, half)
     error = ""
     true = truth.get(parameter.key, math.nan)
     if math.isfinite(true):
@@ -142,8 +144,7 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         else:
             difference = parameter.factor * (exact - true)
             error = f"{'+' if difference > 0.0 else ''}{rounded(difference, abs(difference))} {parameter.unit}"
-    shown = half if between else math.nan
-    return Quantity(parameter, exact, rounded(value, shown), between, plus_minus, relative, error)
+    return Quantity(parameter, exact, rounded(value, half), between, plus_minus, relative, error)
 
 
 def headline(run: ReportedRun) -> Headline:
@@ -177,6 +178,9 @@ def headline(run: ReportedRun) -> Headline:
         if run.laws:
             laws = ", ".join(law.name.replace("_", " ") for law in run.laws)
             sentences.append(f"The motor has more than tau, K and friction: {laws}. The values include that.")
+        graded = graded_words(answer)
+        sentences.extend(f"{line[0].upper()}{line[1:]}." for line in ([graded] if graded else []))
+        sentences.extend(f"It {line}." for line in validity(answer))
         if not whole:
             next_steps.append(
                 Step("Friction is not enough to drive the bench: record a relay test for the other parameters.")

@@ -2,7 +2,7 @@
 ``RunEvent``. Each field says what its key means; the reference of `make docs` is made from that.
 """
 
-from rig.results.answer import Answer, answer_of, chosen
+from rig.results.answer import Answer, GradedNumber, HoldsResult, PredictsResult, answer_of, chosen
 from rig.results.estimates import (
     BreakawayResult,
     BudgetEntry,
@@ -115,4 +115,7 @@ __all__ = [
     "answer_of",
     "chosen",
     "known",
+    "GradedNumber",
+    "HoldsResult",
+    "PredictsResult",
 ]

@@ -6,11 +6,43 @@ import math
 from collections.abc import Mapping
 from typing import Protocol, TypeVar
 
-from pydantic import Field, JsonValue
+from pydantic import Field
 
 from rig.estimators import ESTIMATORS, LEADING
 from rig.results.estimates import EstimateResult, FoundLawResult, LawFrameResult, known
-from rig.results.part import Number, Text
+from rig.results.part import Count, Number, Part, Text
+
+
+class GradedNumber(Part):
+    """One number with an interval that has the errors of the model in it, and how good that makes it.
+
+    Keys of ``grade``: tau_s, K_rad_s_V and fc_V. Of a shaft that turned one way only fc_V is not known, and
+    fc_less_bias_V is what friction and bias together take from the drive that way.
+    """
+
+    value: Number = Field(None, description="the number; null: not known")
+    u95: Number = Field(None, description="half width at 95 %, in the number's unit; null: not known")
+    grade: Text = Field(
+        "not known", description="exact: at most 2.5 %; good: at most 10 %; rough: at most 25 %; else not known"
+    )
+
+
+class PredictsResult(Part):
+    """How well the answer predicts blocks of the records that it was not fitted to, in four folds."""
+
+    error: Number = Field(None, description="RMS error over that of 'it stays as it was'; 0: exact")
+    linear_error: Number = Field(None, description="the same of a linear model without friction, in the same folds")
+    block_s: Number = Field(None, description="length of a block, s; its first 0.1 s shows its start")
+    blocks: Count | None = Field(None, description="number of blocks")
+
+
+class HoldsResult(Part):
+    """What the records hold: beyond it nothing was measured."""
+
+    drive_V: tuple[Number, Number] | None = Field(None, description="smallest and largest size of the drive, V")
+    speed_rad_s: tuple[Number, Number] | None = Field(None, description="smallest and largest speed in motion, rad/s")
+    travel_rad: tuple[Number, Number] | None = Field(None, description="lowest and highest position, rad")
+    ways: Text = Field("both", description="both, forward (rising positions) or backward")
 
 
 class Answer(EstimateResult):
@@ -30,9 +62,9 @@ class Answer(EstimateResult):
         None,
         description="the same in true volts, radians and seconds: with the errors of supply, calibration and clock",
     )
-    grade: JsonValue = Field(None, description="for a later version: how good each number is")
-    predicts: JsonValue = Field(None, description="for a later version: how well it predicts unseen motion")
-    holds: JsonValue = Field(None, description="for a later version: the drives, speeds and travel for which it holds")
+    grade: dict[str, GradedNumber] | None = Field(None, description="how good each number is; null: nobody looked")
+    predicts: PredictsResult | None = Field(None, description="how well it predicts unseen motion; null: nobody looked")
+    holds: HoldsResult | None = Field(None, description="the drives, speeds and travel that the records hold")
 
     def at_95(self, name: str) -> tuple[float, float] | None:
         """As of an estimate, and as wide as u95 where that is known: what the tests do not exclude is in it, too."""
@@ -74,10 +106,14 @@ def answer_of(
     law_frame: LawFrameResult | None = None,
     u95: dict[str, Number] | None = None,
     u95_absolute: dict[str, Number] | None = None,
+    grade: dict[str, GradedNumber] | None = None,
+    predicts: PredictsResult | None = None,
+    holds: HoldsResult | None = None,
 ) -> Answer | None:
     """The answer; None without an estimate.
 
-    law, law_frame, u95, u95_absolute   of ``with_laws``, or of the plain estimate where that is None
+    law, law_frame, u95, u95_absolute, grade, predicts   of ``with_laws``, or of the plain estimate where that is None
+    holds       of the records
     """
     found = chosen(estimates, with_laws)
     if found is None:
@@ -85,7 +121,7 @@ def answer_of(
     method, estimate = found
     numbers = {name: getattr(estimate, name) for name in EstimateResult.model_fields}
     if with_laws is not None and estimate is not with_laws:  # the plain motor is the answer, and has none of these
-        law, law_frame, u95, u95_absolute = None if law is None else (), None, None, None
+        law, law_frame, u95, u95_absolute, grade, predicts = None if law is None else (), None, None, None, None, None
     return Answer(
         **numbers,
         method=method,
@@ -93,7 +129,7 @@ def answer_of(
         law_frame=law_frame if law else None,
         u95=u95,
         u95_absolute=u95_absolute,
-        grade=None,
-        predicts=None,
-        holds=None,
+        grade=grade,
+        predicts=predicts,
+        holds=holds,
     )

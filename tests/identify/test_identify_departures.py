@@ -18,7 +18,8 @@ from rig.identify.departures.fit import CORE, Normal, Problem, limits_of, solve,
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
-from rig.identify.motor_law import motor_law, thinned
+from rig.identify.motor_law import motor_law
+from rig.identify.thinning import thinned
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
 from rig.recording.series import TimeSeries
 

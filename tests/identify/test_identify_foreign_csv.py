@@ -52,7 +52,7 @@ NAMES = ("tau_s", "K_rad_s_V", "fc_V")
 
 
 def estimate(path: Path) -> Estimate:
-    return identify([read(path)], ["sampled-data"]).estimates["sampled-data"]
+    return identify([read(path)], ["sampled-data"], choose_law=False).estimates["sampled-data"]
 
 
 def errors(found: Estimate, truth: dict[str, float]) -> np.ndarray:
@@ -177,14 +177,9 @@ def test_origins_do_not_matter(tmp_path: Path, relay_test: Columns) -> None:
     ("law", "words"),
     [
         (constant(0.0), "the drive never changes"),
-        (step(-1.0), "one way only"),
-        (binary(0.8, 1.2, 0.3), "one way only"),
         (square(0.3, 1.0), "no more than its noise"),
         *evidence(
             (constant(1.0), "the drive never changes"),
-            (step(1.0), "one way only"),
-            (step(1.2, end_s=2.0), "one way only"),
-            (binary(0.0, 1.0, 0.3), "one way only"),
         ),
     ],
 )
@@ -201,6 +196,11 @@ def test_what_the_input_cannot_tell_is_refused_with_the_reason(
         return
     assert found.verdict == "refused"
     assert any(words in reason for reason in found.reasons), found.reasons
+
+
+@pytest.mark.parametrize("law", [step(-1.0), binary(0.8, 1.2, 0.3), *evidence(step(1.0), step(1.2, end_s=2.0))])
+def test_one_way_is_never_ok_and_says_so(tmp_path: Path, law: Law) -> None:
+    not_believed(plain_csv(tmp_path / "a.csv", sampled(motor(**PAPER), law, ticks(600), 0.004)), "one way only")
 
 
 def test_standing_still_under_a_drive_asks_for_more_of_it_and_a_rest_at_0_V_does_not(tmp_path: Path) -> None:

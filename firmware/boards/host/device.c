@@ -1,6 +1,5 @@
 #include "device.h"
 
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -186,9 +185,7 @@ void device_tick(device *d)
     rig_tick(&d->core);
     d->encoder.edges = 0;
     rig_stream(&d->core);
-    const double due = (d->bench.t_s - d->reset_t_s) * (clock_rate(d) / TICK_S);
-    const double done = floor(due + 1e-6); /* a tick run on time has not missed the next */
-    d->ticks = done > d->ticks + 1.0 ? (uint32_t)done : d->ticks + 1u;
+    d->ticks++;
 }
 
 void device_byte(device *d, uint8_t byte)

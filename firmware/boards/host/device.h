@@ -36,7 +36,7 @@ void device_reset(device *d, uint8_t cause);
 /* Time at which the next tick is due, s. */
 double device_next_tick_s(const device *d);
 
-/* One tick at the present time; a late one skips those that were missed. */
+/* One tick, at device_next_tick_s. */
 void device_tick(device *d);
 
 void device_byte(device *d, uint8_t byte);

@@ -7,6 +7,7 @@
 #include "process.h"
 
 #define TRACE_EVERY_TICKS 10u
+#define STALL_S 10.0 /* longer ones are not made up for */
 
 typedef struct {
     process process;
@@ -41,35 +42,42 @@ static void trace_row(board *self)
 
 /* ---- time ---- */
 
-static void advance_to_now(board *self)
+static double now_s(board *self)
 {
-    bench_advance_to(&self->device.bench, process_now_s() - self->start_s);
+    const double behind_s = process_now_s() - self->start_s - device_next_tick_s(&self->device);
+    if (behind_s > STALL_S) {
+        fprintf(stderr, "%s: stood still for %.1f s, and the board's clock with it\n", self->process.program, behind_s);
+        self->start_s += behind_s;
+    }
+    return process_now_s() - self->start_s;
 }
 
-static void serve_bytes(board *self)
+/* Every tick up to `t_s`, at its own time: the board ran on while this process stood still. */
+static void serve_ticks(board *self, double t_s)
+{
+    device *d = &self->device;
+    while (device_next_tick_s(d) <= t_s) {
+        const uint32_t decade = d->ticks / TRACE_EVERY_TICKS;
+        bench_advance_to(&d->bench, device_next_tick_s(d));
+        device_tick(d);
+        if (self->drive_changed || d->ticks / TRACE_EVERY_TICKS != decade) {
+            trace_row(self);
+        }
+    }
+    bench_advance_to(&d->bench, t_s);
+}
+
+/* The time is read after the bytes, and they come at that time: the board hears nothing before the host has said it. */
+static void serve(board *self)
 {
     uint8_t bytes[256];
     const size_t n = process_read(&self->process, bytes, sizeof bytes);
+    serve_ticks(self, now_s(self));
     for (size_t i = 0; i < n; i++) {
-        advance_to_now(self);
         device_byte(&self->device, bytes[i]);
         if (self->drive_changed) {
             trace_row(self);
         }
-    }
-}
-
-static void serve_tick(board *self)
-{
-    device *d = &self->device;
-    const uint32_t decade = d->ticks / TRACE_EVERY_TICKS;
-    advance_to_now(self);
-    if (d->bench.t_s < device_next_tick_s(d)) {
-        return;
-    }
-    device_tick(d);
-    if (self->drive_changed || d->ticks / TRACE_EVERY_TICKS != decade) {
-        trace_row(self);
     }
 }
 
@@ -104,15 +112,13 @@ int main(int argc, char **argv)
     device_init(&self.device, &params, transmit, drive_changed, &self);
     process_announce(&self.process);
     while (process_wait(&self.process, self.start_s + device_next_tick_s(&self.device))) {
+        serve(&self);
         if (process_reset_asked()) {
-            advance_to_now(&self);
             device_reset(&self.device, RIG_RESET_EXTERNAL);
             trace_row(&self);
         }
-        serve_bytes(&self); /* first: what waited through a stall of this process was not late on the wire */
-        serve_tick(&self);
     }
-    advance_to_now(&self);
+    serve_ticks(&self, now_s(&self));
     device_reset(&self.device, RIG_RESET_POWER_ON); /* the power is cut: 0 V at the pin */
     trace_row(&self);
     process_close(&self.process);

@@ -27,6 +27,17 @@ int64_t wire_next_ns(const wire *w)
     return w->count > 0u ? w->arrives_ns[w->head] : INT64_MAX;
 }
 
+int64_t wire_frame_ns(const wire *w)
+{
+    for (uint32_t i = 0; i < w->count; i++) {
+        const uint32_t at = (w->head + i) % WIRE_BYTES;
+        if (w->byte[at] == 0u) {
+            return w->arrives_ns[at];
+        }
+    }
+    return INT64_MAX;
+}
+
 uint8_t wire_take(wire *w)
 {
     const uint8_t byte = w->byte[w->head];

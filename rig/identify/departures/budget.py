@@ -82,6 +82,7 @@ def budget(
     instead: Sequence[InPlace],
     scales: ScaleErrors,
     scatter: Array | None = None,
+    of_model: Sequence[Entry] = (),
 ) -> Budget:
     """The budget of a fit with its chosen laws.
 
@@ -90,6 +91,7 @@ def budget(
     instead     those that could stand in place of a chosen one
     scales      how well the bench's volt, radian and second are known
     scatter     (3,) variances of tau, K and friction by the noise alone; None: those of the fit
+    of_model    lines for errors of the model itself
     """
     shifts = Shifts.of(nuisances)
     hidden = Hidden.of(shifts, nuisances.each, by_size)
@@ -98,6 +100,7 @@ def budget(
         Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter if scatter is None else scatter)).tolist()),
         *hidden.lines(),
         *instead_of(instead),
+        *of_model,
         *absolute(motor, scales),
     ]
     sizes = {name: max(abs(getattr(motor, name)), 1e-12) for name in OF}

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.departure import NOTHING, Bench, Departure
+from rig.identify.departures.drift import Drift, DriftEach
 from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
@@ -34,8 +35,9 @@ ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
-LARGEST = 10.0  # number of a law, in its ranges: beyond it no bench is, and a fit loses its way
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
+BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
+FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
@@ -45,11 +47,13 @@ class Asked(NamedTuple):
     entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
     stay      to stay
     predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
+    cuts      share of the error beyond the sensor's noise, in blocks of the tests, that a law must take away
     """
 
     entry: float = 5.0
     stay: float = 2.5
     predicts: float = 4.0
+    cuts: float = 0.25
 
 
 ASKED = Asked()
@@ -123,6 +127,11 @@ class Chooser:
         fit, laws = self._last(fit, laws)
         while (leaner := self._leaner(fit, laws)) is not None:
             fit, laws = self._last(*leaner)
+        while laws and (idle := self._idle(fit, laws, whole)) is not None:
+            laws = tuple(law for law in laws if law is not idle)
+            fit, laws = self._last(
+                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, idle)), laws
+            )
         while laws:
             rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
             least = min(rises, key=lambda law: rises[law])
@@ -133,6 +142,20 @@ class Chooser:
                 refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
             )
         return Choice(laws, fit, tuple(growth))
+
+    def with_drift_each(self) -> Chooser:
+        """The same, but friction drifts in the course of each recording: of records whose frames say so."""
+        return replace(self, candidates=[DriftEach() if one.name == Drift.name else one for one in self.candidates])
+
+    def better_each(self, choice: Choice, each: Cut) -> bool:
+        """Whether a drift in each recording alone explains the pieces of ``choice`` as well as all its laws do."""
+        fit, drift = choice.fit, DriftEach()
+        cut = replace(fit.problem.cut, frames=each.frames)
+        problem = replace(self.problem(cut, (drift,), math.inf), noise=fit.problem.noise)
+        motor = RealMotor(*fit.motor[:4], delay_s=fit.motor.delay_s)
+        alone = solve(start(problem, motor))
+        prices = sum(self.price(law, fit, 0.0) for law in choice.laws)
+        return (alone.cost - fit.cost) / unit(fit) + self.price(drift, fit, 0.0) < prices
 
     def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
         """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
@@ -165,6 +188,31 @@ class Chooser:
         bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
         is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
         return self._at_best_shape(bare, others) if is_faint else bare
+
+    def _idle(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> Departure | None:
+        """The law that takes least of the error in blocks of the tests; None if each takes as much as is asked.
+
+        Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
+        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it. Where it leaves white
+        noise, likelihood is right.
+        """
+        if fit.problem.noise.white:
+            return None
+        longer = whole.every(max(BLOCK_S, BLOCK_TAUS * fit.motor.tau_s))
+        cut = longer if longer.longest_s > fit.problem.cut.longest_s else fit.problem.cut
+        full = self._in_blocks(fit, laws, fit.motor, cut)
+        cuts: dict[Departure, float] = {}
+        for law in laws:
+            others = tuple(one for one in laws if one is not law)
+            bare = self._in_blocks(fit, others, without(fit.motor, law), cut)
+            left, all_of_it = (max(rad**2 - self.sigma_rad**2, 1e-300) for rad in (full, bare))
+            cuts[law] = 1.0 - math.sqrt(left / all_of_it)
+        least = min(cuts, key=lambda law: cuts[law])
+        return least if cuts[least] < self.asked.cuts else None
+
+    def _in_blocks(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor, cut: Cut) -> float:
+        """RMS residual of these laws in these pieces, rad, fitted to them by least squares."""
+        return solve(start(self.problem(cut, laws, math.inf), motor), TRIAL_ITERATIONS).rms_rad
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""
@@ -236,10 +284,17 @@ class Chooser:
             motor = fit.motor._replace(**promise.first)
             trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
             worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
-            if worth > 0.0:
+            if worth > 0.0 and not self._hardly_shows(fit, trial):
                 found.append((worth, trial, (*laws, law)))
         found.sort(key=lambda entry: -entry[0])
         return [(trial, more) for _, trial, more in found]
+
+    def _hardly_shows(self, fit: Fit, richer: Fit) -> bool:
+        """Whether the richer fit leaves nearly as much, far beyond noise: no further law is tried on top of it."""
+        if fit.rms_rad < FAR * self.sigma_rad:
+            return False
+        left, all_of_it = (max(one.rms_rad**2 - self.sigma_rad**2, 1e-300) for one in (richer, fit))
+        return 1.0 - math.sqrt(left / all_of_it) < FIRST_CUT
 
     def _last(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """The least-squares fit with the noise of its own residual, without the laws that are not worth it then."""
@@ -306,7 +361,7 @@ def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[f
     """Bounds of the fields of laws in a fit, by name."""
     limits: dict[str, tuple[float, float]] = {}
     for law in laws:
-        largest = LARGEST * law.range_of(bench)
+        largest = law.most(bench)
         limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
         limits |= law.limits(bench)
     return limits

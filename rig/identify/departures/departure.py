@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
+LARGEST_FORCE = 3.0  # of a law over the angle, times the largest drive
 COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 NOTHING: Mapping[str, float] = {}
 
@@ -54,6 +56,7 @@ class Departure(ABC):
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
     one_sided        whether its numbers are never below 0
     over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
+    both_ways        whether only a shaft that turns both ways can show it
     told_by          what to record to tell it from laws that look alike
     """
 
@@ -65,11 +68,20 @@ class Departure(ABC):
     shape: tuple[str, ...] = ()
     one_sided: bool = False
     over_position: bool = False
+    both_ways: bool = False
     told_by: str = "a relay test of another amplitude"
 
     @abstractmethod
     def range_of(self, bench: Bench) -> float:
         """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""
+
+    def most(self, bench: Bench) -> float:
+        """Largest size that a fit may give it, in ``unit``: a voltage may be as large as the largest drive.
+
+        A force over the angle may be larger: the record may hold a part of the turn in which it is small.
+        """
+        largest_V = bench.largest_V * (LARGEST_FORCE if self.over_position else 1.0)
+        return max(LARGEST * self.range_of(bench), largest_V if self.unit == "V" else 0.0)
 
     def fits(self, bench: Bench) -> bool:
         """Whether it can be looked for on this bench."""

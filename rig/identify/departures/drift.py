@@ -18,3 +18,12 @@ class Drift(Departure):
     def range_of(self, bench: Bench) -> float:
         """15 % in a run."""
         return 0.15
+
+
+class DriftEach(Drift):
+    """Friction that drifts in the course of each recording, and begins each anew."""
+
+    name = "drift_each"
+    title = "drift of the friction in the course of each recording"
+    cause = "a bench that warms up, and cools down between them?"
+    told_by = "one long recording after the bench has warmed up"

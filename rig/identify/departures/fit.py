@@ -23,7 +23,8 @@ ITERATIONS = 40
 TRIES = 12  # of the damping, in one iteration
 DAMPING = 1e-3
 VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
-ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived
+ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived,
+ENOUGH_SHARE = 2e-6  # or this share of it, where that is more: of a model that leaves far more than noise
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -238,7 +239,7 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
             return replace(fit, arrived=True, iterates=np.concatenate(iterates))
         iterates.append(np.array([[motor.tau_s, motor.K_rad_s_V, motor.fc_V]]))
         gain, fit, damping = fit.cost - better.cost, better, max(1e-9, 0.2 * damping)
-        if gain < ENOUGH:
+        if gain < max(ENOUGH, ENOUGH_SHARE * fit.cost):
             return replace(fit, arrived=True, iterates=np.concatenate(iterates))
     return replace(fit, iterates=np.concatenate(iterates))
 

@@ -10,9 +10,10 @@ class GainBySign(Departure):
 
     name = "gain_by_sign"
     title = "gain that differs by sign"
-    cause = "two half bridges that are not alike?"
+    cause = "two half bridges that are not alike? Or an encoder that loses counts one way?"
     unit = "1"
     numbers = ("gain_by_sign",)
+    both_ways = True
     told_by = "two relay tests, one of them with an offset"
 
     def range_of(self, bench: Bench) -> float:

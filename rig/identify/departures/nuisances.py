@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,10 @@ class Nuisances:
         normal = columns.normal(np.column_stack(added)) if added else columns.base
         variance = unit(fit)
         return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads))
+
+    def tempered(self, effect: float) -> Nuisances:
+        """The same where only one of ``effect`` (>= 1) rows says something: pieces differ by more than noise."""
+        return replace(self, matrix=self.matrix / effect, gradient=self.gradient / effect)
 
     @property
     def core(self) -> int:

@@ -74,6 +74,16 @@ class Cut:
         whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows))
 
+    def each(self, of: Sequence[str]) -> Cut:
+        """The same, with a course of time of its own for each recording; ``of``: for each window its recording."""
+        begins = {name: min(w.t_s[0] for w, own in zip(self.windows, of, strict=True) if own == name) for name in of}
+        ends = {name: max(w.t_s[-1] for w, own in zip(self.windows, of, strict=True) if own == name) for name in of}
+        frames = tuple(
+            frame._replace(start_s=float(begins[name]), duration_s=max(float(ends[name] - begins[name]), 1e-9))
+            for frame, name in zip(self.frames, of, strict=True)
+        )
+        return replace(self, frames=frames)
+
     def beside(self, further: Sequence[tuple[TimeSeries, int]], longest_delay_s: float, most_s: float) -> Cut:
         """The same tests, and behind them further records in pieces of at most ``most_s``.
 

@@ -43,19 +43,24 @@ class Profile:
     found: bool = False
 
 
-def profiles(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> list[Profile]:
-    """Of every candidate that has sizes of its own to be looked at; ``laws``: those of the fit."""
+def profiles(fit: Fit, laws: Sequence[Departure], chooser: Chooser, effect: float = 1.0) -> list[Profile]:
+    """Of every candidate that has sizes of its own to be looked at.
+
+    laws     those of the fit
+    effect   as ``Nuisances.tempered``
+    """
     return [
-        _found(fit, law, laws, chooser) if law in laws else _hidden(fit, law, chooser.bench)
+        _found(fit, law, laws, chooser) if law in laws else _hidden(fit, law, chooser.bench, effect)
         for law in chooser.candidates
         if law.sizes(chooser.bench)
     ]
 
 
-def _hidden(fit: Fit, law: Departure, bench: Bench) -> Profile:
+def _hidden(fit: Fit, law: Departure, bench: Bench, effect: float) -> Profile:
     """Of a law that the fit has not. Beforehand each size up to its range is as likely."""
     sizes, rise, moves, spread = _by_size(fit, fit, law, bench)
-    return Profile(law, _widths(sizes, law, bench) / law.range_of(bench) * np.exp(-0.5 * rise), moves, spread)
+    odds = _widths(sizes, law, bench) / law.range_of(bench) * np.exp(-0.5 * rise / effect)
+    return Profile(law, odds, moves, spread)
 
 
 def _found(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Profile:

@@ -10,9 +10,10 @@ class ViscousByDirection(Departure):
 
     name = "viscous_by_direction"
     title = "viscous friction that differs by direction"
-    cause = "a gear or a screw under load?"
+    cause = "a gear or a screw under load? Or an encoder that loses counts one way?"
     unit = "V s/rad"
     numbers = ("viscous_by_direction_V_s_rad",)
+    both_ways = True
     told_by = "a relay test of another amplitude"
 
     def range_of(self, bench: Bench) -> float:

@@ -193,11 +193,17 @@ def _reading_slopes(motor: RealMotor, frame: Frame, x: float, out: Array) -> flo
 
 
 @kernel
+def _copy_staged(room: Array) -> None:
+    for i in range(room.shape[1]):  # for a row at once numba compiles its message for rows of two lengths: 5 s
+        room[W, i] = room[STAGED, i]
+
+
+@kernel
 def _fade(motor: RealMotor, d: Slopes, faded_V: float, h_s: float) -> None:
     """Carry the derivatives of the drive over ``h_s``, at whose start it is ``faded_V`` from its end."""
     room = d.room
     if motor.lag_s <= 0.0:
-        room[W] = room[STAGED]
+        _copy_staged(room)
         return
     keep = math.exp(-h_s / motor.lag_s)
     for i in range(NUMBERS):
@@ -213,7 +219,7 @@ def _step_drive(motor: RealMotor, d: Slopes, staged_V: float, u_V: float) -> flo
     if motor.lag_s > 0.0:
         d.room[W, DELAY] += (staged_V - new_V) / motor.lag_s
     else:
-        d.room[W] = d.room[STAGED]
+        _copy_staged(d.room)
     return new_V
 
 
@@ -241,7 +247,8 @@ def _begin(motor: RealMotor, frame: Frame, used: Used, d: Slopes, start: Array, 
         gain = motor.K_rad_s_V
         aim = target(motor, frame, 1.0, at, t)
         _, by_y, _, _, _ = _slopes(motor, frame, used, 1.0, at, (t, aim), d, STAGE)
-        room[LEVEL, :] = 0.0
+        for i in range(room.shape[1]):
+            room[LEVEL, i] = 0.0
         by_speed, by_place = _level_slopes(motor, frame, used, (abs(v0), at.y, t), room, LEVEL)
         by_v = by_speed if v0 > 0.0 else -by_speed
         for i in range(columns):
@@ -333,7 +340,9 @@ def _reverse(motor: RealMotor, frame: Frame, d: Slopes, sign: float, at: State, 
     """Jump of the velocity's derivatives at a reversal of a motion in the direction ``sign``; ``now``: as below."""
     t, staged_V = now
     before = (target(motor, frame, sign, at, t) - at.v) / motor.tau_s
-    d.state[V] *= _acceleration(motor, frame, at, staged_V, t) / before if before != 0.0 else 0.0
+    jump = _acceleration(motor, frame, at, staged_V, t) / before if before != 0.0 else 0.0
+    for i in range(d.which.size):
+        d.state[V, i] *= jump
 
 
 @kernel
@@ -426,7 +435,7 @@ def readings(
     j = 0
     staged_V = staged(motor, u_V[0])
     _staged_slopes(motor, u_V[0], d.room[STAGED])
-    d.room[W] = d.room[STAGED]
+    _copy_staged(d.room)
     w, begun = staged_V, min(t_s[0], edge_s[0] + motor.delay_s)
     for piece in range(first.size):
         k = first[piece]

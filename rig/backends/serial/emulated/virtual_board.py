@@ -14,8 +14,10 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
+from rig.backends.serial.emulated.virtual_device import Until, VirtualDevice, load
 from rig.model.bench import BenchParameters
+
+_SHAFT_NS = 500_000  # between two points of its path
 
 
 class _View(ctypes.Structure):
@@ -81,15 +83,23 @@ class VirtualBoard(VirtualDevice):
         self._shaft_t_s, self._shaft_rad = array("d"), array("d")
 
     @override
-    def _run(self, until_ns: int, *, to_byte: bool) -> None:
-        super()._run(until_ns, to_byte=to_byte)
+    def _run(self, until_ns: int, until: Until) -> None:
+        while self.keeps_shaft and until != Until.TIME and (stop_ns := self._now_ns() + _SHAFT_NS) < until_ns:
+            super()._run(stop_ns, until)
+            self._keep_shaft()
+            if self._now_ns() < stop_ns:
+                return  # it has come
+        super()._run(until_ns, until)
         if self.keeps_shaft:
-            truth = self.truth()
-            self._shaft_t_s.append(truth.t_s)
-            self._shaft_rad.append(truth.y_rad)
+            self._keep_shaft()
+
+    def _keep_shaft(self) -> None:
+        truth = self.truth()
+        self._shaft_t_s.append(truth.t_s)
+        self._shaft_rad.append(truth.y_rad)
 
     def shaft(self) -> ShaftPath:
-        """Where the shaft really was each time that the host had waited, in virtual time, while it was kept."""
+        """Where the shaft really was while it was kept: after each wait of the host, each 0.5 ms of an exchange."""
         return ShaftPath(self._shaft_t_s, self._shaft_rad)
 
     def truth(self) -> Truth:

@@ -6,6 +6,7 @@ import ctypes
 import math
 import weakref
 from collections.abc import Mapping
+from enum import IntEnum
 from typing import Any
 
 from rig.backends.emulated.errors import EmulationError
@@ -14,6 +15,14 @@ from rig.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 _READ_BYTES = 512
+
+
+class Until(IntEnum):
+    """To what a device runs: a time, or, before that, the next byte for the host or the end of a frame for it."""
+
+    TIME = 0
+    BYTE = 1
+    FRAME = 2
 
 
 class VirtualDevice(Plug):
@@ -29,6 +38,7 @@ class VirtualDevice(Plug):
 
     def __init__(self, library: ctypes.CDLL, options: Mapping[str, str], byte_ns: int) -> None:
         super().__init__("virtual board")
+        self.reads = Until.FRAME
         self._library = library
         self._board = ctypes.c_void_p(library.virtual_new())
         if not self._board:
@@ -52,13 +62,13 @@ class VirtualDevice(Plug):
             raise Fault("LINK_LOST", "the virtual wire takes no more bytes")
 
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
+        """What has arrived, up to the end of a frame; all there is after ``timeout_s`` of virtual time without one.
 
         Raises Fault LINK_LOST when unplugged.
         """
         self._check_plug()
         until_ns = self._now_ns() + math.ceil(1e9 * max(timeout_s, 0.0))
-        self._run(until_ns, to_byte=True)
+        self._run(until_ns, self.reads)
         n = self._library.virtual_read(self._board, self._buffer, _READ_BYTES)
         return self._buffer.raw[:n]
 
@@ -77,12 +87,12 @@ class VirtualDevice(Plug):
         until_ns = math.ceil(1e9 * t_s)
         if until_ns / 1e9 < t_s:  # rounding
             until_ns += 1
-        self._run(until_ns, to_byte=False)
+        self._run(until_ns, Until.TIME)
         return self.now_s()
 
-    def _run(self, until_ns: int, *, to_byte: bool) -> None:
-        """Let time pass to ``until_ns``, or to the next byte for the host."""
-        self._library.virtual_run(self._board, until_ns, to_byte)
+    def _run(self, until_ns: int, until: Until) -> None:
+        """Let time pass to ``until_ns``, or to what arrives at the host before."""
+        self._library.virtual_run(self._board, until_ns, until)
 
     # ------------------------------------------------------------------ what may happen to a bench
 

@@ -1,0 +1,138 @@
+"""The plain motor on pieces of 0.15 to 2 s, each with a start of its own, from several starts.
+
+Over a whole record a small force that the model leaves out moves its motion far from the recorded one, and a fit ends
+anywhere. Over a piece it cannot. So where the whole record does not give a motor, its pieces do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from rig.identify.blocks import Blocks
+from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
+from rig.identify.departures.fit import start as begin
+from rig.identify.departures.pieces import Cut
+from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.noise import WHITE
+from rig.identify.plausibility import one_way
+from rig.model.real_motor import RealMotor
+from rig.recording.series import TimeSeries
+
+INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``PARAMETERS``
+LENGTHS_S = (0.15, 0.5, 2.0)
+TAUS = 4
+FRICTIONS = (0.05, 0.35)  # of the largest drive
+FIRST_ITERATIONS = 7
+MOST_ROWS = 4000
+SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
+LONGEST_TAU_S = 3.0
+POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
+LOADED = 0.6  # error with the load over that without it, at most
+FORCE, FORCE_PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
+
+
+def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit, Blocks]:
+    """The best fit on pieces of any of the lengths, by what it predicts of blocks. Raises IdentifyError if too short.
+
+    tests   of at most some 4,000 rows
+    """
+    delay_s = (
+        (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
+        if free_delay
+        else (0.0, 0.0)
+    )
+    whole = Cut.whole(tests, delay_s[1])
+    core = tuple(name for name in CORE if name != "bias_V" or not one_way(tests))
+    free = (*core, DELAY) if free_delay else core
+    sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    sigma = max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad)
+    largest_V = max(float(np.abs(window.steps.u_V).max()) for window in whole.windows)
+    longest_s = max(window.duration_s for window in whole.windows)
+    found: list[Fit] = []
+    for length_s in LENGTHS_S:
+        cut = whole.every(length_s)
+        if found and cut.begins.size == found[-1].problem.cut.begins.size:
+            continue
+        problem = Problem(cut, free, limits_of(free, cut, delay_s), sigma)
+        found.append(_best(problem, found, longest_s, 0.25 * delay_s[1] if free_delay else 0.0))
+    blocks = Blocks.of(whole, float(np.median([fit.motor.tau_s for fit in found])))
+    best = min(found, key=lambda fit: blocks.error(fit.motor, fit.problem))
+    if (error := blocks.error(best.motor, best.problem)) > POOR:
+        loaded = _with_force(best, whole, largest_V, longest_s)
+        if blocks.error(loaded.motor, loaded.problem) < LOADED * error:
+            return loaded, blocks
+    return best, blocks
+
+
+def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fit:
+    """The best fit with a force over position, as a hanging load has: beside it the plain numbers mean nothing."""
+    given = best.problem
+    limits = {**given.limits, **dict.fromkeys(FORCE, (-largest_V, largest_V)), "tau_s": (0.0, LONGEST_TAU_S)}
+    problem = replace(given, cut=whole.every(FORCE_PIECE_S), free=(*given.free, *FORCE), limits=limits)
+    return _best(problem, (), longest_s, best.motor.delay_s)
+
+
+def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: float) -> Fit:
+    """The best of the starts on these pieces: a grid, and what other lengths found."""
+    cut = problem.cut
+    period_s = min(window.period_s for window in cut.windows)
+    speed = float(np.sqrt(np.mean(cut.guessed()[:, 0] ** 2)))
+    drive_V = max(float(np.sqrt(np.mean([np.mean(w.steps.u_V**2) for w in cut.windows]))), 1e-9)
+    taus = np.geomspace(max(4.0 * period_s, 0.01), max(min(1.0, longest_s / 3.0), 8.0 * period_s), TAUS)
+    motors = [fit.motor for fit in earlier]
+    for tau in taus.tolist():
+        for share in FRICTIONS:
+            motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
+    tried = [solve(begin(problem, motor), FIRST_ITERATIONS) for motor in motors]
+    ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
+    return min((solve(fit) for fit in ranked[:2]), key=lambda fit: fit.cost)
+
+
+def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    """The estimate of a fit on pieces, with the residual of a free run of the whole tests.
+
+    plain   of the same tests: its method and its rows, and its delay where that is known
+    """
+    cut, free, motor = pieces.problem.cut, pieces.problem.free, pieces.motor
+    normal = Normal.of(pieces.problem.rows(motor, pieces.starts), cut)
+    covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(pieces))
+    size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in free])
+    full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    own = [k for k, name in enumerate(free) if name in INDEX]
+    at = [INDEX[free[k]] for k in own]
+    full[np.ix_(at, at)] = (covariance * np.outer(size, size))[np.ix_(own, own)]
+    delay = motor.delay_s if DELAY in free else plain.delay_s
+    values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay)
+    quantile = float(stdtrit(max(1, cut.freedom - len(free)), 0.975))
+    errors = np.sqrt(np.diag(full)).tolist()
+    whole = replace(cut, rows=tuple(np.zeros(1, dtype=np.int64) for _ in cut.windows), resting=None, weight=None)
+    run = solve(begin(replace(pieces.problem, cut=whole, free=(), noise=WHITE), motor))
+    return replace(
+        plain,
+        tau_s=motor.tau_s,
+        K_rad_s_V=motor.K_rad_s_V,
+        fc_V=motor.fc_V,
+        asym_V=motor.bias_V,
+        delay_s=delay,
+        ci95={
+            name: (value - quantile * error, value + quantile * error)
+            for name, value, error in zip(PARAMETERS, values, errors, strict=True)
+        },
+        covariance=full,
+        rms_rad=run.rms_rad,
+        iterations=len(pieces.iterates),
+        verdict="ok",
+        reasons=(),
+        iterates=pieces.iterates,
+        residual_rad=-run.residual_rad,
+        residual_t_s=whole.t_s,
+        repeated=0.0,
+        coloured=None,
+        converged=True,
+        spoiled=False,
+    )

@@ -1,0 +1,182 @@
+"""What benches have beyond a relay test of a plain motor: other pieces, other drives, other ways, and what is said."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.identify import identify
+from rig.identify.blocks import Blocks, HeldOut, held_out
+from rig.identify.departures import DEPARTURES
+from rig.identify.departures.departure import Bench
+from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
+from rig.identify.departures.pieces import Cut
+from rig.identify.estimate import Estimate
+from rig.identify.identification import Identification, by_prediction
+from rig.identify.in_pieces import fit_in_pieces
+from rig.identify.model_error import DRIVES, PIECES, model_error
+from rig.identify.plausibility import judge_records
+from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.recording.recording import from_columns
+from rig.recording.series import TimeSeries
+from rig.results import Answer
+
+pytestmark = pytest.mark.long
+
+MOTOR = RealMotor(0.05, 20.0, 0.6)
+STEP_RAD = 2.0 * math.pi / 1440.0
+PERIOD_S = 0.005
+Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def recorded(
+    motor: RealMotor, levels_V: tuple[float, ...], *, ways: tuple[float, ...] = (1.0, -1.0), seed: int = 1
+) -> Columns:
+    """Time, drive and position over 10 s: levels at random for 0.15 to 0.6 s each, 1,440 counts a turn."""
+    random = np.random.default_rng(seed)
+    t_s = PERIOD_S * np.arange(2000)
+    u_V = np.empty(t_s.size)
+    at = 0
+    while at < t_s.size:
+        rows = int(random.uniform(0.15, 0.6) / PERIOD_S)
+        u_V[at : at + rows] = random.choice(levels_V) * random.choice(ways)
+        at += rows
+    frame = Frame(duration_s=float(t_s[-1]))
+    y_rad = response(motor, frame, (t_s + 0.002, u_V), t_s, Pieces.one())
+    return t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)
+
+
+def found_in(*records: Columns) -> Identification:
+    return identify([from_columns(Path(f"{k}.csv"), *columns) for k, columns in enumerate(records)])
+
+
+def answered(*records: Columns) -> Answer:
+    answer = found_in(*records).answer
+    assert answer is not None
+    return answer
+
+
+def right(answer: Answer, motor: RealMotor, share: float, *names: str) -> bool:
+    return all(abs(float(getattr(answer, name) or 0.0) / getattr(motor, name) - 1.0) < share for name in names)
+
+
+def test_a_dead_band_far_beyond_the_usual_is_found_with_its_size() -> None:
+    answer = answered(recorded(MOTOR._replace(dead_band_V=1.3), (3.0, 5.0, 7.0)))
+    assert answer.law is not None and [law.name for law in answer.law] == ["dead_band"]
+    assert answer.law[0].value == pytest.approx(1.3, rel=0.05)
+    assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_many_turns_in_fine_steps_are_no_degrees_and_each_number_has_its_grade() -> None:
+    answer = answered(recorded(MOTOR, (0.0, 3.0, 5.0, 7.0)))
+    assert answer.verdict == "ok"
+    assert answer.grade is not None and {one.grade for one in answer.grade.values()} == {"exact"}
+    assert answer.predicts is not None and answer.holds is not None
+    assert answer.predicts.error is not None and answer.predicts.linear_error is not None
+    assert answer.predicts.error < 0.2 * answer.predicts.linear_error
+    assert answer.holds.ways == "both" and answer.holds.drive_V == pytest.approx((3.0, 7.0))
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_one_way_with_several_levels_gives_tau_K_and_friction_less_bias(way: float) -> None:
+    answer = answered(recorded(MOTOR._replace(bias_V=0.1), (3.0, 5.0, 7.0), ways=(way,)))
+    assert answer.verdict == "doubtful"
+    assert answer.grade is not None and answer.holds is not None
+    assert answer.holds.ways == ("forward" if way > 0.0 else "backward")
+    assert [answer.grade[name].grade for name in ("tau_s", "K_rad_s_V", "fc_V")] == ["exact", "exact", "not known"]
+    assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V")
+    both = answer.grade["fc_less_bias_V"]
+    assert answer.fc_V is not None and both.u95 is not None
+    assert answer.fc_V == pytest.approx(0.6 - way * 0.1, abs=both.u95)
+    assert any("one way only" in reason for reason in answer.reasons)
+
+
+def test_files_that_together_turn_both_ways_are_judged_together() -> None:
+    answer = answered(
+        recorded(MOTOR, (3.0, 5.0, 7.0), ways=(1.0,)), recorded(MOTOR, (3.0, 5.0, 7.0), ways=(-1.0,), seed=2)
+    )
+    assert answer.verdict != "refused"
+    assert not any("one way only" in reason for reason in answer.reasons)
+    assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_pieces_begin_from_several_starts_and_come_near_a_motor_with_an_unbalanced_load() -> None:
+    """Over the whole record the plain motor ends at other numbers."""
+    unbalanced = MOTOR._replace(force_sin_V=1.2)
+    t_s, u_V, y_rad = recorded(unbalanced, (3.0, 5.0, 7.0))
+    pieces, blocks = fit_in_pieces([TimeSeries(t_s, y_rad, None, u_V)], free_delay=True)
+    assert pieces.motor.tau_s == pytest.approx(0.05, rel=0.5)
+    assert pieces.motor.K_rad_s_V == pytest.approx(20.0, rel=0.3)
+    assert blocks.count >= 5
+
+
+def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
+    bench = Bench(20.0, 0.6, 12.0, 100.0, 3.0, 0.01, 0.1)
+    for law in DEPARTURES:
+        assert law.most(bench) >= (12.0 if law.unit == "V" else 10.0 * law.range_of(bench))
+
+
+def test_a_quick_reversal_is_no_spike() -> None:
+    """Rows of 0.1 s, and a motor that turns within one of them."""
+    t_s = 0.1 * np.arange(200)
+    u_V = np.where(np.arange(200) % 8 < 4, 5.0, -5.0)
+    quick = RealMotor(0.02, 20.0, 0.6)
+    y_rad = response(quick, Frame(), (t_s, u_V), t_s, Pieces.one())
+    test = TimeSeries(t_s, STEP_RAD * np.round(y_rad / STEP_RAD), None, u_V)
+    known = Estimate("sampled-data", 0.02, 20.0, 0.6)
+    spoiled = test.y_rad + (np.arange(200) == 101) * 60.0
+    assert not any("rows around" in one.reason for one in judge_records([test], known))
+    assert any(
+        "differs by" in one.reason or "jumps" in one.reason
+        for one in judge_records([TimeSeries(t_s, spoiled, None, u_V)], known)
+    )
+
+
+def _whole_fit(columns: Columns) -> tuple[Cut, Problem, RealMotor]:
+    t_s, u_V, y_rad = columns
+    cut = Cut.whole([TimeSeries(t_s, y_rad, None, u_V)], 0.01)
+    free = (*CORE, "delay_s")
+    problem = Problem(cut.every(1.0), free, limits_of(free, cut, (-0.005, 0.01)), STEP_RAD / math.sqrt(12.0))
+    return cut, problem, MOTOR._replace(delay_s=0.002)
+
+
+def test_blocks_are_predicted_from_their_first_rows_and_the_others_numbers() -> None:
+    cut, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0)))
+    blocks = Blocks.of(cut, motor.tau_s)
+    right_one, wrong = held_out(blocks, problem, motor), blocks.error(motor._replace(fc_V=1.8), problem)
+    assert right_one.error < 0.01 < right_one.linear_error
+    assert wrong > 5.0 * right_one.error
+    assert right_one.is_useful
+
+
+def test_what_does_not_predict_is_refused_and_what_predicts_is_refused_for_damage_alone() -> None:
+    poor, fine = HeldOut(0.7, 0.9, 2.0, 10), HeldOut(0.1, 0.3, 2.0, 10)
+    worse = HeldOut(0.2, 0.15, 2.0, 10)
+    one = Estimate("sampled-data", 0.05, 20.0, 0.6)
+    wide, damaged = one.judged("refused", "wide", spoiled=False), one.judged("refused", "counts are lost")
+    assert [by_prediction(one, each).verdict for each in (poor, worse, fine)] == ["refused", "refused", "ok"]
+    assert by_prediction(wide, fine).verdict == "doubtful"
+    assert by_prediction(damaged, fine).verdict == "refused"
+
+
+def test_errors_of_the_model_add_nothing_on_a_motor_that_is_what_the_model_says() -> None:
+    plain = recorded(MOTOR, (3.0, 5.0, 7.0))
+    bent = recorded(MOTOR._replace(drag_V_s2_rad2=2e-4), (3.0, 5.0, 7.0))
+    lines = []
+    for columns in (plain, bent):
+        cut, problem, motor = _whole_fit(columns)
+        fit = solve(start(problem, motor))
+        lines.append({entry.source: entry for entry in model_error(fit, cut.every(1.0)).lines})
+    assert lines[0] == {}
+    assert {PIECES, DRIVES} & lines[1].keys()
+    assert max(entry.K_rad_s_V for entry in lines[1].values()) > 0.005 * MOTOR.K_rad_s_V
+
+
+def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> None:
+    motor = MOTOR._replace(drift=-0.2)
+    answer = answered(recorded(motor, (3.0, 5.0, 7.0)), recorded(motor, (2.0, 4.0, 6.0), seed=2))
+    assert answer.law is not None and [law.name for law in answer.law] == ["drift_each"]
+    assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")

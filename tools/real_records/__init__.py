@@ -1,0 +1,1 @@
+"""What `rig identify` says of records of real motors."""
