@@ -10,7 +10,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, overload
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from rig import experiment, preflight, simulation
@@ -23,17 +22,17 @@ from rig.config.load import Given
 from rig.control.law import OwnLaw, Timed
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
-from rig.identify import IdentifyError
 from rig.identify import identify as identify_recordings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.prediction import predict_cycle
 from rig.model.real_motor import RealMotor
-from rig.notebook import Compared, Found, Run
+from rig.notebook import Compared, Found, Prediction, Run
 from rig.recording import reader
 from rig.recording.errors import RecordingError
+from rig.recording.given import recordings_of
 from rig.recording.path_kind import require_distinct
-from rig.recording.recording import MIN_ROWS, Recording, from_columns
+from rig.recording.recording import Recording
 from rig.replay import Replay
 from rig.replay import replay as replay_folder
 from rig.results import JsonObject
@@ -47,6 +46,7 @@ __all__ = [
     "Fault",
     "Found",
     "Motor",
+    "Prediction",
     "RealMotor",
     "Run",
     "Sample",
@@ -65,7 +65,6 @@ __all__ = [
 
 AnyPath = str | PathLike[str]
 WANTED = "rig.identify takes one run, a path, a list of them, or t, u and y"
-ARRAYS = Path("t, u, y")  # what messages call columns that are in no file
 
 
 def read(path: AnyPath) -> Run:
@@ -109,33 +108,8 @@ def identify(
     Raises IdentifyError where the data give no estimate or have no such stage, RecordingError where they cannot be
     read, TypeError for arguments that are none of these.
     """
-    if u is not None and y is not None:
-        recordings: list[Recording] = [_from_arrays(data, u, y, t_u)]
-    elif u is None and y is None and t_u is None:
-        given = [data] if isinstance(data, Recording | str | PathLike) else data
-        if not isinstance(given, Sequence):
-            raise TypeError(WANTED)
-        recordings = [one if isinstance(one, Recording) else reader.read(Path(one)) for one in given]
-    else:
-        raise TypeError(WANTED)
+    recordings = recordings_of(data, u, y, t_u, WANTED)
     return Found.of(identify_recordings(recordings, methods, without=without))
-
-
-def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> Recording:
-    """Columns as a recording. Raises IdentifyError where they are no columns of one length and of numbers."""
-    given = {"t": t, "u": u, "y": y} | ({} if t_u is None else {"t_u": t_u})
-    columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
-    for name, column in columns.items():
-        if column.ndim != 1 or column.size != columns["t"].size:
-            raise IdentifyError(
-                f"{name} has the shape {column.shape}, and t {columns['t'].shape}", "give columns of one length"
-            )
-        bad = np.flatnonzero(~np.isfinite(column))
-        if bad.size:
-            raise IdentifyError(f"{name}[{bad[0]}] is {column[bad[0]]}", "leave such samples out, in every column")
-    if columns["t"].size < MIN_ROWS:
-        raise IdentifyError(f"there are {columns['t'].size} samples", "record ten cycles: some hundred samples")
-    return from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
 
 
 def simulate(motor: Motor | RealMotor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Run:

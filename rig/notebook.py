@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from rig.compare.comparison import Comparison
 from rig.compare.page import write_page
@@ -19,11 +20,12 @@ from rig.optional import needed
 from rig.recording.columns import COLUMNS, UNITS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import META
+from rig.recording.given import recordings_of
 from rig.recording.recording import Recording
 from rig.report import source
 from rig.report.fitted import forest_figure, residual_figure
 from rig.report.measured import whole_run_figure
-from rig.report.simulated import figure_of, simulated
+from rig.report.simulated import Simulated, beyond, drawn, figure_of, predicted_record, simulated
 from rig.report.style import AbsentError, laid_out, style
 from rig.report.tables import estimates as estimate_rows
 from rig.report.words import PARAMETERS, quantity
@@ -148,6 +150,26 @@ class Compared(Comparison):
         return self.summary()
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Simulated):
+    """A record and what an answer says of it: ``t_s``, ``measured_rad``, ``y_rad``, ``residual_rad``, ``fit_percent``.
+
+    beyond  where the record goes beyond what the answer was measured over, in words; empty where it does not
+    method  of the answer
+    """
+
+    beyond: str = ""
+    method: str = ""
+
+    def plot(self) -> Figure:
+        """Measured against predicted position, residual and fit; a figure of matplotlib, which is not shown."""
+        with style():
+            return laid_out(drawn([self], self.method))
+
+    def __repr__(self) -> str:
+        return f"{self.name}: fit {self.fit_percent:.1f} %" + (f"; {self.beyond}" if self.beyond else "")
+
+
 @dataclass(frozen=True, repr=False)
 class FoundEstimate(Estimate):
     """One estimator's result: ``tau_s``, ``K_rad_s_V``, ``fc_V``, ``ci95``, ``verdict``, ...: see ``Estimate``."""
@@ -262,6 +284,34 @@ class Found(Identification):
         """
         with _drawing():
             return laid_out(figure_of(self, simulated(self)))
+
+    def predict(
+        self, data: Any, u: ArrayLike | None = None, y: ArrayLike | None = None, t_u: ArrayLike | None = None
+    ) -> Prediction:
+        """The motion of a record under its drive, by the answer with its laws and its delay.
+
+        data, u, y, t_u  one record, as ``rig.identify`` takes it: a run, a path, or arrays of times, s, drives, V,
+                         positions, rad, and times at which the drives act, s. Only the start is fitted to y
+        Raises ValueError where the answer is no motor or there are several records; else as ``rig.identify``.
+        """
+        wanted = "found.predict takes one run, a path, or t, u and y"
+        recordings = recordings_of(data, u, y, t_u, wanted)
+        if len(recordings) != 1:
+            raise ValueError(f"{wanted}: here are {len(recordings)} records")
+        if self.answer is None:
+            raise ValueError("there is no answer to predict with")
+        try:
+            shown = predicted_record(self.answer, recordings[0])
+        except AbsentError as error:
+            raise ValueError(str(error)) from error
+        return Prediction(
+            shown.name,
+            shown.t_s,
+            shown.measured_rad,
+            shown.y_rad,
+            beyond(self.answer, recordings[0]),
+            self.answer.method,
+        )
 
     def plot_methods(self) -> Figure:
         """The answer and each method side by side with their 95 % intervals; a figure of matplotlib, not shown.

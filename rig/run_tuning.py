@@ -23,7 +23,7 @@ from rig.recording.reader import read_result, read_run
 from rig.recording.recording import Recording
 from rig.recording.stage import StageKind
 from rig.report import write_report
-from rig.results import RunResult
+from rig.results import HoldsResult, RunResult, known
 from rig.results.tuned import TunedResult
 from rig.tune.known import motor_of
 from rig.tune.margins import Margins
@@ -39,6 +39,7 @@ TOP_SHARE = 0.9  # of limits.max_speed_rad_s: beyond the limit itself the run wo
 SMALLER, TIMES = 0.6, 5  # a step of the speed that nobody asked for may be so much smaller, so often, to fit the travel
 TURN_RAD = math.pi  # half the travel of a shaft without limits
 LEAST_NOISE_RAD = 1e-5  # a sensor without noise and steps has at least this
+BEYOND = 1.05  # of the largest drive that the motor was measured with: more is said
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class TunedRun:
     """A loop for the motor of a run.
 
     latency_s  that the run's device reports, from a sample to the effect of its drive, s
+    holds      what the run's answer was measured over; None: not said
     """
 
     folder: Path
@@ -69,6 +71,7 @@ class TunedRun:
     trial: Trial
     prediction: Prediction
     latency_s: float
+    holds: HoldsResult | None = None
 
     def options(self) -> dict[str, Any]:
         """Of the law `tuned`, for the section `law` of a config."""
@@ -110,7 +113,18 @@ class TunedRun:
     def result(self, bench: Record | None = None) -> TunedResult:
         """All of it; ``bench``: the trial that a bench recorded."""
         law = {"name": TUNED, "options": self.options()}
-        return result_of(self.tuned, self.prediction, bench, self.folder.resolve().name, law)
+        found = result_of(self.tuned, self.prediction, bench, self.folder.resolve().name, law)
+        return found.model_copy(update={"beyond": self._beyond()})
+
+    def _beyond(self) -> str | None:
+        """Where the predicted trial drives harder than the run did, as a sentence; None where it does not."""
+        if self.holds is None or self.holds.drive_V is None:
+            return None
+        most_V = known(self.holds.drive_V[1])
+        largest_V = max(float(np.abs(one.u_V).max()) for one in self.prediction.records)
+        if not largest_V > BEYOND * most_V:
+            return None
+        return f"the trial drives with up to {largest_V:.3g} V, and the motor was measured with up to {most_V:.3g} V"
 
 
 def tune_run(
@@ -143,7 +157,8 @@ def tune_run(
     prediction = predict(tuned, trial, draws, on_progress=on_progress)
     if bench is not None:
         _require_inside(bench, prediction)
-    return TunedRun(folder, tuned, trial, prediction, latency_s)
+    holds = None if result.answer is None else result.answer.holds
+    return TunedRun(folder, tuned, trial, prediction, latency_s, holds)
 
 
 def _require_inside(bench: Experiment, prediction: Prediction) -> None:

@@ -225,6 +225,8 @@ def show_tuned(found: TunedResult) -> None:
     ]
     click.echo("\n".join(["", "margins", *plain_table(("motor", "phase", "gain", "modulus"), margins)]))
     click.echo(f"the sensor's noise shakes the drive by {found.drive_noise_V:.3g} V (standard deviation)")
+    if found.beyond:
+        click.echo(f"beyond what is known: {found.beyond}")
     tried = any(one.says("inside") for one in found.prediction.values())
     rows = []
     for one in found.prediction.values():

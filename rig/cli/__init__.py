@@ -31,6 +31,7 @@ from rig.cli import (
     list,
     panel,
     predict,
+    predict_run,
     rehearse,
     relay,
     replay,
@@ -79,7 +80,14 @@ _GROUPS = {
         design.design,
         track.track,
     ),
-    "Use what was measured": (report.report, list.list_runs, compare.compare, tune.tune, export.export),
+    "Use what was measured": (
+        report.report,
+        predict_run.predict_run,
+        list.list_runs,
+        compare.compare,
+        tune.tune,
+        export.export,
+    ),
     "A bench of your own": (
         init.init,
         rehearse.rehearse,

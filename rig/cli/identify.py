@@ -84,18 +84,20 @@ def identify(
     from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
     from rig.recording.path_kind import require_distinct
-    from rig.recording.reader import read
+    from rig.recording.reader import read_all
 
     if rows is not None and len(paths) > 1:
         fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
     try:
         require_distinct(paths)
         with patience("reading and identifying"):
-            recordings = [read(path, log) for path in paths]
+            recordings = [recording for path in paths for recording in read_all(path, log)]
+            if rows is not None and len(recordings) > 1:
+                fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
             if rows is not None:
                 recordings = [recording.only_rows(*rows) for recording in recordings]
             found = identify_recordings(recordings, tuple(methods) or None, without=without)
-        records = [str(path) for path in paths]
+        records = [str(recording.source) for recording in recordings]
         undrawn = "" if picture is None else _draw(found, picture)
         if report is not None:
             from rig.report.identified import write_identified

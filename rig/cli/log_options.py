@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail
-from rig.recording.log_format import UNITS, LogColumn, LogFormat, LogFormatError
+from rig.recording.log_format import UNITS, LogColumn, LogFormat, LogFormatError, parse_period
 
 _COLUMN = "[COLUMN:]UNIT"
 
@@ -32,6 +32,10 @@ _OPTIONS = (
         "--supply-V", "supply_V", type=float, help="Volts at the motor at full drive; for pwm, duty, percent."
     ),
     click.option("--reversed", "is_reversed", is_flag=True, help="A positive drive turns to falling positions."),
+    click.option("--period", metavar="TIME", help="Of a log without a time: from row to row, such as 2ms."),
+    click.option("--run", "run_column", metavar="COLUMN", help="Of a log of several runs: the column that says which."),
+    click.option("--drive-row", type=int, default=0, help="-1: each drive stands a row too late, and moves up."),
+    click.option("--time-row", type=int, default=0, help="-1: each time stands a row too late, and moves up."),
 )
 
 
@@ -41,15 +45,16 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def with_log(**given: Any) -> Any:
         texts = {quantity: given.pop(quantity) for quantity in UNITS}
-        counts_per_turn, full, supply_V = (given.pop(name) for name in ("counts_per_turn", "full", "supply_V"))
-        is_reversed = given.pop("is_reversed")
-        values = (*texts.values(), counts_per_turn, full, supply_V)
+        period = given.pop("period")
+        rest = {name: given.pop(name) for name in ("counts_per_turn", "full", "supply_V", "drive_row", "time_row")}
+        rest |= {"run": given.pop("run_column"), "reversed": given.pop("is_reversed")}
         log = None
-        if is_reversed or any(value is not None for value in values):
+        if period is not None or any(value is not None for value in texts.values()) or any(rest.values()):
             try:
                 columns = {name: LogColumn.parse(name, text) for name, text in texts.items() if text is not None}
+                period_s = None if period is None else parse_period(period)
                 time, drive, position, velocity = map(columns.get, UNITS)
-                log = LogFormat(time, drive, position, velocity, counts_per_turn, full, supply_V, is_reversed)
+                log = LogFormat(time, drive, position, velocity, period_s=period_s, **rest)
             except LogFormatError as error:
                 fail(EXIT_BAD_INPUT, error.cause, error.cure)
         return command(log=log, **given)

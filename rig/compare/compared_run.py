@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from rig.recording.errors import RecordingError
 from rig.recording.path_kind import no_run
 from rig.recording.reader import read_meta, read_result
-from rig.results import EstimateResult, FoundLawResult, RunMeta, RunResult, known
+from rig.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult, known
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ class ComparedRun:
     lines        what else may be wrong, by the budget's sources: (3,) standard deviations of these; None: no budget
     bench        what the run says of its bench: parts by name; a part may be missing
     laws         that the run shows
+    largest_V    the largest drive that its answer was measured with, V; nan: not said
     """
 
     name: str
@@ -51,6 +52,7 @@ class ComparedRun:
     laws: tuple[FoundLawResult, ...] = ()
     notes: tuple[str, ...] = ()
     temperature_C: float | None = field(default=None)
+    largest_V: float = math.nan
 
     @property
     def started(self) -> datetime | None:
@@ -124,8 +126,13 @@ def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: 
         lines = {source: np.where(np.isfinite(line), line, 0.0) for source, line in lines.items()}
     return ComparedRun(
         name, folder, values, covariance, lines, bench_of(meta), meta, answer.verdict,
-        answer.law or (), tuple(notes),
+        answer.law or (), tuple(notes), largest_V=_largest_V(answer),
     )  # fmt: skip
+
+
+def _largest_V(answer: Answer) -> float:
+    holds = answer.holds
+    return math.nan if holds is None or holds.drive_V is None else known(holds.drive_V[1])
 
 
 def _values(estimate: EstimateResult) -> tuple[Array, Array]:

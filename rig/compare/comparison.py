@@ -58,6 +58,7 @@ WORDS = {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c"}
 COPPER = 0.393  # %/K: its resistance at 20 degrees C (IEC 60028)
 MAGNET = -0.2  # %/K: the flux of a ferrite magnet; of NdFeB it is -0.12
 KELVIN = 2.5
+OTHER_RANGE = 1.5  # ratio of the largest drives of two runs from which on it is said
 
 
 @dataclass(frozen=True)
@@ -367,6 +368,13 @@ def _notes(runs: Sequence[ComparedRun], bench: Sequence[int]) -> list[str]:
         has = [run.name for run, own in zip(runs, laws, strict=True) if name in own]
         notes.append(
             f"{name.replace('_', ' ')} shows in {_listed(has)} only: a part that changed, or tests that cannot show it"
+        )
+    by_drive = sorted((run for run in runs if run.largest_V > 0.0), key=lambda run: run.largest_V)
+    if by_drive and by_drive[-1].largest_V > OTHER_RANGE * by_drive[0].largest_V:
+        low, high = by_drive[0], by_drive[-1]
+        notes.append(
+            f"{low.name} holds up to {low.largest_V:.3g} V, and {high.name} up to {high.largest_V:.3g} V: a motor "
+            "whose speed bends over the drive differs between them, too"
         )
     return notes + _supplies(runs)
 

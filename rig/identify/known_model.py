@@ -9,8 +9,9 @@ from rig.model.real_motor import Frame, FramedMotor
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT
 from rig.recording.path_kind import no_run
-from rig.recording.reader import read_result
-from rig.results import Answer, known
+from rig.recording.reader import read_object, read_result
+from rig.results import Answer, IdentificationResult, known
+from rig.results.reading import salvaged
 
 OF_PLACE = ("centre_rad", "half_travel_rad")  # the part of a frame that another run shares
 
@@ -52,6 +53,24 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
             "give a run of this bench, or correct drive.max_V",
         )
     return motor
+
+
+def answer_in(path: Path) -> Answer:
+    """The answer of a run folder, of its result.json, or of what `rig identify --json` printed into a file.
+
+    Raises RecordingError where there is none.
+    """
+    if path.is_file() and path.name != RESULT:
+        result, _ = salvaged(IdentificationResult, read_object(path))
+        answer = result.answer
+    else:
+        of_run, _ = read_result(path.parent if path.name == RESULT else path)
+        answer = None if of_run is None else of_run.answer
+    if answer is None:
+        raise RecordingError(
+            path, "holds no answer", "give a run folder, or a file: `rig identify LOG --json > found.json`"
+        )
+    return answer
 
 
 def model_of(answer: Answer | None, *, in_its_time: bool = False) -> FramedMotor | None:

@@ -31,7 +31,6 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
-LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
@@ -42,7 +41,11 @@ MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
+LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 FEW_LEVELS = 8
+# Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
+# them; rows over which a speed is taken; how speed and drive are correlated there.
+TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
 SAY_UNIT = "The column's name says rad: if it is right, type --position y_rad:rad; if not, the unit in place of rad"
 
 
@@ -98,7 +101,8 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     tau = estimate.tau_s
     period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
-        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds?")]
+        current = "or is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
+        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}")]
     if tau < SHORTEST_TAU_S:
         return [Objection("refused", f"tau = {tau:.3g} s is no motor's: is t_s in seconds, not in ks or minutes?")]
     if tau > LONG_TAU_S and period >= 1e3 * SHORTEST_PERIOD_S:
@@ -133,6 +137,14 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
                 f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
             )
         ]
+    if _lacks_sign(test):
+        return [
+            Objection(
+                "refused",
+                f"{name}: the drive is never negative, and the shaft turns both ways, the faster the larger the drive: "
+                "the drive's sign is missing; log it with the sign of the direction",
+            )
+        ]
     if _turns_against_drive(test):
         return [
             Objection(
@@ -142,6 +154,25 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
             )
         ]
     return []
+
+
+def _lacks_sign(test: TimeSeries) -> bool:
+    """Whether the drive is a mere size: never negative, and the shaft turns backwards the faster the larger it is.
+
+    A load that turns the shaft back does so the slower, the more the drive holds against it.
+    """
+    u, y = test.u_V, test.y_rad
+    if u.min() < 0.0 or u.max() <= 0.0 or y.size < FEWEST_BACK:
+        return False
+    rows = min(y.size // 4, SMOOTH_ROWS)
+    v = (y[rows:] - y[:-rows]) / (test.t_s[rows:] - test.t_s[:-rows])
+    at = u[rows // 2 : rows // 2 + v.size]
+    back = v < -TURNS_BACK * float(np.abs(v).max())
+    if int(back.sum()) < max(FEWEST_BACK, TURNS_BACK * v.size) or np.ptp(y) <= 2.0 * _motion(test):
+        return False
+    if np.ptp(at[back]) == 0.0:
+        return bool(at[back][0] == u.max())
+    return float(np.corrcoef(-v[back], at[back])[0, 1]) > FASTER_BACK
 
 
 def _turns_against_drive(test: TimeSeries) -> bool:

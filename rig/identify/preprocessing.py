@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Floats, Recording
-from rig.recording.series import FEWEST_ROWS, TIMES_ERROR_S, TimeSeries
+from rig.recording.series import FEWEST_ROWS, TIMES_ERROR_S, TimeSeries, steps_of
 from rig.recording.stage import Stage
 from rig.signals import BenchDelay
 
@@ -80,7 +80,8 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
     known = np.isfinite(t_u_s)
     if not known.any():
         stated = recording.units_stated
-        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage, units_stated=stated), notes
+        edges = None if recording.drive_steps is None else steps_of(*recording.drive_steps)
+        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage, units_stated=stated, edges=edges), notes
     start = int(np.flatnonzero(known)[0])
     missing = int((~known[start:]).sum())
     if missing > 0.2 * t_s.size:

@@ -94,7 +94,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         return estimate.judged(
             "doubtful",
             f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
-            "after that row's y was read; if it was set before, move u up by a row",
+            "after that row's y was read; if it was set before, move u up by a row (of a log: --drive-row -1)",
         )
     return estimate
 

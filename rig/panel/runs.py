@@ -23,6 +23,7 @@ from rig.recording.path_kind import is_run
 from rig.recording.reader import read_meta, read_result
 from rig.recording.writer import EVENTS, SAMPLES
 from rig.results import EstimateResult, RunMeta, RunResult
+from rig.results.answer_words import graded_words, validity
 from rig.signals import plain
 
 REPORT: Final = "report.html"
@@ -137,6 +138,7 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
         "verdict": "failed" if fault else None if answer is None else answer.verdict or None,
         "fault": fault,
         "estimate": None if answer is None else _numbers(answer),
+        "says": [] if answer is None else [line for line in (graded_words(answer), *validity(answer)) if line],
         "lasts_s": lasts_s,
         "report": (folder / REPORT).is_file(),
         "notes": notes,

@@ -17,6 +17,7 @@ from rig.recording.columns import COLUMNS
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
 from rig.recording.log_format import OWN_NAMES, UNITS
+from rig.recording.log_mends import runs_of, unwrapped_clock
 from rig.recording.recording import MIN_ROWS, Columns, Recording, assembled
 
 REQUIRED: Final = ("t_s", "u_V", "y_rad")
@@ -41,6 +42,31 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
     known  this file as read earlier, perhaps with fewer rows: these are not parsed again
     Raises RecordingError.
     """
+    columns, row_numbers, notes, header = _parsed(path, own, known)
+    return assembled(path, columns, row_numbers, notes=tuple(notes), columns_present=header)
+
+
+def read_csv_runs(path: Path) -> list[Recording]:
+    """Read a CSV file as ``read_csv`` does; where its time begins again, another run begins. Raises RecordingError."""
+    columns, row_numbers, notes, header = _parsed(path, False, None)
+    columns["t_s"] = unwrapped_clock(columns["t_s"], columns["y_rad"], 1.0, notes)
+    runs = runs_of(columns["t_s"])
+    return [
+        assembled(
+            path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})"),
+            {name: values[run] for name, values in columns.items()},
+            row_numbers[run],
+            notes=tuple(notes) if number == 1 else (),
+            columns_present=header,
+        )
+        for number, run in enumerate(runs, 1)
+    ]
+
+
+def _parsed(
+    path: Path, own: bool, known: Recording | None
+) -> tuple[Columns, Sequence[int], list[str], tuple[str, ...]]:
+    """The columns, the lines of their rows, notes and the names of all columns; as in ``read_csv``."""
     text = CsvText.of(path, own=own)
     header_line, row_numbers = text.numbers[0], text.numbers[1:]
     header = _parse_header(text, header_line)
@@ -63,7 +89,7 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
     if own:
         columns = _while_time_rises(columns, row_numbers, notes)
         row_numbers = row_numbers[: len(columns["t_s"])]
-    return assembled(path, columns, row_numbers, notes=tuple(notes), columns_present=header)
+    return columns, row_numbers, notes, header
 
 
 def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rig.recording.columns import COLUMNS, KINDS
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import UNITS, USUAL_NAMES, sounds_like
+from rig.recording.log_format import UNIT_WORDS, UNITS, USUAL_NAMES, sounds_like
 from rig.recording.recording import Column, Columns
 from rig.recording.text_file import lines_of, whole_content, without_torn_line
 from rig.signals import plain
@@ -24,6 +24,8 @@ from rig.signals import plain
 MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
+_ALL_UNITS: Final = {unit for units in UNITS.values() for unit in units} | UNIT_WORDS
+_NO_UNIT: Final = {"", "-", "1"}
 _DELIMITERS: Final = (",", ";", "\t")
 _FEWEST_COLUMNS: Final = 3
 _BLANKS: Final = " "  # the delimiter if none of those is in the first line; any number of blanks
@@ -71,36 +73,35 @@ class CsvText:
         return text if own else text._with_names()._with_units()
 
     def _with_names(self) -> CsvText:
-        """With the names of the columns, if these stand behind a # above rows of numbers, as numpy writes them."""
+        """With the names of the columns, if these stand behind a # above rows of numbers or of units.
+
+        numpy writes them so. Of several such lines the last one with names counts.
+        """
         first = self.numbers[0]
         rows = self.fields(first)
-        above = [k for k in range(1, first) if self.lines[k - 1].startswith("#")]
-        if not above or not all(is_number(field) for field in rows if field):
+        if not all(is_number(field) for field in rows if field) and _units_of(rows) is None:
             return self
-        words = self.lines[above[-1] - 1].lstrip("#").strip()
-        most = max(_DELIMITERS, key=words.count)
-        names = [name.strip() for name in words.split(most)] if most in words else words.split()
-        known = [name for name in names if name in COLUMNS or any(sounds_like(name, q) for q in USUAL_NAMES)]
-        if len(names) != len(rows) or len(known) < 2:  # a remark
+        found: dict[int, list[str]] = {}
+        for above in range(first - 1, 0, -1):
+            words = self.lines[above - 1].lstrip("#").strip()
+            most = max(_DELIMITERS, key=words.count)
+            names = [name.strip() for name in words.split(most)] if most in words else words.split()
+            known = [name for name in names if name in COLUMNS or any(sounds_like(name, q) for q in USUAL_NAMES)]
+            if self.lines[above - 1].startswith("#") and len(names) == len(rows) and len(known) > 1:  # no remark
+                found[above] = names
+        if not found:
             return self
+        place = next((k for k, names in found.items() if _units_of(names) is None), max(found))
         lines = list(self.lines)
-        lines[above[-1] - 1] = self.delimiter.join(names)
-        return replace(self, lines=lines, numbers=[above[-1], *self.numbers])
+        lines[place - 1] = self.delimiter.join(found[place])
+        return replace(self, lines=lines, numbers=[place, *self.numbers])
 
     def _with_units(self) -> CsvText:
         """Without a row of units below the names, which becomes ``units``, with a note."""
         if len(self.numbers) < 2:
             return self
-        names, fields = self.fields(self.numbers[0]), self.fields(self.numbers[1])
-        known = {unit for units in UNITS.values() for unit in units}
-        units = tuple(field.strip("()[]") for field in fields)
-        in_brackets = [field != unit for field, unit in zip(fields, units, strict=True)]
-        if (
-            len(fields) != len(names)
-            or any(is_number(field) for field in (*names, *fields))
-            or not any(units)
-            or not all(marked or unit in known for marked, unit in zip(in_brackets, units, strict=True) if unit)
-        ):
+        names, units = self.fields(self.numbers[0]), _units_of(self.fields(self.numbers[1]))
+        if units is None or len(units) != len(names) or any(is_number(field) for field in names):
             return self
         words = f"line {self.numbers[1]} was read as the units: {', '.join(map(shown, units[:20]))}"
         return replace(self, numbers=[self.numbers[0], *self.numbers[2:]], notes=(*self.notes, words), units=units)
@@ -147,6 +148,15 @@ class CsvTable:
             _parse_rows(self, self.rows[k : k + _ROWS_AT_ONCE]) for k in range(first, len(self.rows), _ROWS_AT_ONCE)
         ]
         return {name: np.concatenate([chunk[name] for chunk in chunks]) for name in names} if chunks else {}
+
+
+def _units_of(fields: Sequence[str]) -> tuple[str, ...] | None:
+    """A row of units without its brackets; None if it is no such row. What stands in brackets may be anything."""
+    units = tuple(field.strip("()[]") for field in fields)
+    said = [unit for field, unit in zip(fields, units, strict=True) if field == unit and unit not in _NO_UNIT]
+    if any(is_number(field) and field not in _NO_UNIT for field in fields) or set(units) <= _NO_UNIT:
+        return None
+    return units if all(unit in _ALL_UNITS for unit in said) else None
 
 
 def is_number(text: str) -> bool:

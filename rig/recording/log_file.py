@@ -5,6 +5,7 @@ For any content of the file the result is a ``Recording``, or a ``RecordingError
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -13,39 +14,34 @@ import numpy as np
 
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, words_of
-from rig.recording.recording import MIN_ROWS, Columns, Floats, Recording, assembled
+from rig.recording.log_format import LARGEST, NAMES_UNIT, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, words_of
+from rig.recording.log_mends import (
+    Summed,
+    has_no_sign,
+    runs_of,
+    signed_drive,
+    summed_up,
+    unwrapped_clock,
+    unwrapped_position,
+    unwrapped_velocity,
+)
+from rig.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
 
-# Words of a column's name that say its unit, in small letters.
-_NAMES_UNIT: Final = {
-    "time": {"ms": "ms", "millis": "ms", "us": "us", "micros": "us", "s": "s", "sec": "s", "seconds": "s"},
-    "drive": {"pwm": "pwm", "duty": "duty"},
-    "position": {
-        "rad": "rad",
-        "deg": "deg",
-        "turns": "turns",
-        "count": "counts",
-        "counts": "counts",
-        "ticks": "counts",
-    },
-    "velocity": {"rpm": "rpm"},
-}
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identify/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
-_FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
-_CLOCK_TURNS: Final = 2.0**32  # millis() and micros() of an Arduino
-_COUNTER_TURNS: Final = 2.0**16  # counts in an int of a small chip
+_OVER = 1.001  # of full drive: what rounding may show
+_FULL: Final = (255, 1023, 4095, 65535)  # usual numbers for full drive
 
 
-def read_log(path: Path, log: LogFormat) -> Recording:
-    """Read a CSV file whose columns are those of ``log``; other columns are not read.
+def read_log(path: Path, log: LogFormat) -> list[Recording]:
+    """Read a CSV file whose columns are those of ``log``; other columns are not read. One recording for each run in it.
 
     Separators, comments and decimal commas are as for ``read_csv``. Without a line of names the columns are numbered
     from 1; if there are no others than those of ``log``, they are time, drive, and position or velocity, in this order.
-    A first line with fewer fields than the second is torn, and is left out. A clock of 32 bits may begin anew, a
-    counter of 16 bits may wrap, and so may an angle within one turn. A velocity is summed up to a position.
+    A first line with fewer fields than the second is torn, and is left out. What wraps or lost its sign is put right
+    (``log_mends``). A velocity is summed up to a position.
 
-    The notes say which column was taken for what. Raises RecordingError.
+    The notes say which column was taken for what, and what was put right. Raises RecordingError.
     """
     text = CsvText.of(path)
     numbers, notes = text.numbers, list[str]()
@@ -79,17 +75,141 @@ def read_log(path: Path, log: LogFormat) -> Recording:
             column = table.called[table.names.index(name)]
             raise RecordingError(path, f"column {column}: {values[row]:g} is too large", "correct this line", rows[row])
     notes = [*text.notes, *notes, _taken(choices, {q: called[place] for q, place in places.items()}, log)]
-    columns = _in_own_units(raw, choices, log, notes)
-    names = tuple(columns)
-    try:
-        recording = assembled(path, columns, rows, notes=tuple(notes), columns_present=names, units_stated=True)
-    except RecordingError as error:
-        if has_names or any(one.column is not None for one in choices.values()):
-            raise
-        cure = f"{error.cure}; or, if the columns have another order, number them: {_numbered(choices)}"
-        raise RecordingError(path, error.cause, cure, error.line) from error
-    _refuse_other_clock(path, columns["t_s"], choices["time"])
+    if log.period_s is not None:
+        raw["t_s"] = np.arange(len(rows), dtype=np.float64)
+    raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+    runs = _runs(path, text, numbers[0] if has_names else None, raw, rows, log)
+    recordings = []
+    for number, run in enumerate(runs, 1):
+        source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
+        heard = notes if number == 1 else []
+        own = {name: values[run] for name, values in raw.items()}
+        try:
+            recordings.append(_recording(source, own, [rows[k] for k in run], choices, log, heard))
+        except RecordingError as error:
+            if has_names or any(one.column is not None for one in choices.values()):
+                raise
+            cure = f"{error.cure}; or, if the columns have another order, number them: {_numbered(choices)}"
+            raise RecordingError(path, error.cause, cure, error.line) from error
+    return recordings
+
+
+def _recording(
+    source: Path,
+    raw: Columns,
+    rows: Sequence[int],
+    choices: Mapping[str, LogColumn],
+    log: LogFormat,
+    notes: Sequence[str],
+) -> Recording:
+    """One run as a recording: in s, V and rad, unwrapped; a velocity summed up to a position. Raises RecordingError."""
+    notes = list(notes)
+    raw = _in_place(raw | {"line": np.array(rows)}, log)
+    rows = raw.pop("line").tolist()
+    t_s, u_V = _times_s(raw, choices, log, notes), raw["u_V"]
+    require_rising(source, t_s, rows)
+    steps = None
+    if "velocity" in choices:
+        summed = _summed(source, raw, t_s, choices["velocity"], log, notes)
+        y_rad = summed.y_rad
+        if summed.rows is not None:
+            steps = (t_s, u_V)
+            rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
+    else:
+        unit = choices["position"].unit
+        scale = log.scale("position", unit)
+        y_rad = scale * unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
+    columns: Columns = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
+    recording = assembled(
+        source,
+        columns,
+        rows,
+        notes=tuple(notes),
+        columns_present=tuple(columns),
+        units_stated=True,
+        drive_steps=steps,
+    )
+    if "time" in choices:
+        _refuse_other_clock(source, t_s, choices["time"])
     return recording
+
+
+def _in_place(raw: Columns, log: LogFormat) -> Columns:
+    """The columns with drives and times in the rows where they belong; the rows at the ends that lack one go."""
+    off = {"u_V": log.drive_row, "t_s": log.time_row}
+    first, last = max(0, *off.values()), min(0, *off.values())
+    count = raw["u_V"].size - first + last
+    return {
+        name: values[first - off.get(name, 0) : first - off.get(name, 0) + max(count, 0)]
+        for name, values in raw.items()
+    }
+
+
+def _times_s(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat, notes: list[str]) -> Floats:
+    """The times in s, as they go on where the clock begins anew."""
+    if log.period_s is not None:
+        return np.asarray(log.period_s * raw["t_s"])
+    second_s = log.scale("time", choices["time"].unit)
+    motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
+    return np.asarray(second_s * unwrapped_clock(raw["t_s"], motion, 1.0 / second_s, notes))
+
+
+def _summed(path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]) -> Summed:
+    """The position from velocities. Raises RecordingError."""
+    v, u_V = raw["v_rad_per_s"], raw["u_V"]
+    if has_no_sign(v, u_V):
+        raise RecordingError(
+            path,
+            "the velocity is never negative, and as large after negative drives as after positive ones: its sign is "
+            "missing",
+            "log the velocity with its sign, or better the position",
+        )
+    unwrapped = unwrapped_velocity(v, u_V, notes)
+    if unwrapped is None:
+        raise RecordingError(
+            path,
+            "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
+            "log it as a number of 32 bits, or log the position",
+        )
+    return summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
+
+
+def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:
+    """The drives in V, with their signs. Raises RecordingError for one that no bridge gives."""
+    most = log.most(one.unit)
+    u = signed_drive(u, most, notes)
+    if most is not None and float(np.abs(u).max()) > most * _OVER + (one.unit == "pwm"):
+        k = int(np.argmax(np.abs(u)))
+        largest = abs(float(u[k]))
+        if one.unit == "pwm":
+            full = next((size for size in _FULL if size >= largest), math.ceil(largest))
+            cause, cure = f"and --full says {most:g}", f"give the number that means full drive, such as --full {full:g}"
+        else:
+            cause, cure = f"and in {one.unit} full drive is {most:g}", "give the unit that it is in"
+        raise RecordingError(
+            path,
+            f"the drive is {u[k]:g}, {cause}",
+            f"{cure}; or, if this is a command that the bridge limits, log what the bridge gave",
+            rows[k],
+        )
+    return np.asarray(log.scale("drive", one.unit) * u)
+
+
+def _runs(
+    path: Path, text: CsvText, header: int | None, raw: Columns, rows: Sequence[int], log: LogFormat
+) -> list[Integers]:
+    """The rows of each run in the file, counted from 0. Raises RecordingError."""
+    if log.run is None:
+        motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
+        second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
+        times = unwrapped_clock(raw["t_s"], motion, second, [])
+        return [np.arange(run.start, run.stop) for run in runs_of(times)]
+    first = text.fields(rows[0] if header is None else header)
+    place = _named_place(path, rows[0] if header is None else header, first, header is not None, "run", log.run)
+    of_row = [text.fields(row) for row in rows]
+    names = np.array([fields[place] if place < len(fields) else "" for fields in of_row])
+    found, begins = np.unique(names, return_index=True)
+    return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
 
 
 def _refuse_other_units(
@@ -102,7 +222,8 @@ def _refuse_other_units(
     for quantity, (name, of_units) in said_of.items():
         given = choices[quantity]
         said = {of_units} & UNITS[quantity].keys()
-        said = said or {unit for word in words_of(name) if (unit := _NAMES_UNIT[quantity].get(word))}
+        for text in (of_units, name):
+            said = said or {unit for word in words_of(text) if (unit := NAMES_UNIT[quantity].get(word))}
         if given.column is None and said and given.unit not in said:
             raise RecordingError(
                 path,
@@ -206,71 +327,12 @@ def _taken(choices: Mapping[str, LogColumn], called: Mapping[str, str], log: Log
         "counts": f"{log.counts_per_turn:g} a turn" if log.counts_per_turn else "",
         "counts/s": f"{log.counts_per_turn:g} counts a turn" if log.counts_per_turn else "",
     }
-    parts = []
+    parts = [] if log.period_s is None else [f"each row is {log.period_s:g} s after the one before"]
     for quantity, one in choices.items():
         more = f" ({beside[one.unit]})" if beside.get(one.unit) else ""
         parts.append(f"{quantity} is column {called[quantity]}, {one.unit}{more}")
-    return "; ".join(parts) + ("; reversed" if log.reversed else "")
-
-
-def _in_own_units(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat, notes: list[str]) -> Columns:
-    """The columns in s, V and rad, unwrapped; a velocity summed up to a position."""
-    scaled = {quantity: log.scale(quantity, one.unit) for quantity, one in choices.items()}
-    t_s = scaled["time"] * _unwrapped_clock(raw["t_s"], choices["time"].unit, notes)
-    columns: Columns = {"t_s": t_s, "u_V": scaled["drive"] * raw["u_V"]}
-    if "velocity" in choices:
-        columns["y_rad"] = _summed_up(scaled["velocity"] * raw["v_rad_per_s"], t_s, notes)
-    else:
-        unit = choices["position"].unit
-        turn = 2.0 * np.pi / abs(scaled["position"])
-        columns["y_rad"] = scaled["position"] * _unwrapped_position(raw["y_rad"], unit, turn, notes)
-    return columns
-
-
-def _summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Floats:
-    """The position from velocities, rad, from 0 on.
-
-    A velocity is the mean since the row before if it comes from a counter: then each row moves by whole steps. Else it
-    is a sample, and in between it changes evenly.
-    """
-    periods_s = np.diff(t_s, prepend=t_s[0])
-    moved = v_rad_per_s * periods_s
-    steps = np.abs(moved[moved != 0.0])
-    of_counter = False
-    if steps.size:
-        one = float(np.median(steps[steps < 1.5 * steps.min()]))
-        few = steps[steps < _FEW_STEPS * one] / one
-        of_counter = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
-    if of_counter:
-        notes.append("the position is the sum of the velocities, from 0: each is the mean since the row before")
-        return np.asarray(np.cumsum(moved))
-    notes.append("the position is the integral of the velocities, from 0: each is a sample, as of a tachometer")
-    middle = 0.5 * (v_rad_per_s[1:] + v_rad_per_s[:-1])
-    return np.concatenate(([0.0], np.cumsum(middle * periods_s[1:])))
-
-
-def _unwrapped_clock(t: Floats, unit: str, notes: list[str]) -> Floats:
-    """Times of a clock of 32 bits that may have begun anew."""
-    back = np.flatnonzero(np.diff(t) < -0.5 * _CLOCK_TURNS)
-    if unit == "s" or back.size == 0 or t.max() >= _CLOCK_TURNS:
-        return t
-    notes.append("the clock, of 32 bits, began anew: the times go on")
-    turns = np.zeros(t.size)
-    turns[back + 1] = _CLOCK_TURNS
-    return np.asarray(t + np.cumsum(turns))
-
-
-def _unwrapped_position(y: Floats, unit: str, turn: float, notes: list[str]) -> Floats:
-    """Positions without the jumps of a counter of 16 bits, or of an angle that begins anew after one turn."""
-    low, high = float(y.min()), float(y.max())
-    largest = float(np.abs(np.diff(y)).max())
-    whole = bool(np.all(y == np.round(y)))
-    if whole and unit == "counts" and largest > 0.5 * _COUNTER_TURNS and high - low < _COUNTER_TURNS:
-        notes.append("the counter, of 16 bits, wrapped: the positions go on")
-        return np.asarray(np.unwrap(y, period=_COUNTER_TURNS))
-    if largest > 0.5 * turn and high - low <= turn * (1.0 + 1e-9):
-        notes.append(
-            "the positions stay within one turn and jump by most of it: they are an angle that wraps, and go on"
-        )
-        return np.asarray(np.unwrap(y, period=turn))
-    return y
+    parts += ["reversed"] if log.reversed else []
+    for name, rows in (("drive", log.drive_row), ("time", log.time_row)):
+        if rows:
+            parts.append(f"the {name} was moved {'up' if rows < 0 else 'down'} by {abs(rows)}")
+    return "; ".join(parts)

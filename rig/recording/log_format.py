@@ -29,7 +29,39 @@ USUAL_NAMES: Final = {
     "position": {"y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg"},
     "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
 }
+# Words of a column's name, or of a row of units, that say its unit, in small letters.
+NAMES_UNIT: Final = {
+    "time": {
+        "ms": "ms",
+        "millis": "ms",
+        "milliseconds": "ms",
+        "us": "us",
+        "micros": "us",
+        "microseconds": "us",
+        "s": "s",
+        "sec": "s",
+        "seconds": "s",
+    },
+    "drive": {"pwm": "pwm", "duty": "duty", "volts": "V"},
+    "position": {
+        "rad": "rad",
+        "radians": "rad",
+        "deg": "deg",
+        "degrees": "deg",
+        "turns": "turns",
+        "count": "counts",
+        "counts": "counts",
+        "ticks": "counts",
+    },
+    "velocity": {"rpm": "rpm"},
+}
+UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {"%", "A", "mA"}
 _WORD: Final = re.compile(r"[^\W\d_]+")
+_PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us)\s*")
+_CURRENTS: Final = ("A", "mA")
+CURRENT_CAUSE: Final = "a current is a torque: under it a motor has no K, and no tau of its own"
+CURRENT_CURE: Final = "log the voltage at the motor, or the bridge's duty"
+MOST_ROWS_OFF: Final = 5
 LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s"}
 """The column of samples.csv that each quantity becomes; a log may have it under this name."""
@@ -71,6 +103,8 @@ class LogColumn:
         column, colon, unit = text.rpartition(":")
         units = ", ".join(UNITS[quantity])
         if unit not in UNITS[quantity]:
+            if quantity == "drive" and unit in _CURRENTS:
+                raise LogFormatError(f"--drive {text}: {CURRENT_CAUSE}", CURRENT_CURE)
             if column in UNITS[quantity] and unit.isdecimal():
                 raise LogFormatError(
                     f"--{quantity} {text}: the column comes first, then its unit", f"type --{quantity} {unit}:{column}"
@@ -88,6 +122,18 @@ class LogColumn:
         return cls(unit, column.strip() or None)
 
 
+def parse_period(text: str) -> float:
+    """A time such as 2ms, 500us or 0.01s, in s, above 0. Raises LogFormatError."""
+    found = _PERIOD.fullmatch(text)
+    try:
+        period_s = float(found[1]) * (UNITS["time"][found[2]] or math.nan) if found else math.nan
+    except ValueError:
+        period_s = math.nan
+    if not 0.0 < period_s < LARGEST:
+        raise LogFormatError(f"--period {text} is no time above 0", "give a number with its unit: --period 2ms")
+    return period_s
+
+
 @dataclass(frozen=True)
 class LogFormat:
     """The columns of a log, and the numbers that turn them into s, V and rad.
@@ -99,6 +145,11 @@ class LogFormat:
     full             the drive's number at full supply, > 0; for pwm
     supply_V         volts at the motor at full drive, > 0; for pwm, duty and percent
     reversed         whether a positive drive turns the shaft to falling positions: positions change their sign
+    period_s         time from row to row, s, > 0, instead of a column of times
+    run              name or number of the column that says which run a row is of; None: a time that begins again does
+    drive_row        rows by which the drive stands too late, negative: too early; at most 5. -1: each row has the drive
+                     that was set before its position was read, so all drives move up by a row
+    time_row         the same of the time. -1: each row has the time of the row before
     Raises LogFormatError if a number is missing, useless or not positive.
     """
 
@@ -110,12 +161,23 @@ class LogFormat:
     full: float | None = None
     supply_V: float | None = None
     reversed: bool = False
+    period_s: float | None = None
+    run: str | None = None
+    drive_row: int = 0
+    time_row: int = 0
 
     def __post_init__(self) -> None:
         if self.position is not None and self.velocity is not None:
             raise LogFormatError(
                 "--position and --velocity are both given", "leave --velocity out: the position says more"
             )
+        if self.time is not None and self.period_s is not None:
+            raise LogFormatError("--time and --period are both given", "leave one of them out")
+        for option, rows in (("--drive-row", self.drive_row), ("--time-row", self.time_row)):
+            if abs(rows) > MOST_ROWS_OFF:
+                raise LogFormatError(
+                    f"{option} {rows} is more than {MOST_ROWS_OFF} rows", f"a log is off by one: {option} -1"
+                )
         drive = "V" if self.drive is None else self.drive.unit
         motion = next((one.unit for one in (self.position, self.velocity) if one is not None), "rad")
         for option, value, needed_by, unit, example in (
@@ -134,10 +196,15 @@ class LogFormat:
                 raise LogFormatError(f"{option} {value:g} is not above 0", f"{_MEANING[option]}: {option} {example}")
 
     def columns(self) -> dict[str, LogColumn]:
-        """The column of each quantity that is read: time, drive, and position or velocity."""
+        """The column of each quantity that is read: time unless a period is given, drive, and position or velocity."""
         motion = "position" if self.velocity is None else "velocity"
-        given = {"time": self.time, "drive": self.drive, motion: self.position or self.velocity}
+        timed = {"time": self.time} if self.period_s is None else {}
+        given = {**timed, "drive": self.drive, motion: self.position or self.velocity}
         return {name: one or LogColumn(next(iter(UNITS[name])), OWN_NAMES[name]) for name, one in given.items()}
+
+    def most(self, unit: str) -> float | None:
+        """The largest number of a drive in this unit that a bridge can give; None for V and mV."""
+        return {"pwm": self.full, "duty": 1.0, "percent": 100.0}.get(unit)
 
     def scale(self, quantity: str, unit: str) -> float:
         """What one unit is in s, V, rad or rad/s; positions and velocities with their sign."""

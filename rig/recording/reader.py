@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 from pydantic import JsonValue
 
 from rig import strict_json
-from rig.recording.csv_file import read_csv
+from rig.recording.csv_file import read_csv, read_csv_runs
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.log_file import read_log
@@ -43,7 +43,20 @@ _File = TypeVar("_File", RunMeta, RunResult)
 
 
 def read(path: Path, log: LogFormat | None = None) -> Recording:
-    """Read a run folder or a CSV file, whichever ``path`` is.
+    """Read a run folder or a CSV file of one run, whichever ``path`` is. Raises RecordingError.
+
+    log  as in ``read_all``
+    """
+    recordings = read_all(path, log)
+    if len(recordings) > 1:
+        raise RecordingError(
+            path, f"holds {len(recordings)} runs, one after the other", "`rig identify` reads them all; or cut the file"
+        )
+    return recordings[0]
+
+
+def read_all(path: Path, log: LogFormat | None = None) -> list[Recording]:
+    """Read a run folder, or each run in a CSV file, whichever ``path`` is: a time that begins again begins another run.
 
     log  what the columns of the CSV file are; None: they are those of samples.csv
     Raises RecordingError.
@@ -56,8 +69,8 @@ def read(path: Path, log: LogFormat | None = None) -> Recording:
             raise RecordingError(
                 path, "is a run folder: its columns have names and units", "leave the options of a log out"
             )
-        return read_run(path)
-    return read_csv(path) if log is None else read_log(path, log)
+        return [read_run(path)]
+    return read_csv_runs(path) if log is None else read_log(path, log)
 
 
 def read_run(folder: Path, known: Recording | None = None, *, strict: bool = False) -> Recording:

@@ -23,6 +23,7 @@ Column = NDArray[Any]
 Columns = dict[str, Column]
 
 MIN_ROWS: Final = 3
+STANDS: Final = 0.1  # share of rows with the time before, from which on the clock is too coarse
 EVENTS: Final = "events.jsonl"
 
 
@@ -43,6 +44,7 @@ class Recording:
     notes        defects that the reader put up with, as sentences: a torn last line, a missing meta.json
     first_row    number of the first row in the file; not 0 in a selection of rows
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
+    drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
     """
 
     t_s: Floats
@@ -67,6 +69,7 @@ class Recording:
     notes: tuple[str, ...]
     first_row: int = 0
     units_stated: bool = False
+    drive_steps: tuple[Floats, Floats] | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -163,14 +166,15 @@ def assembled(
     meta: RunMeta | None = None,
     notes: tuple[str, ...] = (),
     units_stated: bool = False,
+    drive_steps: tuple[Floats, Floats] | None = None,
 ) -> Recording:
     """A recording from its known columns; it keeps these arrays and makes them read-only.
 
     numbers       the line of each row, for messages
-    units_stated  as in ``Recording``
+    units_stated, drive_steps  as in ``Recording``
     Raises RecordingError if times do not rise.
     """
-    _check_time(source, columns["t_s"], numbers)
+    require_rising(source, columns["t_s"], numbers)
     _add_absent(columns, len(numbers))
     for array in columns.values():
         array.setflags(write=False)
@@ -184,20 +188,32 @@ def assembled(
         notes=notes,
         first_row=0,
         units_stated=units_stated,
+        drive_steps=drive_steps,
     )
 
 
-def _check_time(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
+def require_rising(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
+    """Raise RecordingError at the first row, of these lines, whose time does not rise."""
     bad = np.flatnonzero(t_s[1:] <= t_s[:-1])
-    if len(bad):
-        k = int(bad[0]) + 1
-        what = "repeats the time before it" if t_s[k] == t_s[k - 1] else "goes back in time"
-        raise RecordingError(
-            path,
-            f"{what} (t_s = {t_s[k]:.9g} after {t_s[k - 1]:.9g})",
-            "keep one run in a file, with its rows in order and one row for each sample",
-            numbers[k],
+    if len(bad) == 0:
+        return
+    k = int(bad[0]) + 1
+    with np.errstate(over="ignore"):
+        steps = np.diff(t_s)
+    cause = f"{'repeats the time before it' if steps[k - 1] == 0.0 else 'goes back in time'} "
+    cause += f"(t_s = {t_s[k]:.9g} after {t_s[k - 1]:.9g})"
+    cure = "keep one run in a file, with its rows in order and one row for each sample"
+    if float(np.mean(steps == 0.0)) > STANDS and not np.any(steps < 0.0):
+        tick_s = float(np.median(steps[steps > 0.0]))
+        mean_s = float(np.polynomial.Polynomial.fit(np.arange(t_s.size), t_s, 1).convert().coef[1])
+        cause += f": the clock stands still, and then goes on by {1e3 * tick_s:.4g} ms: it is too coarse for these rows"
+        cure = (
+            f"log a finer clock, such as micros(); or, if the rows came evenly, say how far apart, instead of a time: "
+            f"--period {1e3 * mean_s:.3g}ms is their mean"
         )
+    elif steps[k - 1] < 0.0:
+        cure += "; or, if this is another run, let its time begin as that of the first, or say --run COLUMN"
+    raise RecordingError(path, cause, cure, numbers[k])
 
 
 def _add_absent(columns: Columns, count: int) -> None:

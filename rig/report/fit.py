@@ -158,7 +158,8 @@ def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delay
     part      of the rows of ``series``
     delays_s  of the drive, where the test does not know it: the first that is finite counts, s
     """
-    edges, u, t, y = series.edge_s, series.u_V, series.t_s[part], series.y_rad[part]
+    edges, u = (series.edge_s, series.u_V) if series.edges is None else series.edges
+    t, y = series.t_s[part], series.y_rad[part]
     if series.t_u_s is None:
         edges = edges + next((d for d in delays_s if math.isfinite(d)), 0.0)
     first = max(int(np.searchsorted(edges, t[0], side="right")) - 1, 0)

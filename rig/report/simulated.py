@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from rig.identify.identification import Identification
+from rig.identify.known_model import model_of
+from rig.identify.preprocessing import from_recording
 from rig.recording.folder import write_whole
+from rig.recording.recording import Recording
 from rig.report.fit import predicted
 from rig.report.source import Array
 from rig.report.style import (
@@ -28,8 +31,11 @@ from rig.report.style import (
     render,
     style,
 )
+from rig.results import Answer, known
 
 PNG_DPI = 130
+BEYOND = 1.05  # of the largest drive: so much more is no other range
+TURNS_BACK = 0.1  # of the motion one way: from here on the shaft turns both ways
 MOST = 3  # tests in one picture: beside each other, more are too narrow to read
 
 
@@ -72,6 +78,42 @@ def simulated(found: Identification) -> list[Simulated]:
     return shown
 
 
+def predicted_record(answer: Answer, recording: Recording) -> Simulated:
+    """A recording as the motor of an answer moves under its drive: with laws and delay, from the start that fits best.
+
+    A drift over the records that it was fitted to says nothing of another: it is left out. Raises AbsentError where the
+    answer is no motor, IdentifyError where the recording is too short.
+    """
+    try:
+        motor = model_of(answer)
+    except ValueError as error:
+        raise AbsentError(f"The answer holds a motor that cannot be: {error}.") from error
+    if motor is None:
+        raise AbsentError("The answer is refused, or has no tau, K and f_c: there is no motor to predict with.")
+    motor = replace(motor, motor=motor.motor._replace(drift=0.0))
+    name = recording.source.name
+    test, _ = from_recording(recording, slice(0, len(recording)), name)
+    delay_s = known(answer.delay_s)
+    y_rad = predicted(motor if motor.parts else motor.plain, test, slice(None), (delay_s,)).y_rad
+    return Simulated(name, test.t_s - test.t_s[0], test.y_rad, y_rad)
+
+
+def beyond(answer: Answer, recording: Recording) -> str:
+    """Where a recording goes beyond what the answer was measured over, as a sentence; empty where it does not."""
+    holds = answer.holds
+    if holds is None:
+        return ""
+    said = []
+    largest_V = float(np.abs(recording.u_V).max())
+    if holds.drive_V is not None and largest_V > BEYOND * known(holds.drive_V[1]):
+        said.append(f"a drive of {largest_V:.3g} V, and it holds up to {known(holds.drive_V[1]):.3g} V")
+    forth, back = (float(np.max(way - np.minimum.accumulate(way))) for way in (recording.y_rad, -recording.y_rad))
+    least = TURNS_BACK * max(forth, back)
+    if (holds.ways == "forward" and back > least) or (holds.ways == "backward" and forth > least):
+        said.append(f"motion both ways, and it holds {holds.ways} alone")
+    return f"beyond what the answer was measured over: {'; '.join(said)}" if said else ""
+
+
 def fit_in_words(tests: Sequence[Simulated]) -> str:
     """The fit of each test, as ``any.csv 99.2 %, smaller.csv 98.7 %``."""
     return ", ".join(f"{one.name} {one.fit_percent:.1f} %" for one in tests)
@@ -79,7 +121,11 @@ def fit_in_words(tests: Sequence[Simulated]) -> str:
 
 def figure_of(found: Identification, tests: Sequence[Simulated]) -> Figure:
     """Measured against simulated position, the residual below, and the fit; a column for each of the first tests."""
-    method = "" if found.best is None else found.best.method
+    return drawn(tests, "" if found.best is None else found.best.method)
+
+
+def drawn(tests: Sequence[Simulated], method: str) -> Figure:
+    """As ``figure_of``; ``method``: of the answer, it gives the colour."""
     tests = tests[:MOST]
     figure = new_figure(4.4)
     panels = figure.subplots(2, len(tests), sharex="col", squeeze=False, height_ratios=(1.7, 1.0))
@@ -100,9 +146,14 @@ def figure_of(found: Identification, tests: Sequence[Simulated]) -> Figure:
 
 def write_picture(found: Identification, path: Path) -> None:
     """``figure_of`` as a PNG. Raises AbsentError as ``simulated``, and CannotWriteError."""
+    write_drawn(simulated(found), "" if found.best is None else found.best.method, path)
+
+
+def write_drawn(tests: Sequence[Simulated], method: str, path: Path) -> None:
+    """``drawn`` as a PNG. Raises CannotWriteError."""
     with style():
         buffer = io.BytesIO()
-        laid_out(figure_of(found, simulated(found))).savefig(buffer, format="png", dpi=PNG_DPI)
+        laid_out(drawn(tests, method)).savefig(buffer, format="png", dpi=PNG_DPI)
     write_whole(path, buffer.getvalue())
 
 

@@ -12,11 +12,13 @@ from rig.estimators import LEADING
 from rig.report.source import ReportedRun
 from rig.report.style import stage_kind
 from rig.results import BreakawayResult, EstimateResult, known
+from rig.results.answer_words import graded_words, share, validity
 from rig.results.answer_words import rounded as as_digits
-from rig.results.answer_words import share
 
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
+
+STATED = 1e-6  # width of an interval over its number: narrower ones are of what a recording states, not of an estimate
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,8 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
     between = plus_minus = relative = ""
     half = math.nan
+    if bounds is not None and bounds[1] - bounds[0] < STATED * abs(exact):
+        bounds = None  # the times of the recording say it
     if bounds is not None:
         low, high = (parameter.factor * b for b in bounds)
         half = 0.5 * (high - low)
@@ -174,6 +178,9 @@ def headline(run: ReportedRun) -> Headline:
         if run.laws:
             laws = ", ".join(law.name.replace("_", " ") for law in run.laws)
             sentences.append(f"The motor has more than tau, K and friction: {laws}. The values include that.")
+        graded = graded_words(answer)
+        sentences.extend(f"{line[0].upper()}{line[1:]}." for line in ([graded] if graded else []))
+        sentences.extend(f"It {line}." for line in validity(answer))
         if not whole:
             next_steps.append(
                 Step("Friction is not enough to drive the bench: record a relay test for the other parameters.")

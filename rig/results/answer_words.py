@@ -11,6 +11,7 @@ from rig.results.meta import TrueMotor
 
 PARAMETERS = (("tau_s", "tau", "s"), ("K_rad_s_V", "K", "(rad/s)/V"), ("fc_V", "f_c", "V"))
 VERDICTS = {"ok": "ok: at most 5 % off"}
+NOT_KNOWN = "not known"
 MOST_REASONS = 2  # the others are among the details
 
 
@@ -56,12 +57,39 @@ def answer_lines(
         laws = [_law(law, *causes.get(law.name, (law.name.replace("_", " "), ""))) for law in answer.law or ()]
         if laws:
             yield f"also: {'; '.join(laws)}"
+        yield from validity(answer)
     for reason in answer.reasons[:MOST_REASONS]:
         yield f"{answer.verdict}: {reason}"
     if len(answer.reasons) > MOST_REASONS:
         yield f"{answer.verdict}: {len(answer.reasons) - MOST_REASONS} more reasons"
     if answer.is_refused and not answer.reasons:
         yield verdict
+
+
+def graded_words(answer: Answer) -> str:
+    """How good each number is, as ``tau is good, K is rough, f_c is not known``; empty where nobody looked."""
+    grade = answer.grade or {}
+    return ", ".join(f"{name} is {grade[key].grade}" for key, name, _ in PARAMETERS if key in grade)
+
+
+def validity(answer: Answer) -> Iterator[str]:
+    """Where an answer holds, and how well it predicts what it has not seen: a line each, where that is known."""
+    holds, predicts = answer.holds, answer.predicts
+    if holds is not None and holds.drive_V is not None and holds.speed_rad_s is not None:
+        ways = "both ways" if holds.ways == "both" else "one way"
+        drive, speed = (
+            " and ".join(f"{known(end):.3g}" for end in ends) for ends in (holds.drive_V, holds.speed_rad_s)
+        )
+        yield f"holds between {drive} V, {speed} rad/s, {ways}"
+    if predicts is not None and math.isfinite(known(predicts.error)):
+        linear = known(predicts.linear_error)
+        beside = f" (a linear model: {_seen(linear)})" if math.isfinite(linear) else ""
+        yield f"predicts {_seen(known(predicts.error))} of motion that it has not seen{beside}"
+
+
+def _seen(error: float) -> str:
+    """The share of motion that is predicted, less than nothing as 0 %; a per mille is told from all of it."""
+    return f"{100.0 * max(1.0 - error, 0.0):.3g} %"
 
 
 def _numbers(answer: Answer, truth: TrueMotor | None) -> Iterator[str]:
@@ -71,12 +99,30 @@ def _numbers(answer: Answer, truth: TrueMotor | None) -> Iterator[str]:
             continue
         half = 0.5 * (bounds[1] - bounds[0]) if bounds is not None else math.nan
         width = "" if bounds is None else share(value, half)
+        graded = (answer.grade or {}).get(key)
+        if graded is not None and graded.grade == NOT_KNOWN:
+            yield f"{name:<4} not known: {_why_not(answer, key, value, half)}"
+            continue
         if width == "unknown":
             yield f"{name:<4} unknown: at 95 % it may be off by more than its own size"
             continue
         true = None if truth is None else truth.value(key)
         off = f"  ({100.0 * (value / true - 1.0):+.1f} % off the emulated motor)" if true else ""
-        yield f"{name:<4} {rounded(value, half) + ' ' + unit:<18} {width}{off}"
+        grade = "" if graded is None or answer.verdict == "ok" else f"{graded.grade:<5}"  # ok: each is exact
+        yield f"{name:<4} {rounded(value, half) + ' ' + unit:<18} {width + ' ' * bool(grade):<10}{grade}{off}".rstrip()
+
+
+def _why_not(answer: Answer, key: str, value: float, half: float) -> str:
+    """Why a number is not known; of a shaft that turned one way, what is known instead."""
+    taken = (answer.grade or {}).get("fc_less_bias_V")
+    if key == "fc_V" and taken is not None:
+        both = "f_c + a" if answer.holds is not None and answer.holds.ways == "backward" else "f_c - a"
+        number, u95 = known(taken.value), known(taken.u95)
+        known_V = f"; {both} = {rounded(number, u95)} V {share(number, u95)} {taken.grade}"
+        return f"the shaft turned one way only{known_V if math.isfinite(number) else ''}"
+    if math.isfinite(half) and half <= abs(value):
+        return f"at 95 % it may be {100.0 * half / abs(value):.2g} % off"
+    return "at 95 % it may be off by more than its own size"
 
 
 def _law(law: FoundLawResult, title: str, cause: str) -> str:

@@ -83,3 +83,4 @@ class TunedResult(Part):
     curves: dict[str, TunedCurve] = Field(description="step, drive (during the step) and tracking (error)")
     responses: tuple[TunedResponse, ...] = Field(description="of the identified motor, then of each corner")
     law: dict[str, Any] = Field(description="name and options, for the section `law` of a config")
+    beyond: Sometimes[Text] = Field(None, description="where the trial goes beyond what the motor was measured over")

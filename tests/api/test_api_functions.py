@@ -82,6 +82,20 @@ def test_columns_that_cannot_be_are_refused_in_words(t: list[float], u: list[flo
         rig.identify(t, u, y)
 
 
+def test_an_answer_predicts_a_record_that_it_has_not_seen(found: rig.Found) -> None:
+    later = rig.simulate(MOTOR, lambda t_s: 1.1 * np.sin(3.0 * t_s), 8.0, rig.Sampling(start_rad=0.4))
+    said = found.predict(later.t_s, later.u_V, later.y_rad)
+    assert said.fit_percent > 95.0 and said.y_rad.shape == later.y_rad.shape
+    assert said.residual_rad == pytest.approx(later.y_rad - said.y_rad)
+    assert said.plot().axes
+    assert "beyond" not in repr(said)
+    assert "a drive of 11 V, and it holds up to" in found.predict(later.t_s, 10.0 * later.u_V, later.y_rad).beyond
+    with pytest.raises(TypeError, match="t, u and y"):
+        found.predict(later.t_s, later.u_V)
+    with pytest.raises(ValueError, match="2 records"):
+        found.predict([later, later])
+
+
 def test_half_of_the_columns_is_a_mistake_of_the_call() -> None:
     with pytest.raises(TypeError, match="t, u and y"):
         rig.identify([0, 1, 2], [0, 1, 2])  # type: ignore[call-overload]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from rig.identify.plausibility import judge_records
 from rig.recording.series import TimeSeries
 from rig.recording.stage import Stage
 
+Array = NDArray[np.float64]
 STEP_RAD = 2.0 * np.pi / 3200.0
 
 
@@ -69,3 +71,21 @@ def test_a_position_against_its_name_is_asked_about_with_what_to_type_if_the_nam
     assert "span 49.9 rad, 7.9 turns" in objection.reason
     assert "if it is right, type --position y_rad:rad" in objection.reason
     assert judge_records([replace(turns, units_stated=True)]) == []
+
+
+@pytest.mark.parametrize(
+    ("u_V", "lacks"),
+    [
+        (lambda u, way: np.abs(u), True),
+        (lambda u, way: np.full_like(u, 3.0), True),
+        (lambda u, way: u, False),
+        (lambda u, way: np.where(way > 0.0, np.abs(u), 4.0 - np.abs(u)), False),  # a load that turns it back
+    ],
+)
+def test_a_drive_without_its_sign_is_named(u_V: Callable[[Array, Array], Array], lacks: bool) -> None:
+    t_s = 0.005 * np.arange(2000)
+    way = np.where((np.arange(2000) // 200) % 2 == 0, 1.0, -1.0)
+    drive = way * np.where((np.arange(2000) // 400) % 2 == 0, 1.0, 3.0)
+    test = TimeSeries(t_s, np.cumsum(0.005 * 5.0 * drive), None, u_V(drive, way))
+    said = [objection for objection in judge_records([test]) if "sign is missing" in objection.reason]
+    assert [objection.verdict for objection in said] == (["refused"] if lacks else [])

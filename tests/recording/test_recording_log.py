@@ -119,7 +119,7 @@ def test_a_clock_and_a_counter_that_wrap_go_on(tmp_path: Path) -> None:
     recording = parse(tmp_path, "4294960000,1,32000\n4294967000,1,32767\n6704,1,-32768\n13704,1,-32000\n", log)
     assert np.diff(recording.t_s).tolist() == pytest.approx([0.007, 0.007, 0.007])
     assert recording.y_rad[-1] == pytest.approx(33536 / 65536 * TURN)
-    assert sum("wrapped" in note or "began anew" in note for note in recording.notes) == 2
+    assert sum("wrapped" in note or "begins anew" in note for note in recording.notes) == 2
 
 
 def test_an_angle_within_one_turn_goes_on(tmp_path: Path) -> None:

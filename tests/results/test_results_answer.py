@@ -21,8 +21,17 @@ from rig.panel.runs import Runs
 from rig.recording.reader import read_result, read_run
 from rig.report.source import load
 from rig.report.words import headline
-from rig.results import Answer, EstimateResult, FoundLawResult, RunResult, answer_of
-from rig.results.answer_words import answer_lines
+from rig.results import (
+    Answer,
+    EstimateResult,
+    FoundLawResult,
+    GradedNumber,
+    HoldsResult,
+    PredictsResult,
+    RunResult,
+    answer_of,
+)
+from rig.results.answer_words import answer_lines, graded_words
 from rig.tune.known import motor_of
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated"
@@ -179,6 +188,28 @@ def test_the_answer_is_a_few_lines() -> None:
     assert lines[1].split() == ["K", "6.460", "(rad/s)/V", "±", "0.33", "%"]
     assert re.fullmatch(r"f_c  0\.5100 V +± 0\.82 % +ok: at most 5 % off", lines[2])
     assert lines[3] == "also: sagging supply 0.020 ± 0.010 1/V (thin wires?)"
+
+
+def test_each_number_has_its_grade_and_the_answer_says_where_it_holds_and_what_it_predicts() -> None:
+    grade = {
+        "tau_s": GradedNumber(value=0.17, u95=0.01, grade="good"),
+        "K_rad_s_V": GradedNumber(u95=3.0, grade="not known"),
+        "fc_V": GradedNumber(grade="not known"),
+        "fc_less_bias_V": GradedNumber(value=1.21, u95=0.05, grade="good"),
+    }
+    u95: dict[str, float | None] = {"tau_s": 0.01, "K_rad_s_V": 3.0, "fc_V": 0.05}
+    holds = HoldsResult(drive_V=(1.2, 5.0), speed_rad_s=(10.0, 120.0), travel_rad=(0.0, 900.0), ways="forward")
+    predicts = PredictsResult(error=0.17, linear_error=0.24, block_s=2.0, blocks=9)
+    answer = answer_of({"sampled-data": one(0.17, "doubtful")}, u95=u95, grade=grade, predicts=predicts, holds=holds)
+    lines = shown(answer)
+    assert re.fullmatch(r"tau  0\.170 s +± 5\.9 % +good", lines[0])
+    assert lines[1] == "K    not known: at 95 % it may be 46 % off"
+    assert lines[2] == "f_c  not known: the shaft turned one way only; f_c - a = 1.210 V ± 4.1 % good  doubtful"
+    assert lines[3:5] == [
+        "holds between 1.2 and 5 V, 10 and 120 rad/s, one way",
+        "predicts 83 % of motion that it has not seen (a linear model: 76 %)",
+    ]
+    assert answer is not None and graded_words(answer) == "tau is good, K is not known, f_c is not known"
 
 
 def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:

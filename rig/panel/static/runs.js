@@ -72,7 +72,7 @@ export class Runs {
       cell("", element("label", { className: "tick" }, tick)),
       cell("Run", element("span", { className: "run-name", textContent: run.name })),
       cell("When", moment(run.when)),
-      cell("Verdict", element("span", { className: `chip ${kind}`, textContent: verdict })),
+      cell("Verdict", element("span", { className: `chip ${kind}`, textContent: verdict, title: (run.says ?? []).join("; ") })),
       ...PARAMETERS.map((p) => cell(`${p.symbol}, ${p.unit}`, withInterval(run.estimate?.[p.key]))),
       cell("Lasts", Number.isFinite(run.lasts_s) ? `${fixed(run.lasts_s, 1)} s` : "–"),
       cell("", open),

@@ -1,0 +1,96 @@
+"""`rig predict-run`: what an answer says of any record, beside what was measured."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
+from rig.cli.log_options import log_options
+from rig.cli.options import JSON, ROWS
+from rig.recording.errors import IdentifyError, RecordingError
+from rig.recording.folder import json_text
+from rig.recording.log_format import LogFormat
+from rig.terminal import patience
+
+
+@click.command("predict-run")
+@click.argument("path", metavar="LOG", type=click.Path(path_type=Path))
+@click.option(
+    "--model",
+    "model",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FOUND",
+    help="Run folder, or what `rig identify --json` printed into a file.",
+)
+@ROWS
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="Draw measured against predicted position, the residual, and the fit in %.",
+)
+@click.option("--force", is_flag=True, help="Replace this file if it is there already.")
+@log_options
+@JSON
+def predict_run(
+    path: Path,
+    model: Path,
+    rows: tuple[int | None, int | None] | None,
+    picture: Path | None,
+    force: bool,
+    log: LogFormat | None,
+    as_json: bool,
+) -> None:
+    """Predict a record of a motor by the answer of another.
+
+    The motor of the answer, with its laws and its delay, moves under the drive of the record. Only position and speed
+    at the start are fitted. LOG is a run folder or a CSV file, with the options of a log as in `rig identify`.
+    """
+    if picture is not None and picture.exists() and not force:
+        fail(EXIT_BAD_INPUT, f"{picture} is there already", "give another name, or --force")
+    from rig.identify.known_model import answer_in
+    from rig.recording.reader import read_all
+    from rig.report.simulated import beyond, predicted_record, write_drawn
+    from rig.report.style import AbsentError
+
+    try:
+        answer = answer_in(model)
+        recordings = read_all(path, log)
+        if rows is not None:
+            recordings = [recording.only_rows(*rows) for recording in recordings]
+        with patience("predicting"):
+            shown = [predicted_record(answer, recording) for recording in recordings]
+            if picture is not None:
+                write_drawn(shown, answer.method, picture)
+    except AbsentError as absent:
+        fail(EXIT_BAD_INPUT, f"{model}: {absent}", "see why: `rig identify` of what it comes from; or give another")
+    except (RecordingError, IdentifyError) as error:
+        fail_input(error)
+    remarks = [beyond(answer, recording) for recording in recordings]
+    if as_json:
+        found = [
+            {
+                "record": str(recording.source),
+                "fit_percent": one.fit_percent,
+                "rms_rad": float((one.residual_rad**2).mean() ** 0.5),
+                "beyond": remark or None,
+            }
+            for recording, one, remark in zip(recordings, shown, remarks, strict=True)
+        ]
+        click.echo(
+            json_text({"model": str(model), "picture": picture and str(picture), "predictions": found}), nl=False
+        )
+        sys.exit(0)
+    for recording, one, remark in zip(recordings, shown, remarks, strict=True):
+        for note in recording.notes:
+            click.echo(f"{one.name}: {note}")
+        rms_rad = float((one.residual_rad**2).mean() ** 0.5)
+        click.echo(f"{one.name}: fit {one.fit_percent:.1f} %, {rms_rad:.3g} rad off (RMS)")
+        if remark:
+            click.echo(f"{one.name}: {remark}")
+    if picture is not None:
+        click.echo(f"picture: {picture}")

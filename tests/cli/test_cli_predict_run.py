@@ -1,0 +1,61 @@
+"""`rig predict-run`: an answer, from a file or a run folder, on any record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import rig as command
+
+import rig
+from rig.results import Answer, FoundLawResult, HoldsResult, IdentificationResult, LawFrameResult
+
+MOTOR = rig.RealMotor(0.17, 6.5, 0.48, sag_per_V=0.05)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """A log in ms, as a percentage of 3 V, and degrees."""
+    run = rig.simulate(MOTOR, lambda t_s: 1.5 * np.sin(3.0 * t_s), 6.0, rig.Sampling(delay_s=0.004))
+    columns = np.stack([1e3 * run.t_s, 100.0 * run.u_V / 3.0, np.degrees(run.y_rad)], axis=1)
+    np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header="ms,percent,deg", comments="")
+    return tmp_path / "log.csv"
+
+
+def found_in(folder: Path, **changes: object) -> Path:
+    sag = FoundLawResult(name="sag", numbers={"sag_per_V": 0.05}, value=0.05, unit="1/V")
+    answer = Answer(
+        tau_s=0.17, K_rad_s_V=6.5, fc_V=0.48, delay_s=0.004, verdict="ok", method="sampled-data", law=(sag,),
+        law_frame=LawFrameResult(centre_rad=0.0, half_travel_rad=3.0, start_s=0.0, duration_s=6.0),
+        holds=HoldsResult(drive_V=(0.2, 1.0)),
+    ).model_copy(update=changes)  # fmt: skip
+    path = folder / "found.json"
+    path.write_text(json.dumps(IdentificationResult(answer=answer).as_json()))
+    return path
+
+
+OPTIONS = ("--time", "ms", "--drive", "percent", "--supply-V", "3", "--position", "deg")
+
+
+def test_a_log_is_predicted_with_laws_and_delay_and_drawn(tmp_path: Path, log: Path) -> None:
+    picture = tmp_path / "picture.png"
+    done = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", picture)
+    assert done.exit_code == 0, done.output
+    assert "log.csv: fit 100.0 %" in done.output
+    assert "a drive of 1.5 V, and it holds up to 1 V" in done.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    again = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", picture)
+    assert again.exit_code == 2 and "is there already" in again.output
+    plain = command("predict-run", log, "--model", found_in(tmp_path, law=()), *OPTIONS, "--json")
+    (one,) = json.loads(plain.output)["predictions"]
+    assert one["fit_percent"] < 99.0 and one["beyond"]
+
+
+def test_what_holds_no_motor_is_refused_in_words(tmp_path: Path, log: Path) -> None:
+    refused = command("predict-run", log, "--model", found_in(tmp_path, verdict="refused"), *OPTIONS)
+    assert refused.exit_code == 2 and "there is no motor to predict with" in refused.output
+    (tmp_path / "other.json").write_text("{}")
+    nothing = command("predict-run", log, "--model", tmp_path / "other.json", *OPTIONS)
+    assert nothing.exit_code == 2 and "holds no answer" in nothing.output

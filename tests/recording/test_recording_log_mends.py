@@ -1,0 +1,217 @@
+"""Logs as people have them: clocks and numbers that wrap, signs that were lost, no time, several runs in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.recording.errors import RecordingError
+from rig.recording.log_format import LogColumn, LogFormat, LogFormatError, parse_period
+from rig.recording.reader import read, read_all
+from rig.recording.recording import Floats, Recording
+
+PERIOD_S, TURN = 0.005, 2.0 * np.pi
+COUNTED = LogFormat(LogColumn("ms"), LogColumn("pwm"), LogColumn("counts"), counts_per_turn=1440, full=255, supply_V=12)
+SPEED = LogFormat(LogColumn("ms"), LogColumn("V"), velocity=LogColumn("counts/s"), counts_per_turn=8192)
+
+
+class Bench:
+    """A motor of tau 0.05 s and K 20 (rad/s)/V with friction, driven to and fro by two sizes of PWM for 6 s."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(4)
+        strokes = [(way * size, int(rng.integers(20, 60))) for size in (149, 64, 106) for way in (1, -1)] * 5
+        self.pwm = np.concatenate([np.full(rows, pwm) for pwm, rows in strokes])[:1200].astype(float)
+        self.ms = 1e3 * PERIOD_S * np.arange(self.pwm.size)
+        v, y = np.zeros(self.pwm.size), np.zeros(self.pwm.size)
+        for k in range(1, v.size):
+            drive_V = self.pwm[k - 1] * 12.0 / 255.0
+            goal = 20.0 * (drive_V - 0.6 * np.sign(v[k - 1] or drive_V))
+            v[k] = goal + (v[k - 1] - goal) * np.exp(-PERIOD_S / 0.05)
+            y[k] = y[k - 1] + PERIOD_S * 0.5 * (v[k] + v[k - 1])
+        self.v_rad_per_s, self.counts = v, np.round(y * 1440 / TURN)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench()
+
+
+def log_of(folder: Path, columns: Mapping[str, Floats]) -> Path:
+    path = folder / "log.csv"
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    path.write_text("\n".join([",".join(columns), *(",".join(f"{x:.12g}" for x in row) for row in rows)]) + "\n")
+    return path
+
+
+def same(found: Recording, bench: Bench) -> None:
+    assert found.t_s - found.t_s[0] == pytest.approx(1e-3 * bench.ms)
+    assert found.u_V == pytest.approx(bench.pwm * 12.0 / 255.0)
+    assert found.y_rad == pytest.approx(bench.counts * TURN / 1440)
+
+
+@pytest.mark.parametrize("after", [1000.0, 65536.0, 60000.0])
+def test_a_clock_that_begins_anew_goes_on(tmp_path: Path, bench: Bench, after: float) -> None:
+    late = after - 2000.0 if after > 2000.0 else 0.0
+    path = log_of(tmp_path, {"ms": (bench.ms + late) % after, "pwm": bench.pwm, "counts": bench.counts})
+    found = read(path, COUNTED)
+    same(found, bench)
+    assert any(f"begins anew after {1e-3 * after:g} s" in note for note in found.notes)
+
+
+def test_a_clock_that_stands_is_refused_with_the_period_to_type(tmp_path: Path, bench: Bench) -> None:
+    coarse = np.floor(bench.ms / 15.625) * 15.625
+    path = log_of(tmp_path, {"ms": coarse, "pwm": bench.pwm, "counts": bench.counts})
+    with pytest.raises(RecordingError, match=r"goes on by 15\.62 ms: it is too coarse.*--period 5ms"):
+        read(path, COUNTED)
+    same(read(path, replace(COUNTED, time=None, period_s=parse_period("5ms"))), bench)
+
+
+def test_a_log_without_a_time_takes_the_period_of_its_rows(tmp_path: Path, bench: Bench) -> None:
+    path = log_of(tmp_path, {"pwm": bench.pwm, "counts": bench.counts})
+    found = read(path, replace(COUNTED, time=None, period_s=parse_period("5 ms")))
+    same(found, bench)
+    assert any("each row is 0.005 s after the one before" in note for note in found.notes)
+    for text in ("5", "0ms", "5min", "-1ms", "1e-ms"):
+        with pytest.raises(LogFormatError, match="no time above 0"):
+            parse_period(text)
+    with pytest.raises(LogFormatError, match="both given"):
+        replace(COUNTED, period_s=0.005)
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_negative_drives_that_were_kept_as_unsigned_numbers_get_their_sign(
+    tmp_path: Path, bench: Bench, bits: int
+) -> None:
+    pwm, full = (np.round(bench.pwm / 2), 100) if bits == 8 else (bench.pwm, 255)
+    path = log_of(tmp_path, {"ms": bench.ms, "pwm": pwm % 2**bits, "counts": bench.counts})
+    found = read(path, replace(COUNTED, full=full))
+    assert found.u_V == pytest.approx(pwm * 12.0 / full)
+    assert any(f"unsigned numbers of {bits} bits" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_a_position_that_was_kept_as_an_unsigned_number_goes_on_below_zero(
+    tmp_path: Path, bench: Bench, bits: int
+) -> None:
+    path = log_of(tmp_path, {"ms": bench.ms, "pwm": bench.pwm, "counts": (bench.counts - 700) % 2**bits})
+    found = read(path, COUNTED)
+    assert np.diff(found.y_rad) == pytest.approx(np.diff(bench.counts) * TURN / 1440)
+    assert any(f"the counter, of {bits} bits, wrapped" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("lowest", [0.0, -32768.0])
+def test_a_velocity_of_16_bits_that_wraps_within_a_reversal_is_told_by_the_drive(
+    tmp_path: Path, bench: Bench, lowest: float
+) -> None:
+    """At a reversal it changes by more than half of what 16 bits can be: no rule of the nearest row tells that."""
+    counts_per_s = np.round(bench.v_rad_per_s * 8192 / TURN)
+    assert np.abs(np.diff(counts_per_s)).max() > 2**15
+    wrapped = (counts_per_s - lowest) % 2**16 + lowest
+    path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm * 12.0 / 255.0, "vel": wrapped})
+    found = read(path, SPEED)
+    v = counts_per_s * TURN / 8192
+    assert np.diff(found.y_rad) == pytest.approx(PERIOD_S * 0.5 * (v[1:] + v[:-1]))
+    assert any("of 16 bits, wrapped" in note for note in found.notes)
+
+
+def test_a_velocity_that_wraps_without_a_motor_in_it_is_refused(tmp_path: Path, bench: Bench) -> None:
+    noise = np.random.default_rng(3).integers(-32768, 32767, bench.ms.size).astype(float)
+    path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm, "vel": noise})
+    with pytest.raises(RecordingError, match="it wraps, and nobody can tell how often"):
+        read(path, SPEED)
+
+
+def test_a_velocity_without_its_sign_is_refused(tmp_path: Path, bench: Bench) -> None:
+    path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm, "vel": np.abs(bench.v_rad_per_s)})
+    with pytest.raises(RecordingError, match="its sign is missing"):
+        read(path, SPEED)
+
+
+def test_a_velocity_that_is_held_over_rows_is_read_where_it_is_new_and_keeps_each_drive(
+    tmp_path: Path, bench: Bench
+) -> None:
+    """Differences of counts over four rows, as a slow task computes them, in a log of each row."""
+    every = 4
+    new = np.arange(0, bench.ms.size, every)
+    means = np.diff(bench.counts[new], prepend=0.0) / (every * PERIOD_S)
+    held = np.repeat(means, every)[: bench.ms.size]
+    log = replace(SPEED, counts_per_turn=1440)
+    found = read(log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm * 0.02, "vel": held}), log)
+    assert found.t_s == pytest.approx(1e-3 * bench.ms[new])
+    assert found.y_rad == pytest.approx(bench.counts[new] * TURN / 1440)
+    assert found.drive_steps is not None and found.drive_steps[1] == pytest.approx(bench.pwm * 0.02)
+    assert any("new in every 4th row" in note for note in found.notes)
+
+
+def test_a_drive_beyond_full_is_refused_with_what_full_may_be(tmp_path: Path, bench: Bench) -> None:
+    columns = {"ms": bench.ms, "pwm": 4.0 * bench.pwm, "counts": bench.counts}
+    with pytest.raises(RecordingError, match=r"the drive is 596, and --full says 255; .*such as --full 1023"):
+        read(log_of(tmp_path, columns), COUNTED)
+    percent = replace(COUNTED, drive=LogColumn("duty", "pwm"), full=None)
+    with pytest.raises(RecordingError, match="in duty full drive is 1"):
+        read(log_of(tmp_path, columns), percent)
+
+
+@pytest.mark.parametrize("rows", [-1, 1, -2])
+@pytest.mark.parametrize("what", ["pwm", "ms"])
+def test_a_drive_or_a_time_that_stands_in_another_row_moves_back(
+    tmp_path: Path, bench: Bench, what: str, rows: int
+) -> None:
+    columns = {"ms": bench.ms, "pwm": bench.pwm, "counts": bench.counts}
+    path = log_of(tmp_path, columns | {what: np.roll(columns[what], -rows)})
+    found = read(path, replace(COUNTED, **{"drive_row" if what == "pwm" else "time_row": rows}))
+    kept = slice(rows, None) if rows > 0 else slice(None, rows)
+    assert found.t_s == pytest.approx(1e-3 * bench.ms[kept])
+    assert found.u_V == pytest.approx(bench.pwm[kept] * 12.0 / 255.0)
+    assert found.y_rad == pytest.approx(bench.counts[kept] * TURN / 1440)
+    with pytest.raises(LogFormatError, match="more than 5 rows"):
+        replace(COUNTED, drive_row=9)
+
+
+def test_a_time_that_begins_again_begins_another_run(tmp_path: Path, bench: Bench) -> None:
+    twice = {"ms": np.tile(bench.ms, 2), "pwm": np.tile(bench.pwm, 2), "counts": np.tile(bench.counts, 2)}
+    path = log_of(tmp_path, twice)
+    first, second = read_all(path, COUNTED)
+    same(first, bench)
+    same(second, bench)
+    assert second.source.name == "log.csv (run 2 of 2)"
+    with pytest.raises(RecordingError, match="holds 2 runs"):
+        read(path, COUNTED)
+    own = log_of(tmp_path, {"t_s": 1e-3 * twice["ms"], "u_V": twice["pwm"], "y_rad": twice["counts"]})
+    assert [len(one) for one in read_all(own)] == [bench.ms.size, bench.ms.size]
+
+
+def test_a_column_may_say_which_run_a_row_is_of(tmp_path: Path, bench: Bench) -> None:
+    """One after the other on one clock, with a gap."""
+    trial = np.repeat([7.0, 3.0], bench.ms.size)
+    ms = np.concatenate([bench.ms, bench.ms + 60000.0])
+    columns = {"trial": trial, "ms": ms, "pwm": np.tile(bench.pwm, 2), "counts": np.tile(bench.counts, 2)}
+    found = read_all(log_of(tmp_path, columns), replace(COUNTED, run="trial"))
+    assert [len(one) for one in found] == [bench.ms.size, bench.ms.size]
+    for one in found:
+        same(one, bench)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "# millis,pwm,counts\nms,-,counts\n",
+        "#millis,pwm,counts\n# ms,-,counts\n",
+        "# bench 3\n# millis,pwm,counts\n[ms],[],[counts]\n",
+        "millis,pwm,counts\nmilliseconds,1,ticks\n",
+    ],
+)
+def test_names_behind_a_hash_and_a_row_of_units_below_them(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{head}0,255,0\n10,-51,360\n20,0,720\n")
+    assert read(path, COUNTED).t_s.tolist() == [0.0, 0.01, 0.02]
+
+
+def test_a_current_is_no_drive() -> None:
+    with pytest.raises(LogFormatError, match="a current is a torque"):
+        LogColumn.parse("drive", "amps:A")
