@@ -16,6 +16,11 @@ settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("search", derandomize=False, print_blob=True, deadline=None)
 settings.load_profile("same")
 
+# Rooms about what is found and shown of a motor. Elsewhere a run ends without laws of the motor and without figures.
+FINDINGS = {
+    "api", "campaign", "compare", "export", "fuzz", "identify", "replay", "report", "results", "tools", "tune",
+}  # fmt: skip
+
 
 def pytest_configure() -> None:
     """A runner that was started in the background ignores Ctrl-C, and so would the processes that tests send it to."""
@@ -63,26 +68,54 @@ def _no_drawing() -> Iterator[None]:
         yield
 
 
+@contextlib.contextmanager
+def _no_figures() -> Iterator[None]:
+    """In its block a report says of each figure that there is none: to make them all takes longer than a run, too."""
+    page = importlib.import_module("rig.report.page")
+    with _no_drawing(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "drawn", lambda make: page.Figure(None, "not in this test"))
+        yield
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
     """To draw the figures of a report takes longer than a run in virtual time: tests marked ``drawn`` look at them."""
-    with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else _no_drawing():
+    made = request.node.get_closest_marker("made") or request.path.parent.name in FINDINGS
+    absent = _no_drawing if made else _no_figures
+    with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else absent():
         yield
 
 
 @pytest.fixture
 def undrawn() -> Iterator[None]:
-    """No drawing in one test of a module marked ``drawn``."""
+    """Figures are made but not drawn, in a test of a module marked ``drawn``."""
     with _no_drawing():
         yield
 
 
-@pytest.fixture
-def plain_motor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs look for no laws of the motor: that takes longer than they do, and tests/identify is about it."""
+@contextlib.contextmanager
+def _no_laws() -> Iterator[None]:
+    """In its block every motor is taken to be a plain one: nobody looks for laws of the motor."""
     identification = importlib.import_module("rig.identify.identification")
-    for step in ("_add_motor_law", "_add_friction_law"):
-        monkeypatch.setattr(identification, step, lambda *_: None)
+    with pytest.MonkeyPatch.context() as patch:
+        for step in ("_add_motor_law", "_add_friction_law"):
+            patch.setattr(identification, step, lambda *_: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _laws_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
+    """To look for laws takes longer than a run in virtual time: rooms about findings, and those marked ``laws``, do."""
+    looks = request.node.get_closest_marker("laws") or request.path.parent.name in FINDINGS
+    with contextlib.nullcontext() if looks else _no_laws():
+        yield
+
+
+@pytest.fixture
+def plain_motor() -> Iterator[None]:
+    """No laws in one test of a module marked ``laws``."""
+    with _no_laws():
+        yield
 
 
 @pytest.fixture

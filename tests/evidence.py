@@ -28,6 +28,6 @@ def first_of_each(cases: Iterable[T], of_class: Callable[[T], Hashable]) -> list
     return [told for first, *others in found.values() for told in (_case(first), *evidence(*others))]
 
 
-def examples(number: int) -> int:
+def examples(number: int, at_least: int = 4) -> int:
     """Of a property that computes long: `make search` tries so many, `make test` a sixth of them."""
-    return number if settings.get_current_profile_name() == "search" else max(number // 6, 4)
+    return number if settings.get_current_profile_name() == "search" else max(number // 6, at_least)

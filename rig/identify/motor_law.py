@@ -68,7 +68,7 @@ MOST_SURVEY_ROWS = 1200
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
 SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
-ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
+ROWS_OF_TAU, FEWER_OF_TAU = 20, 8  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
@@ -501,7 +501,8 @@ def _record(series: TimeSeries) -> FittedRecord:
 
 def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSeries:
     """The series as it is taken where all records have ``of_rows``, for at most ``most``."""
-    return thinned(series, min(math.ceil(of_rows / most), int(tau_s / series.period_s / ROWS_OF_TAU)))
+    rows_of_tau = ROWS_OF_TAU if most == MOST_ROWS else FEWER_OF_TAU
+    return thinned(series, min(math.ceil(of_rows / most), int(tau_s / series.period_s / rows_of_tau)))
 
 
 def _slow(series: TimeSeries) -> TimeSeries:

@@ -18,6 +18,8 @@ from rig.results.answer_words import rounded as as_digits
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
 
+STATED = 1e-6  # width of an interval over its number: narrower ones are of what a recording states, not of an estimate
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -124,6 +126,8 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
         return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
     between = plus_minus = relative = ""
     half = math.nan
+    if bounds is not None and bounds[1] - bounds[0] < STATED * abs(exact):
+        bounds = None  # the times of the recording say it
     if bounds is not None:
         low, high = (parameter.factor * b for b in bounds)
         half = 0.5 * (high - low)

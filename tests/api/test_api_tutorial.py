@@ -8,11 +8,10 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-pytestmark = pytest.mark.long
-
 TUTORIAL = Path(__file__).resolve().parents[2] / "docs" / "tutorial.ipynb"
 
 
+@pytest.mark.evidence
 @pytest.mark.filterwarnings("default")  # those of the notebook's machinery are not ours
 def test_the_tutorial_runs(tmp_path: Path) -> None:
     notebook = nbformat.read(TUTORIAL, as_version=4)  # type: ignore[no-untyped-call]  # nbformat has no types

@@ -17,7 +17,7 @@ from mujoco_bench import STEP_S, Shaft
 from rig.backends import registry
 from rig.model.motor import State
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.laws]
 
 SIMULATED = Path(__file__).parents[2] / "config" / "quick.yaml"
 HOLD_S, DRIVE_V = 0.25, 1.2

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.long
 
 CONFIGS = Path(__file__).parents[2] / "config"
 MOTORS = 2000
-SOME = 120
+SOME = 40
 MOTORS_OF_THE_OTHERS = 1000  # with coarse steps, with correlated noise
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")
 

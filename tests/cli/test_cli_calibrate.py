@@ -79,7 +79,7 @@ def test_every_step_on_a_simulated_bench(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "port", "rpc"),
     [
-        pytest.param("demo-pico", "emulated-pico", 0.25 * RPC, id="the Pico's chip"),
+        pytest.param("demo-pico", "emulated-pico", 0.25 * RPC, id="the Pico's chip", marks=pytest.mark.evidence),
         pytest.param("modbus-rtu", "emulated", -RPC, id="Modbus"),
         pytest.param("demo", "emulated", RPC, id="the board"),
     ],

@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def working(folder: Path, monkeypatch: pytest.MonkeyPatch, plain_motor: None) -> Iterator[Path]:
+def working(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """It is the working folder, and Python imports from it."""
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(folder)

@@ -17,12 +17,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def ran(folder: Path, seed: int = 1, **emulated: float) -> tuple[dict[str, Any], Path]:
-    """A run of config/simulated.yaml with changes to its emulated bench."""
+    """A run of config/simulated.yaml at given gains, with changes to its emulated bench."""
     config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     config["seed"] = seed
     config["emulated"] |= {key: value for key, value in emulated.items() if key != "delay_s"}
     config["emulated"]["motor"] |= {key: value for key, value in emulated.items() if key == "delay_s"}
     config["tracking"]["methods"] = ["sampled-data"]
+    config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}, {"h1_V": 0.4, "h2_V": 0.75}], "cycles": 8}
     path = folder / "late.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     result = rig("run", path, "--out", folder, "--json")

@@ -31,7 +31,7 @@ from rig.recording.reader import read_run
 from rig.recording.recording import Recording
 from rig.signals import Sample
 
-pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
+pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).resolve().parents[2]
 

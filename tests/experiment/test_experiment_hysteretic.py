@@ -16,6 +16,8 @@ from command_line import rig
 
 from rig.recording.reader import read_run
 
+pytestmark = pytest.mark.made
+
 ROOT = Path(__file__).resolve().parents[2]
 READY = ROOT / "config/least-squares.yaml"
 

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig as command
+from evidence import evidence
 from processes import alive, wait_until
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
@@ -325,7 +326,7 @@ def keepers_of(pid: int) -> list[int]:
     ("way", "numbers"),
     [
         ("in C", [signal.SIGINT, signal.SIGINT]),
-        ("swallows", [signal.SIGHUP]),
+        *evidence(("swallows", [signal.SIGHUP])),
     ],
 )
 def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(

@@ -28,8 +28,6 @@ from rig.recording.recorder import Recorder
 from rig.session import Session
 from rig.testing.line import on_device
 
-pytestmark = pytest.mark.usefixtures("plain_motor")  # how they end is looked at, not what they find
-
 ROOT = Path(__file__).resolve().parents[2]
 
 

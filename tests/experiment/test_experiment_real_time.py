@@ -21,7 +21,7 @@ GAINS = [{"h1_V": 0.43, "h2_V": 0.80}]  # such as its own search finds
 TRIES = 4
 STOPPED_S = (0.04, 0.08, 0.15, 1.0)
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.long]
 
 
 def shorter(config: dict[str, Any]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from rig.recording.reader import read_run
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.laws, pytest.mark.made]
 # An unbalanced load and a Stribeck effect: what the map is to show.
 FRICTION = {"fc_plus_V": 0.48, "fc_minus_V": 0.48, "fs_plus_V": 0.54, "fs_minus_V": 0.54, "stribeck_rad_s": 0.4}
 NARROW = {"soft_rad": [-0.05, 0.05], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 4.9, "coast_tau_s": 0.2}

@@ -138,6 +138,12 @@ def _ends_alike(case: tuple[Row, Backend]) -> Hashable:
     return (CHIP if backend is CHIP_ENCODER else backend).key
 
 
+def _place(case: tuple[Row, Backend, Stage]) -> str:
+    """On the board, the stage; of another device, only which it is."""
+    _, backend, stage = case
+    return stage.key if backend is BOARD else backend.key
+
+
 @pytest.mark.filterwarnings("default::faults.worst.Longer")
 @pytest.mark.parametrize(("row", "backend"), first_of_each(CASES, _ends_alike), ids=_id)
 def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row: Row, backend: Backend) -> None:
@@ -151,9 +157,7 @@ def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row:
 
 
 @pytest.mark.filterwarnings("default::faults.worst.Longer")
-@pytest.mark.parametrize(
-    ("row", "backend", "stage"), first_of_each(staged(), lambda case: (case[1].key, case[2].key)), ids=_id
-)
+@pytest.mark.parametrize(("row", "backend", "stage"), first_of_each(staged(), _place), ids=_id)
 def test_every_fault_in_the_other_stages(row: Row, backend: Backend, stage: Stage) -> None:
     found = measure(row, backend, one_phase(row.name, backend, stage), stage)
     assert found.trouble == ()

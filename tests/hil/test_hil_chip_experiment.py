@@ -24,7 +24,7 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 
-pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
+pytestmark = pytest.mark.long
 
 UNO_FULL = 400
 
@@ -44,6 +44,7 @@ def test_the_whole_experiment_on_the_chip_finds_the_truth(tmp_path: Path) -> Non
     assert set(outcome["estimates"]) == {"sampled-data", "triple-relay", "describing-function"}
 
 
+@pytest.mark.evidence
 def test_the_relay_in_the_chip_finds_the_truth(tmp_path: Path) -> None:
     gains = [{"h1_V": 0.42, "h2_V": 0.84}]
     outcome = run_on("emulated-chip", tmp_path, demo(), where="device", target=None, gains=gains, cycles=7)
@@ -51,6 +52,7 @@ def test_the_relay_in_the_chip_finds_the_truth(tmp_path: Path) -> None:
     assert outcome["link"]["bad_frames"] == 0 and not outcome["faults"]
 
 
+@pytest.mark.evidence
 def test_behind_an_unos_usb_chip_it_identifies_as_ever(tmp_path: Path) -> None:
     """Replies wait for up to 4 ms, each another time: the device's own stamps say when all was, at 10 ms as without."""
     gains = [{"h1_V": 0.43, "h2_V": 0.80}, {"h1_V": 0.75, "h2_V": 0.80}]  # the second excludes a dead band

@@ -20,7 +20,7 @@ from rig.model.bench import BenchModel, BenchParameters
 from rig.model.friction import coulomb, tustin
 from rig.model.motor import Motor
 
-pytestmark = pytest.mark.long
+pytestmark = [pytest.mark.long, pytest.mark.laws]
 
 # Of 400 units, every 30 ms: to and fro, to rest, and from rest with what a static level holds.
 DRIVES = ((60,) * 5 + (-12, -60, -60, 14) + (0,) * 9 + (20,) * 5 + (-60,) * 6 + (0,) * 9 + (-20,) * 5) * 2 + (0,) * 20

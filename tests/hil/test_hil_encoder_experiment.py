@@ -32,7 +32,7 @@ from rig.replay import replay
 from rig.signals import Sample
 from rig.testing.line import lines_opened_by
 
-pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
+pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config/encoder.yaml"
@@ -72,6 +72,7 @@ def run(folder: Path, path: Path) -> dict[str, Any]:
     return outcome
 
 
+@pytest.mark.evidence
 def test_the_whole_experiment_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: Path) -> None:
     outcome = run(tmp_path, CONFIG)
     estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
@@ -196,18 +197,20 @@ def _opens(which: Contact, duration_s: float, chip: VirtualChip) -> None:
     ("at_rad", "act", "code", "words"),
     [
         (0.0, partial(_opens, "end_high", 0.003), "NOT_HOME", "two places"),  # a glitch
-        (1.2, partial(_opens, "end_high", 0.003), "NOT_HOME", "two places"),  # it coasts on to the switch
-        (0.0, partial(_opens, "end_low", 0.003), "NOT_HOME", "two places"),
         (0.0, partial(_opens, "end_low", math.inf), "NOT_HOME", "that of the low end"),  # a broken wire
         (0.0, lambda chip: chip.rewire(sensor="stuck"), "NO_MOTION", "did not move the shaft"),
         (0.0, lambda chip: chip.rewire(drive="reversed"), "POLARITY", ""),
         (0.0, partial(_opens, "e_stop", 0.05), "DEVICE_ESTOP", ""),
         (0.0, lambda chip: chip.reset(2), "DEVICE_RESET", ""),
         (0.0, lambda chip: chip.rewire(sensor="still"), "DEVICE_ENCODER_STILL", ""),
-        (0.0, lambda chip: chip.rewire(sensor="jumped"), "DEVICE_ENCODER_LOST", ""),
         (0.0, lambda _: os.kill(os.getpid(), signal.SIGTERM), "INTERRUPTED", ""),
-        (0.0, lambda _: os.kill(os.getpid(), signal.SIGINT), "INTERRUPTED", ""),
         (0.0, lambda chip: chip.sleep_until(chip.now_s() + 0.3), "DEVICE_WATCHDOG", ""),  # as after kill -9
+        *evidence(
+            (1.2, partial(_opens, "end_high", 0.003), "NOT_HOME", "two places"),  # it coasts on to the switch
+            (0.0, partial(_opens, "end_low", 0.003), "NOT_HOME", "two places"),
+            (0.0, lambda chip: chip.rewire(sensor="jumped"), "DEVICE_ENCODER_LOST", ""),
+            (0.0, lambda _: os.kill(os.getpid(), signal.SIGINT), "INTERRUPTED", ""),
+        ),
     ],
 )
 def test_a_homing_that_goes_wrong_leaves_no_zero(

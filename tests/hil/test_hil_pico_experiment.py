@@ -20,7 +20,7 @@ from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.preflight import check
 
-pytestmark = [pytest.mark.long, pytest.mark.usefixtures("plain_motor")]
+pytestmark = pytest.mark.long
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -30,6 +30,7 @@ def demo() -> dict[str, Any]:
     return config
 
 
+@pytest.mark.evidence
 def test_the_whole_experiment_on_the_pico_finds_the_truth(tmp_path: Path) -> None:
     outcome = run_on("emulated-pico", tmp_path, demo())
     assert outcome["backend"].startswith("emulated-pico (emulated pico board, build pico ")
@@ -45,6 +46,7 @@ def test_the_relay_in_the_pico_finds_the_truth(tmp_path: Path) -> None:
     assert outcome["loop"]["device"]["missed"] == 0
 
 
+@pytest.mark.evidence
 def test_the_whole_experiment_with_an_encoder_finds_the_truth_to_a_fifth_of_a_percent(tmp_path: Path) -> None:
     """The shortest one: quicker strokes, given gains, few cycles, one check of two seconds."""
     config = yaml.safe_load((CONFIG / "encoder.yaml").read_text(encoding="utf-8"))

@@ -8,7 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from synthetic import Bench, dcr, record, simulate
 
 from rig.estimators import ESTIMATORS, EstimatorEntry
 from rig.export import export
-from rig.identify import identification, identify, laws
+from rig.identify import Identification, identification, identify, laws
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.laws.law import Array, CandidateLaw, LawNumber, LawParameter, Plain, Range
@@ -40,6 +40,7 @@ from rig.terminal import show_friction_law
 pytestmark = pytest.mark.long
 
 GOLDEN = Path(__file__).parents[1] / "golden"
+BEND = 0.15  # 1/rad
 
 
 class LargestSpeed(Estimator):
@@ -124,6 +125,8 @@ from click.testing import CliRunner
 from rig.estimators import ESTIMATORS, EstimatorEntry
 ESTIMATORS.append(EstimatorEntry(*{tuple(LINE)!r}))
 from rig.cli import main
+from rig.identify import identification
+identification._add_motor_law = identification._add_friction_law = lambda *_: None
 print(json.dumps([CliRunner().invoke(main, words).output for words in {commands!r}]))
 """
     done = subprocess.run(
@@ -157,16 +160,17 @@ def bent(bend_per_rad: float, h2_V: float, seed: int) -> Recording:
     return from_columns(Path(f"{h2_V:g} V"), test.t_s, test.u_V, y_rad, test.t_u_s)
 
 
-@pytest.fixture
-def with_bent_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(laws, "LAWS", [*laws.LAWS, BentSensor()])
+@pytest.fixture(scope="module")
+def found_bent(bend_per_rad: float) -> Iterator[Identification]:
+    """What is identified of two tests through the bent sensor, with its law in the list."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(laws, "LAWS", [*laws.LAWS, BentSensor()])
+        yield identify([bent(bend_per_rad, 1.0, 1), bent(bend_per_rad, 1.3, 2)], ["sampled-data"])
 
 
-@pytest.mark.usefixtures("with_bent_sensor")
-@pytest.mark.parametrize("bend_per_rad", [0.15, *evidence(-0.15)])
-def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(bend_per_rad: float) -> None:
-    tests = [bent(bend_per_rad, h2_V, seed) for h2_V, seed in ((1.0, 1), (1.3, 2))]
-    found = identify(tests, ["sampled-data"]).friction_law
+@pytest.mark.parametrize("bend_per_rad", [BEND, *evidence(-BEND)], scope="module")
+def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(bend_per_rad: float, found_bent: Identification) -> None:
+    found = found_bent.friction_law
     assert found is not None
     assert found.chosen.law == "bent sensor"
     value, error = found.chosen.parameters["bend_per_rad"], found.chosen.errors["bend_per_rad"]
@@ -180,11 +184,11 @@ def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(bend_per_rad: float
     assert own["ci95"] == pytest.approx([value - 1.96 * error, value + 1.96 * error], rel=1e-4)
 
 
-@pytest.mark.usefixtures("with_bent_sensor")
+@pytest.mark.parametrize("bend_per_rad", [BEND], scope="module")
 def test_its_number_is_in_terminal_summary_report_and_export(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    found_bent: Identification, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = identify([bent(0.15, 1.0, 1), bent(0.15, 1.3, 2)], ["sampled-data"])
+    found = found_bent
     show_friction_law(found.as_result().friction_law, of_plain=False)
     assert re.search(r"^bend_per_rad +0\.1\d+ ±0\.0\d+ +1/rad +bend of the sensor$", capsys.readouterr().out, re.M)
     assert "bend of the sensor" in Found.of(found).summary()

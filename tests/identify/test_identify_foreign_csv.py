@@ -52,7 +52,7 @@ NAMES = ("tau_s", "K_rad_s_V", "fc_V")
 
 
 def estimate(path: Path) -> Estimate:
-    return identify([read(path)], ["sampled-data"]).estimates["sampled-data"]
+    return identify([read(path)], ["sampled-data"], choose_law=False).estimates["sampled-data"]
 
 
 def errors(found: Estimate, truth: dict[str, float]) -> np.ndarray:

@@ -75,7 +75,7 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
     ],
 )
 def test_a_jog_that_makes_no_sense_is_refused_in_words(
-    tmp_path: Path, undrawn: None, config: str, given: list[str], words: str
+    tmp_path: Path, config: str, given: list[str], words: str
 ) -> None:
     result = CliRunner().invoke(main, ["jog", str(ROOT / "config" / config), *given, "--out", str(tmp_path)])
     assert result.exit_code in (1, 2) and words in result.stderr

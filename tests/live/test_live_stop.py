@@ -32,11 +32,6 @@ from rig.signals import Sample
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(autouse=True)
-def _no_figures(undrawn: None) -> None:
-    """The figures of a report take longer than the run in virtual time, and are tested elsewhere."""
-
-
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     """Given gains, one cycle, one short tracking run."""

@@ -26,7 +26,7 @@ from rig.config.yaml12 import parse
 from rig.live.running import running
 from rig.live.stop_flag import request_stop
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.long]
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

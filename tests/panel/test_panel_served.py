@@ -30,7 +30,7 @@ from rig.live.running import running
 from rig.live.stop_flag import is_recorded
 from rig.panel.sockets import MOST_CONNECTIONS
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.long]
 
 CONFIGS = Path(__file__).resolve().parents[2] / "config"
 DEMO, UNO = CONFIGS / "demo.yaml", CONFIGS / "uno.yaml"

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from evidence import examples
+from evidence import evidence, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
@@ -30,13 +30,17 @@ from rig.report import fitted, write_report
 from rig.report.page import draw, render_page
 from rig.report.source import load
 from rig.report.style import style
+from rig.report.words import PARAMETERS, quantity
+from rig.results import EstimateResult
 
 pytestmark = [pytest.mark.long, pytest.mark.drawn]
 
 FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
 # every subset without samples (quick); with them each file alone, the two that know the search, and all four
-SUBSETS = [c for n in range(1, 6) for c in combinations(FILES, n) if "samples.csv" in c or n in (1, 4)]
-SUBSETS.append(("events.jsonl", "result.json"))
+SUBSETS = [
+    *((name,) for name in FILES), ("events.jsonl", "result.json"), FILES,
+    *evidence(*((c,) for n in range(2, 5) for c in combinations(FILES, n) if "samples.csv" in c or n == 4)),
+]  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr", "input", "wbr"}
 
 
@@ -599,3 +603,13 @@ def test_no_result_however_odd_keeps_the_page_from_being_made(
     page = Page(render_page(load(tmp_path)))
     assert "samples.csv is missing" in page.words
     assert not any(math.isnan(value) for value in page.values)
+
+
+def test_a_delay_that_the_times_of_the_recording_say_has_no_interval() -> None:
+    delay = next(parameter for parameter in PARAMETERS if parameter.key == "delay_s")
+    shown = {
+        half_s: quantity(delay, EstimateResult(delay_s=0.004, ci95={"delay_s": (0.004 - half_s, 0.004 + half_s)}), {})
+        for half_s in (1e-11, 1e-5)
+    }
+    assert (shown[1e-11].text, shown[1e-11].plus_minus) == ("4.000", "")
+    assert (shown[1e-5].text, shown[1e-5].plus_minus) == ("4.0000", "± 0.0100")

@@ -131,6 +131,7 @@ def test_laws_that_look_alike_give_a_wide_u95_and_not_none() -> None:
     assert one.inside == (True, True, True)
 
 
+@pytest.mark.evidence
 def test_a_stribeck_effect_at_the_wrong_speed_is_not_helped_by_a_drag() -> None:
     one = row_of_run(CAMPAIGN.model_copy(update={"seed": 18}), 386, False)
     assert one.kinds == ("stribeck 0.05",)

@@ -1,4 +1,7 @@
-"""The report of the paper's examples: its numbers against the theory's check values, and the page they stand on."""
+"""The report of the paper's examples: its numbers against the theory's check values, and the page they stand on.
+
+What needs its sections, which compute for a minute, is evidence; the sums behind them are not.
+"""
 
 from __future__ import annotations
 
@@ -63,6 +66,7 @@ def exact(table: Table, row: str, column: int) -> float:
 
 
 class TestExample41:
+    @pytest.mark.evidence
     def test_durations_and_eigenvalues_are_those_of_the_check_table(self, sections: dict[str, Section]) -> None:
         cycles, stability = sections["example-4-1"].tables()[:2]
         assert [exact(cycles, "(0.8, 1)", k) for k in (1, 2, 3, 5)] == pytest.approx(
@@ -72,10 +76,12 @@ class TestExample41:
         assert exact(stability, "(0.8, 1)", 6) == pytest.approx(1.482359, abs=5e-7)
         assert exact(stability, "(0.5, 1.2)", 6) == pytest.approx(0.672361, abs=5e-7)
 
+    @pytest.mark.evidence
     def test_the_papers_eigenvalue_stands_beside_ours_and_is_marked(self, sections: dict[str, Section]) -> None:
         beside = cell(sections["example-4-1"].tables()[1], "(0.8, 1)", 7)
         assert (beside.exact, beside.whose) == (1.4823, "paper")
 
+    @pytest.mark.evidence
     def test_the_ode_solver_finds_the_same_cycle(self, sections: dict[str, Section]) -> None:
         methods = sections["example-4-1"].tables()[2]
         for pair in ("(0.8, 1)", "(0.5, 1.2)"):
@@ -144,6 +150,7 @@ class TestTheorem21:
 
 
 class TestExample42:
+    @pytest.mark.evidence
     def test_least_squares_is_exact_without_a_start_and_in_the_papers_range_with_one(
         self, sections: dict[str, Section]
     ) -> None:
@@ -158,6 +165,7 @@ class TestExample42:
         assert exact(starts, "(50, 50)", 3) == pytest.approx(surviving.FC_V, rel=0.01)
         assert cell(starts, "(50, 50)", 4).text == "refused"
 
+    @pytest.mark.evidence
     def test_the_describing_function_is_inverted_exactly_and_biased_on_real_cycles(
         self, sections: dict[str, Section]
     ) -> None:
@@ -166,12 +174,14 @@ class TestExample42:
             assert exact(table, "check", column) == pytest.approx(truth, rel=1e-9)
             assert abs(exact(table, "error", column)) > 0.03
 
+    @pytest.mark.evidence
     def test_plain_gauss_newton_diverges_where_the_theory_says(self, sections: dict[str, Section]) -> None:
         trials = sections["example-4-2c"].tables()[0]
         assert cell(trials, "(0.3, 4, 0.3)", 1).text == "diverges"
         assert exact(trials, "(0.3, 4, 0.3)", 3) > 3  # damped, it arrives
         assert exact(trials, "(0.1, 3, 0.2)", 1) in (4, 5)
 
+    @pytest.mark.evidence
     def test_the_ill_conditioning_is_the_theorys(self, sections: dict[str, Section]) -> None:
         table = sections["example-4-2c"].tables()[1]
         late = [abs(exact(table, "extremum 1 ms late", k)) for k in (1, 2, 3)]
@@ -180,6 +190,7 @@ class TestExample42:
         assert abs(exact(table, "RB edge 1 ms late", 1)) == pytest.approx(0.05, abs=0.01)
         assert [exact(table, "amplitude 1 %", k) for k in (1, 2, 3)] == pytest.approx([0, 0.01, 0], abs=1e-9)
 
+    @pytest.mark.evidence
     def test_three_iterations_from_the_describing_function(self, sections: dict[str, Section]) -> None:
         two_stage = sections["example-4-2c"].tables()[2]
         assert exact(two_stage, "iteration 2", 4) > 1e-8 > exact(two_stage, "iteration 3", 4)
@@ -204,6 +215,7 @@ class TestExample42:
         # RC and RB act up to a tick late, and the cycle grows: two ticks
         assert abs(chatter.equivalent_s - chatter.crossing_s) < 2.0 * noise.SAMPLING_S
 
+    @pytest.mark.evidence
     def test_iterations_stand_beside_the_papers_by_every_rule_for_stopping(self, sections: dict[str, Section]) -> None:
         stops = sections["example-4-2c"].tables()[3]
         assert cell(stops, "paper", 0).text == "paper: 2 instead of 5"
@@ -214,6 +226,7 @@ class TestExample42:
         (line,) = (c for c in sections["example-4-2c"].comparisons if c.place == "4.2 (d)")
         assert (line.paper, line.agreement) == ("2 iterations instead of 5", "differs")
 
+    @pytest.mark.evidence
     def test_the_two_assumptions_of_the_recursion_are_varied_and_decide(self, sections: dict[str, Section]) -> None:
         table = sections["example-4-2a"].tables()[1]
         recursion = sections["example-4-2a"].tables()[0]
@@ -238,6 +251,7 @@ class TestExample42:
             assert words in remark.text
             assert remark.kind == ("agrees" if helps else "differs")
 
+    @pytest.mark.evidence
     def test_all_methods_stand_in_one_table(self, sections: dict[str, Section]) -> None:
         (table,) = sections["table-1"].tables()
         assert abs(exact(table, "(d) two-stage", 3)) < 1e-6
@@ -254,6 +268,7 @@ class TestExample43:
         assert t1 / surviving.TUSTIN_DURATIONS_S[0] - 1.0 == pytest.approx(0.074, abs=0.002)
         assert y / surviving.TUSTIN_POSITION_RAD - 1.0 == pytest.approx(-0.016, abs=0.001)
 
+    @pytest.mark.evidence
     def test_gauss_newton_is_shown_from_other_starts_than_the_motors_own(self, sections: dict[str, Section]) -> None:
         starts = sections["example-4-3"].tables()[2]
         assert cell(starts, "the motor's own values", 9).text == "yes"
@@ -263,6 +278,7 @@ class TestExample43:
     def test_a_law_gives_all_the_surviving_digits(self) -> None:
         assert example_4_3.reproduced(example_4_3.compute(2)).holds
 
+    @pytest.mark.evidence
     def test_viscous_friction_is_absorbed_exactly(self, sections: dict[str, Section]) -> None:
         identified = sections["example-4-3"].tables()[1]
         motor, absorbed, found, errors = identified.rows[:4]
@@ -273,6 +289,7 @@ class TestExample43:
         assert found[4].exact == pytest.approx(motor[4].exact, rel=1e-6)
         assert errors[4].exact == pytest.approx(0.0, abs=1e-5)
 
+    @pytest.mark.evidence
     def test_the_ratio_survives_tustins_law_and_the_papers_durations_stand_beside_ours(
         self, sections: dict[str, Section]
     ) -> None:
@@ -297,6 +314,7 @@ class TestSection5:
         assert experiment.tachometer is not None
         assert experiment.tachometer.gear_ratio == surviving.BENCH_GEAR_RATIO
 
+    @pytest.mark.evidence
     def test_sampled_data_is_nearest_to_the_emulated_motor_and_the_equations_farthest(
         self, sections: dict[str, Section]
     ) -> None:
@@ -311,6 +329,7 @@ class TestSection5:
         by_squares = exact(estimates, names["least-squares"], 5) / exact(estimates, "true", 5) - 1.0
         assert worst["sampled-data"] < abs(by_squares)
 
+    @pytest.mark.evidence
     def test_least_squares_is_refused_where_its_starts_move_it_and_its_interval_holds_the_truth(
         self, bench_result: section_5.Result
     ) -> None:
@@ -320,6 +339,7 @@ class TestSection5:
             assert low_V < bench_result.truth[2] < high_V
             assert abs(estimate.fc_V / bench_result.truth[2] - 1.0) < 0.05 or estimate.verdict == "refused"
 
+    @pytest.mark.evidence
     def test_tracking_stands_beside_the_papers(self, sections: dict[str, Section]) -> None:
         tracking = sections["section-5"].tables()[2]
         assert exact(tracking, "describing function", 1) == surviving.BENCH_RMS_DF
@@ -331,6 +351,7 @@ class TestSection5:
         assert tr < df
         assert sd < df
 
+    @pytest.mark.evidence
     def test_slower_sampling_hurts_the_equations_and_not_the_sampled_data(self, sections: dict[str, Section]) -> None:
         (table,) = sections["sampling"].tables()
         names = section_5.NAMES
@@ -340,6 +361,7 @@ class TestSection5:
 
 
 class TestPage:
+    @pytest.mark.evidence
     def test_holds_every_example_in_the_papers_order(self, page: str) -> None:
         order = [page.index(f'<h2 id="{key}">') for key in (
             "summary", "example-4-1", "theorem-2-1", "example-4-2a", "example-4-2b", "example-4-2c", "table-1", "noise",
@@ -347,6 +369,7 @@ class TestPage:
         )]  # fmt: skip
         assert order == sorted(order)
 
+    @pytest.mark.evidence
     def test_begins_with_the_summary_and_every_surviving_number_is_in_it(self, page: str) -> None:
         summary = page[page.index('<h2 id="summary">') : page.index('<h2 id="example-4-1">')]
         assert page.index('<h2 id="summary">') < page.index("<figure>")
@@ -362,6 +385,7 @@ class TestPage:
             assert f">{kind}</span>" in summary
         assert "did not survive and was chosen" in summary
 
+    @pytest.mark.evidence
     def test_is_one_file_and_well_formed(self, page: str) -> None:
         parser = Balance()
         parser.feed(page)
@@ -371,6 +395,7 @@ class TestPage:
         assert not re.search(r'(src|href)="(?!data:|#|https://doi\.org/)', page)
         assert "<script" not in page
 
+    @pytest.mark.evidence
     def test_every_figure_has_words_and_names_its_backend(self, sections: dict[str, Section], page: str) -> None:
         pictures = [picture for section in sections.values() for picture in section.pictures()]
         assert len(pictures) >= 17
@@ -380,6 +405,7 @@ class TestPage:
         assert page.count("<figure>") == len(pictures)
         assert f"Backend: {BACKEND}." in page
 
+    @pytest.mark.evidence
     def test_no_number_and_no_verdict_is_typed_into_the_text(self, page: str) -> None:
         assert literals.typed_numbers() == []
         assert literals.typed_verdicts() == []
@@ -396,15 +422,18 @@ class TestPage:
         )
         assert [found.text for found in literals.typed_numbers({"m": words})] == [" against 3.7"]
 
+    @pytest.mark.evidence
     def test_every_surviving_count_of_iterations_is_compared(self, page: str) -> None:
         summary = page[page.index('<h2 id="summary">') : page.index('<h2 id="example-4-1">')]
         assert "2 iterations instead of 5" in summary
         assert "iterations of Gauss-Newton" in summary
         assert "TR's iterations" in summary
 
+    @pytest.mark.evidence
     def test_no_number_is_missing(self, page: str) -> None:
         assert not re.search(r">(nan|inf|None)<|\bnan\b", page)
 
+    @pytest.mark.evidence
     def test_the_same_again(self, sections: dict[str, Section]) -> None:
         (step,) = (k for k, made in enumerate(build.STEPS) if made.make is build.make_4_2a)
         again, _ = build.timed(step, True)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
+LARGEST_FORCE = 3.0  # of a law over the angle, times the largest drive
 COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 NOTHING: Mapping[str, float] = {}
 
@@ -75,8 +76,12 @@ class Departure(ABC):
         """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""
 
     def most(self, bench: Bench) -> float:
-        """Largest size that a fit may give it, in ``unit``: a voltage may be as large as the largest drive."""
-        return max(LARGEST * self.range_of(bench), bench.largest_V if self.unit == "V" else 0.0)
+        """Largest size that a fit may give it, in ``unit``: a voltage may be as large as the largest drive.
+
+        A force over the angle may be larger: the record may hold a part of the turn in which it is small.
+        """
+        largest_V = bench.largest_V * (LARGEST_FORCE if self.over_position else 1.0)
+        return max(LARGEST * self.range_of(bench), largest_V if self.unit == "V" else 0.0)
 
     def fits(self, bench: Bench) -> bool:
         """Whether it can be looked for on this bench."""

@@ -99,7 +99,7 @@ class VirtualBoard(VirtualDevice):
         self._shaft_rad.append(truth.y_rad)
 
     def shaft(self) -> ShaftPath:
-        """Where the shaft really was, while it was kept: after each wait of the host, and each 0.5 ms of an exchange."""
+        """Where the shaft really was while it was kept: after each wait of the host, each 0.5 ms of an exchange."""
         return ShaftPath(self._shaft_t_s, self._shaft_rad)
 
     def truth(self) -> Truth:
