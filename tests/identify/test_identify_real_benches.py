@@ -37,7 +37,7 @@ def recorded(
 ) -> Columns:
     """Time, drive and position over 10 s: levels at random for 0.15 to 0.6 s each, 1,440 counts a turn."""
     random = np.random.default_rng(seed)
-    t_s = PERIOD_S * np.arange(2000)
+    t_s = np.linspace(0.0, 2000 * PERIOD_S, 2000, endpoint=False)
     u_V = np.empty(t_s.size)
     at = 0
     while at < t_s.size:
@@ -121,8 +121,8 @@ def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
 
 def test_a_quick_reversal_is_no_spike() -> None:
     """Rows of 0.1 s, and a motor that turns within one of them."""
-    t_s = 0.1 * np.arange(200)
-    u_V = np.where(np.arange(200) % 8 < 4, 5.0, -5.0)
+    t_s = np.linspace(0.0, 20.0, 200, endpoint=False)
+    u_V: np.ndarray = np.where(np.arange(200) % 8 < 4, 5.0, -5.0)
     quick = RealMotor(0.02, 20.0, 0.6)
     y_rad = response(quick, Frame(), (t_s, u_V), t_s, Pieces.one())
     test = TimeSeries(t_s, STEP_RAD * np.round(y_rad / STEP_RAD), None, u_V)
