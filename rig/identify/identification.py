@@ -49,6 +49,7 @@ from rig.results import (
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
+MUCH_MORE = 8.0  # residual over the sensor's noise of a motor that is far from plain
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
@@ -527,6 +528,9 @@ def _add_friction_law(data: Measurements, static: StaticFriction | None, found: 
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":
         return
+    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in data.tests])))
+    if static is None and estimate.rms_rad > MUCH_MORE * noise_rad:
+        return  # what the plain motor leaves is not noise: no criterion tells friction laws by it
     try:
         choice = friction_law(data.tests, estimate, data.periods_s, static)
     except IdentifyError as error:

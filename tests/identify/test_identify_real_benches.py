@@ -37,7 +37,7 @@ def recorded(
 ) -> Columns:
     """Time, drive and position over 10 s: levels at random for 0.15 to 0.6 s each, 1,440 counts a turn."""
     random = np.random.default_rng(seed)
-    t_s = PERIOD_S * np.arange(2000)
+    t_s = np.linspace(0.0, 2000 * PERIOD_S, 2000, endpoint=False)
     u_V = np.empty(t_s.size)
     at = 0
     while at < t_s.size:
@@ -121,8 +121,8 @@ def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
 
 def test_a_quick_reversal_is_no_spike() -> None:
     """Rows of 0.1 s, and a motor that turns within one of them."""
-    t_s = 0.1 * np.arange(200)
-    u_V = np.where(np.arange(200) % 8 < 4, 5.0, -5.0)
+    t_s = np.linspace(0.0, 20.0, 200, endpoint=False)
+    u_V: np.ndarray = np.where(np.arange(200) % 8 < 4, 5.0, -5.0)
     quick = RealMotor(0.02, 20.0, 0.6)
     y_rad = response(quick, Frame(), (t_s, u_V), t_s, Pieces.one())
     test = TimeSeries(t_s, STEP_RAD * np.round(y_rad / STEP_RAD), None, u_V)
@@ -180,3 +180,14 @@ def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> Non
     answer = answered(recorded(motor, (3.0, 5.0, 7.0)), recorded(motor, (2.0, 4.0, 6.0), seed=2))
     assert answer.law is not None and [law.name for law in answer.law] == ["drift_each"]
     assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_filter_in_the_reading_is_named_and_undone() -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0))
+    filtered, keep = y_rad.copy(), math.exp(-PERIOD_S / 0.045)
+    for k in range(1, filtered.size):
+        filtered[k] = keep * filtered[k - 1] + (1.0 - keep) * 0.5 * (y_rad[k - 1] + y_rad[k])
+    found = found_in((t_s, u_V, filtered))
+    assert found.answer is not None and right(found.answer, MOTOR, 0.05, "tau_s", "K_rad_s_V", "fc_V")
+    (named,) = [note for note in found.notes if "low-passed" in note]
+    assert float(named.partition("low-passed by ")[2].split()[0]) == pytest.approx(45.0, rel=0.1)
