@@ -64,6 +64,7 @@ class TunedRun:
 
     latency_s  that the run's device reports, from a sample to the effect of its drive, s
     holds      what the run's answer was measured over; None: not said
+    made_up    the run was a rehearsal: nobody measured this motor
     """
 
     folder: Path
@@ -72,6 +73,7 @@ class TunedRun:
     prediction: Prediction
     latency_s: float
     holds: HoldsResult | None = None
+    made_up: bool = False
 
     def options(self) -> dict[str, Any]:
         """Of the law `tuned`, for the section `law` of a config."""
@@ -158,7 +160,7 @@ def tune_run(
     if bench is not None:
         _require_inside(bench, prediction)
     holds = None if result.answer is None else result.answer.holds
-    return TunedRun(folder, tuned, trial, prediction, latency_s, holds)
+    return TunedRun(folder, tuned, trial, prediction, latency_s, holds, bool(result.rehearsal))
 
 
 def _require_inside(bench: Experiment, prediction: Prediction) -> None:

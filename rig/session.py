@@ -221,7 +221,9 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
             session.note("traceback", text=text[-2000:])
     except (IdentifyError, RecordingError) as error:
         fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
-    except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
+    except KeyboardInterrupt:  # a law has set Python's own handler
+        fault = Fault("INTERRUPTED", "SIGINT")
+    except BaseException as error:  # noqa: BLE001 - whatever it is, SystemExit too, the run has its record and a result
         fault = Fault("INTERNAL", f"{type(error).__name__}: {error}")
         session.note("traceback", text="".join(traceback.format_exception(error))[-2000:])
     finally:

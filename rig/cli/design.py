@@ -50,6 +50,7 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
     from rig.preflight.planned_tests import task_of_run
     from rig.recording.reader import read_result
     from rig.report import design_map as picture
+    from rig.results.meta import REHEARSAL
 
     if file is not None and file.suffix.lower() not in picture.FORMATS:
         fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(picture.FORMATS)}")
@@ -71,9 +72,17 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
         except OSError as error:
             fail(EXIT_FAILED, f"{file}: {error.strerror}", "choose a folder that you may write to")
     ok = bool(found.strokes or found.gains)
+    made_up = result is not None and bool(result.rehearsal)
     if as_json:
-        click.echo(json_text({"ok": ok, "model": str(model_run), **found.as_json()}), nl=False)
+        click.echo(
+            json_text(
+                {"ok": ok, "model": str(model_run), **({"rehearsal": True} if made_up else {}), **found.as_json()}
+            ),
+            nl=False,
+        )
     else:
+        if made_up:
+            click.echo(f"{model_run}: {REHEARSAL}")
         show_design(found)
         if file is not None:
             click.echo(f"picture: {file}")

@@ -73,7 +73,7 @@ def init(
     """
     from rig import preflight
     from rig.backends.links.usb_port import usb_port
-    from rig.backends.serial.flashing import flash_line
+    from rig.backends.serial.flashing import board_of
     from rig.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
@@ -171,7 +171,11 @@ def init(
     click.echo(
         f"`rig rehearse {shlex.quote(str(file))}` drives a made-up motor on it: does all fit, before you wire it?"
     )
-    click.echo(flash_line(experiment, board))
+    pico = " --board pico" if board == "pico" and (is_encoder or board_of(experiment) != "pico") else ""
+    click.echo(
+        f"switch the motor's supply off, then type: rig flash {shlex.quote(str(file))}{pico}; add --supply and "
+        "--end-switches if these are wired: the config does not say"
+    )
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
 

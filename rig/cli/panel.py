@@ -55,7 +55,7 @@ def panel(
         fail(
             EXIT_FAILED,
             f"the panel needs the package {error.name}, which is not installed",
-            "python3 -m pip install starlette uvicorn websockets, or in rig's clone: python3 -m pip install '.[panel]'",
+            "in rig's clone: make setup; elsewhere: python3 -m pip install starlette uvicorn websockets",
         )
     if (tls_cert is None) != (tls_key is None):
         fail(EXIT_BAD_INPUT, "--tls-cert and --tls-key belong together", "give both")

@@ -82,6 +82,7 @@ def tune(
 
     with patience("loading"):
         from rig.report import tuned_loop
+        from rig.results.meta import REHEARSAL
         from rig.run_tuning import Asked, tune_run, written_up
         from rig.tune.tuning import TuneError
 
@@ -118,8 +119,11 @@ def tune(
     failure = "" if outcome is None else outcome.failure
     if as_json:
         tried = {} if outcome is None else {"bench_run": str(outcome.folder), "bench_failure": failure}
-        click.echo(json_text({"ok": not failure, **result.as_json(), **tried}), nl=False)
+        made_up = {"rehearsal": True} if found.made_up else {}
+        click.echo(json_text({"ok": not failure, **made_up, **result.as_json(), **tried}), nl=False)
     else:
+        if found.made_up:
+            click.echo(f"{run_folder.name}: {REHEARSAL}")
         show_tuned(result)
         if file is not None:
             click.echo(f"picture: {file}")

@@ -352,14 +352,14 @@ def _with(config: str, key: str, value: str) -> str:
 
 def _with_introduction(config: str, answers: Answers, module: BridgeModule) -> str:
     """With the first comment, which speaks of the example, in words of this bench."""
+    board = BOARDS[answers.board]
     start, end = config.index("# A real bench"), config.index("#\n# Wiring that no software")
-    encoder = " --encoder" if answers.sensor == "encoder" else ""
     introduction = f"""\
-# A real bench: {BOARDS[answers.board].words}, {module.words}, DC gear motor,
+# A real bench: {board.words}, {module.words}, DC gear motor,
 # {SENSORS[answers.sensor]}. Written by `rig init`; what it asked is put in.
 # Every other number is an example of a plausible bench: measure yours, as the comments say, then run `rig check` on
 # this file. docs/real-bench.md has the wiring diagram and the first steps, one by one. The firmware for this bench:
-# `rig flash{BOARDS[answers.board].flash} --bridge {module.inputs} --baud 1000000{encoder}`.
+# `rig flash config/{board.example}.yaml{board.flash}`.
 """
     head = config[:start]
     without_schema = "\n".join(line for line in head.splitlines() if "yaml-language-server" not in line)

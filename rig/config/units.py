@@ -40,6 +40,9 @@ _FOREIGN: dict[str, tuple[str, float | None]] = {
 }
 
 
+_ENDINGS = sorted([*_FOREIGN, *(ending.lower() for ending in _WORDS)], key=len, reverse=True)
+
+
 def unit_of(key: str) -> str:
     """Unit of a key in words, "" if it has none: ``period_s`` -> "seconds"."""
     return next((words for ending, words in _WORDS.items() if key == ending or key.endswith(f"_{ending}")), "")
@@ -48,8 +51,7 @@ def unit_of(key: str) -> str:
 def stem_of(key: str) -> str:
     """A key without its unit, ours or another, in lower case: ``period_ms`` -> "period"."""
     lower = key.lower()
-    endings = sorted([*_FOREIGN, *(ending.lower() for ending in _WORDS)], key=len, reverse=True)
-    return next((lower[: -len(end) - 1] for end in endings if lower.endswith(f"_{end}")), lower)
+    return next((lower[: -len(end) - 1] for end in _ENDINGS if lower.endswith(f"_{end}")), lower)
 
 
 def converted(value: object, written: str, wanted: str) -> str:

@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, chdir, contextmanager
 from types import FrameType
 from typing import Final
 
@@ -37,6 +37,8 @@ _CLOSES_S: Final = 5.0
 _VIRTUAL_LEASE_S: Final = 2.0
 _LEAST_CPU_S: Final = 0.002  # page faults and interrupts have cost a good law up to 0.7 ms in one step
 _LOOK_EVERY_STEPS: Final = 50
+_STILL_S: Final = 1.0  # the loop's, besides its waits for replies: a busy machine
+_MOST_WAITS: Final = 12  # for a reply, one after the other: four requests that arm a device, three times each
 _NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
 
 
@@ -47,7 +49,10 @@ def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
         bound_s = max(0.5 * e.period_s, _LEAST_CPU_S)
         words += f", by default half a period, {1e3 * _LEAST_CPU_S:g} ms at least"
     lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
-    return LawTimes(math.inf if virtual else bound_s, _VIRTUAL_LEASE_S if virtual else lease_s, words)
+    still_s = lease_s + _STILL_S + _MOST_WAITS * e.daq.timeout_s
+    if virtual:
+        return LawTimes(math.inf, _VIRTUAL_LEASE_S, words, still_s)
+    return LawTimes(bound_s, lease_s, words, still_s)
 
 
 class WatchedLaw(Timed):
@@ -67,6 +72,7 @@ class WatchedLaw(Timed):
         self._lease = LawLease(-1)
         self._steps = 0
         self._began_cpu_ns = 0
+        self._pid = os.getpid()
 
     def step(self, sample: Sample) -> float:
         """As of ``Timed``. Raises Fault LAW_TIME and LAW_UNWATCHED besides."""
@@ -77,6 +83,8 @@ class WatchedLaw(Timed):
         try:
             u_V = super().step(sample)
         finally:
+            if os.getpid() != self._pid:
+                os._exit(1)  # a copy of this process that the law has forked: the bench is not its own
             if not lease.end() and keeper is not None:
                 keeper.await_verdict()
         if self._cpu_s() > self._times.cpu_s:
@@ -221,7 +229,7 @@ def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
     virtual = not isinstance(session.bench.clock, MonotonicClock)
     times = law_times(session.experiment, virtual=virtual)
     one = WatchedLaw(law, times, session.loop.check_stop)
-    with ExitStack() as stack:
+    with ExitStack() as stack, chdir("."):  # a law may go elsewhere; the run folder's path is from here
         if sys.platform.startswith("linux"):
             try:
                 keeper = one.keeper = Keeper(session, law, times)
@@ -231,6 +239,7 @@ def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
                 stack.callback(keeper.let_go)
                 stack.enter_context(_heard(one, keeper))
                 stack.callback(keeper.close)  # first: while it lives it may send its signal
+                stack.enter_context(session.loop.kept(keeper.lease))
         else:
             one.trouble = f"{_NOBODY}: {sys.platform} has not been tried"
         try:

@@ -120,7 +120,7 @@ class FrictionLawChoice:
         own = self.chosen.parameters
         return (
             "viscous friction is part of tau and K, and no motion can tell it from them; "
-            f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s^2/rad is the same with and without it"
+            f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s²/rad is the same with and without it"
         )
 
     def of(self, law: str) -> RankedLaw:

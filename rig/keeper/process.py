@@ -10,6 +10,9 @@ gave the law no processor, or in which it was stopped, does not; nor does time i
 First the keeper asks the law to end, by a signal. After the lease it takes the link, stops the device, kills the
 loop's process, which nothing else can end, and writes down what happened as soon as the recorder has ended.
 
+Between two steps the loop may stand still, too: a thread that the law has started may hold the interpreter. Where a
+drive may be on, and the loop has only slept for long, the keeper ends its process, and then stops the device.
+
 If the loop's process dies by itself meanwhile, as by `kill -9`, the keeper stops the device, too.
 """
 
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
 LOOK_EVERY_S: Final = 0.005
 _ASKS_AT: Final = 0.8  # of the lease: a law that sleeps so long would not be back in time
 _ASLEEP: Final = "SD"  # states of a thread; any other but R: stopped, or gone
+_GOES_ON_S: Final = 0.1  # after a look of the loop nothing is amiss
 _RECORDED_S: Final = 30.0
 _DIES_S: Final = 2.0
 
@@ -135,14 +139,17 @@ class Charge:
 class Watch:
     """Looks after the law until the run needs it no more, or the link is the keeper's.
 
-    signals  descriptor from which the loop's signals are read
+    signals   descriptor from which the loop's signals are read
+    can_stop  whether it can stop the device once the loop's process is gone
     """
 
-    def __init__(self, loop: Loop, lease: LawLease, signals: int) -> None:
+    def __init__(self, loop: Loop, lease: LawLease, signals: int, *, can_stop: bool) -> None:
         self.signal = ""  # the first that asked the loop to stop
         self.flagged = ""  # who did by the stop flag
         self.charge: Charge | None = None
-        self._loop, self._lease, self._signals = loop, lease, signals
+        self.still: Charge | None = None  # of the loop, since its last look
+        self._looks, self._looked_s = -1, 0.0
+        self._loop, self._lease, self._signals, self._can_stop = loop, lease, signals, can_stop
 
     def hear_of(self, flag: AskedStop) -> None:
         """Look at the run's flag until somebody asks for a stop; in a thread of its own, since a disk may hang."""
@@ -151,7 +158,7 @@ class Watch:
             time.sleep(LOOK_EVERY_S)
 
     def serve(self) -> str:
-        """Returns how it ended: "in order", "loop died", or "taken"."""
+        """Returns how it ended: "in order", "loop died", "taken", or "still"."""
         while True:
             ready = select.select([0, self._signals], [], [], LOOK_EVERY_S)[0]
             if 0 in ready:
@@ -163,6 +170,8 @@ class Watch:
             try:
                 if self._is_over():
                     return "taken"
+                if self._stands_still():
+                    return "still"
             except OSError:
                 continue  # the loop's process is just ending: the next look sees that
 
@@ -196,6 +205,21 @@ class Watch:
             return False
         return charge.asked and charge.used_s >= times.lease_s and self._lease.take(step)
 
+    def _stands_still(self) -> bool:
+        """Whether the loop has slept for too long between two steps, with a drive that may be on.
+
+        A loop whose device only its own driver can stop may yet do that: there somebody has to ask for it.
+        """
+        loop, lease, now_s = self._loop, self._lease, time.monotonic()
+        if lease.looks != self._looks or lease.at_work or not lease.drives:
+            self._looks, self._looked_s, self.still = lease.looks, now_s, None
+        elif now_s - self._looked_s > _GOES_ON_S and (self._can_stop or self.signal or self.flagged):
+            state, ran_s = loop.thread()
+            self.still = self.still or Charge(0, ran_s)
+            self.still.look(state, ran_s)
+            return self.still.asleep_s > loop.times.still_s
+        return False
+
 
 def main(arguments: list[str]) -> int:
     """Keep the run until its loop says that it is over, or is not."""
@@ -209,11 +233,14 @@ def main(arguments: list[str]) -> int:
     stopper = _stopper(loop.folder, link)
     with contextlib.suppress(OSError):  # it is gone already, which the watch sees
         os.write(1, READY)
-    watch = Watch(loop, lease, signals)
+    watch = Watch(loop, lease, signals, can_stop=stopper is not None)
     threading.Thread(target=watch.hear_of, args=(AskedStop(loop.folder),), daemon=True).start()
     ended = watch.serve()
     if ended == "in order":
         return 0
+    if ended == "still":  # first, or it could go on and speak on the link
+        os.kill(loop.pid, signal.SIGKILL)
+        _await_death(loop)
     # if the loop died nobody holds the lease: its last drive would stay on where the device has no watchdog
     confirmed = _stop(stopper)
     if ended == "taken":
@@ -224,11 +251,11 @@ def main(arguments: list[str]) -> int:
             confirmed = _stop(stopper)
     if link is not None:
         os.close(link)  # the next run may have the port
-    charge = watch.charge
+    charge = watch.still if ended == "still" else watch.charge
     if ended == "loop died" or charge is None:
         _add_events(loop, _stop_event(loop, confirmed, 0.0))
     else:
-        fault = Fault("LAW_TIME", _words(loop, watch, charge, confirmed))
+        fault = Fault("LAW_TIME", _words(loop, watch, charge, confirmed, still=ended == "still"))
         _conclude(loop, fault, _stop_event(loop, confirmed, charge.late_s))
     return 0
 
@@ -290,14 +317,20 @@ def _await_death(loop: Loop) -> None:
         time.sleep(LOOK_EVERY_S)
 
 
-def _words(loop: Loop, watch: Watch, charge: Charge, confirmed: bool) -> str:
+def _words(loop: Loop, watch: Watch, charge: Charge, confirmed: bool, *, still: bool) -> str:
     """What happened, for people."""
-    if loop.is_real:
+    if still:
+        what = (
+            f"the law {loop.law}: between two of its steps rig had no turn for {charge.asleep_s:.1f} s, as where a "
+            "thread that the law has started holds Python"
+        )
+    elif loop.is_real:
         what = too_long_words(loop.law, "its step did not return: it had taken", charge.cpu_s, loop.times)
-        stopped = "the keeper stopped the device" if confirmed else f"no stop could be written: {_left(loop)}"
     else:
         what = f"the law {loop.law}: its step did not return within {loop.times.lease_s:g} s of its time"
-        stopped = "nothing moves in virtual time"
+    stopped = "nothing moves in virtual time"
+    if loop.is_real:
+        stopped = "the keeper stopped the device" if confirmed else f"no stop could be written: {_left(loop)}"
     asked = watch.signal or (watch.flagged and f"the Stop by {watch.flagged}")
     heeded = f"it heeded no signal{f', nor {asked}' if asked else ''}, so rig's process was ended"
     return f"{what}; {heeded}; {stopped}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from typing import Final, NamedTuple
 
@@ -16,11 +17,13 @@ class LawTimes(NamedTuple):
     cpu_s    CPU time; infinite in virtual time, where no shaft waits for it
     lease_s  time that it is at work or asleep, until the keeper takes the link; in virtual time since a signal or Stop
     words    what bounds the CPU time, for people
+    still_s  time that the loop may stand still between two steps while a drive may be on
     """
 
     cpu_s: float
     lease_s: float
     words: str
+    still_s: float = math.inf
 
 
 def asks() -> int:

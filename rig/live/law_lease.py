@@ -14,6 +14,8 @@ SIZE: Final = 4096
 _COUNT: Final = 0  # steps begun so far
 _AT_WORK: Final = 1  # number of the step in which the law is; 0: in none
 _CPU_NS: Final = 2  # CPU time of the loop's thread when that step began
+_LOOKS: Final = 3  # of the loop at what asks for a stop: each tick one
+_DRIVES: Final = 4  # 1: a drive may be on
 _TAKEN: Final = 8  # 1: the link is the keeper's; this and the next on a cache line of their own
 _ASKED: Final = 9  # number of the step that the keeper has asked to end
 _SEEN_S: Final = 0.002  # by far enough for a write to be seen by another processor
@@ -44,6 +46,14 @@ class LawLease:
         self._words[_AT_WORK] = 0
         return self._words[_TAKEN] == 0
 
+    def look(self) -> None:
+        """The loop goes on."""
+        self._words[_LOOKS] += 1
+
+    def tell_drive(self, *, is_on: bool) -> None:
+        """Tell whether a drive may be on from now on."""
+        self._words[_DRIVES] = is_on
+
     @property
     def is_asked(self) -> bool:
         """Whether the keeper has asked the step in which the law is to end, and not an earlier one."""
@@ -60,6 +70,16 @@ class LawLease:
     def cpu_ns(self) -> int:
         """CPU time of the loop's thread when the step began, ns."""
         return self._words[_CPU_NS]
+
+    @property
+    def looks(self) -> int:
+        """How often the loop has looked so far."""
+        return self._words[_LOOKS]
+
+    @property
+    def drives(self) -> bool:
+        """Whether a drive may be on."""
+        return self._words[_DRIVES] != 0
 
     def ask(self, step: int) -> None:
         """Ask that step to end; a signal has to follow."""

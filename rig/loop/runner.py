@@ -11,9 +11,10 @@ from contextlib import contextmanager
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, PulseDriver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
 from rig.control.guard import WINDOW_S, Guard
-from rig.control.law import Law, Pulsed
+from rig.control.law import Law, Pulsed, Timed
 from rig.control.motion import is_obeyed
 from rig.faults import Fault
+from rig.live.law_lease import LawLease
 from rig.loop.device_relay import DeviceRelay
 from rig.loop.link_watch import LinkWatch
 from rig.loop.pause_watch import PauseWatch
@@ -121,6 +122,7 @@ class Loop:
             gc.collect()  # in the middle of a tick it would delay the drive
         gc.disable()
         try:
+            self._stop.take_signals()  # a driver's library may have others
             self._stop.tell_drive(is_on=True)
             self.check_stop()  # who asked before this was told that nothing drives yet
             self.guard.rearm()
@@ -134,6 +136,15 @@ class Loop:
         if not stopped:
             raise Fault("STOP_UNCONFIRMED")
         self.pause_watch.begin()
+
+    @contextmanager
+    def kept(self, lease: LawLease) -> Iterator[None]:
+        """For the block, a keeper sees by the lease that the loop goes on, and whether a drive may be on."""
+        self._stop.lease = lease
+        try:
+            yield
+        finally:
+            self._stop.lease = None
 
     def close(self) -> None:
         """Let go of the driver. May be called twice."""
@@ -168,8 +179,11 @@ class Loop:
         """
         self._record.event(self.now_s, "stage", name=stage)
         self._write = self._writer(law)
+        is_own = isinstance(law, Timed)
         while not law.finished:
             sample = self._run_tick(law, stage)
+            if is_own:
+                self._stop.take_signals()
             if watch is not None:
                 watch(sample.t_s)
 

@@ -12,6 +12,7 @@ from types import FrameType
 
 from rig.control.law import Stopped, is_of_own_law
 from rig.faults import Fault
+from rig.live.law_lease import LawLease
 from rig.live.stop_flag import StopFlag
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
@@ -29,6 +30,8 @@ class StopRequest:
     def __init__(self, flag: StopFlag | None = None, gone: Gone | None = None) -> None:
         self.reason: str | None = None
         self.flag = flag
+        self.held: tuple[signal.Signals, ...] = ()  # signals that are this request's
+        self.lease: LawLease | None = None  # where a keeper sees that the loop goes on
         self._gone = gone
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
@@ -40,8 +43,17 @@ class StopRequest:
 
     def tell_drive(self, *, is_on: bool) -> None:
         """Tell others whether a drive may be on. Raises Fault as ``StopFlag.tell_drive``."""
+        if self.lease is not None:
+            self.lease.tell_drive(is_on=is_on)
         if self.flag is not None:
             self.flag.tell_drive(is_on=is_on)
+
+    def take_signals(self) -> None:
+        """Take the signals back from others' code in this process, which may have taken or blocked them, also in C."""
+        for number in self.held:
+            signal.signal(number, self)
+        if self.held and hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, self.held)
 
     @property
     def is_for_all(self) -> bool:
@@ -50,6 +62,8 @@ class StopRequest:
 
     def look(self) -> str | None:
         """The reason, after a look at the flag, and at whether those are there who have to be."""
+        if self.lease is not None:
+            self.lease.look()
         if self.reason is None and self.flag is not None:
             by = self.flag.asked_by()
             self.reason = f"Stop by {by}" if by else None
@@ -66,8 +80,11 @@ def stop_on_signals(flag: StopFlag | None = None, gone: Gone | None = None) -> I
     """
     request = StopRequest(flag, gone)
     before = {number: signal.signal(number, request) for number in STOP_SIGNALS}
+    request.held = STOP_SIGNALS
+    request.take_signals()
     try:
         yield request
     finally:
+        request.held = ()
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -160,7 +160,10 @@ def watchdog_words(e: Experiment) -> str:
     told = f"watchdog: {1e3 * watchdog_s:g} ms, through which a host that stands still does no harm"
     if watchdog_s > longest_s * (1.0 + _ROUNDING):
         left_ms, wanted_ms = 1e3 * max(room_for_delay_s(e), 0.0), 1e3 * _LEFT_FOR_DELAY_S
-        return f"{told}; room for {left_ms:.0f} ms of further delay is left, with {longest_s:g} s {wanted_ms:.0f} ms"
+        return (
+            f"{told}; that leaves room for {left_ms:.0f} ms of further delay; with daq.watchdog_s {longest_s:g} it "
+            f"would be {wanted_ms:.0f} ms"
+        )
     if watchdog_s >= longest_s * (1.0 - _ROUNDING):
         return told
     longer = e.model_copy(update={"daq": e.daq.model_copy(update={"watchdog_s": longest_s})})

@@ -16,7 +16,7 @@ import numpy as np
 from rig.recording.columns import COLUMNS
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import OWN_NAMES, UNITS
+from rig.recording.log_format import OWN_NAMES, UNITS, sounds_like, units_said
 from rig.recording.log_mends import runs_of, unwrapped_clock
 from rig.recording.recording import MIN_ROWS, Columns, Recording, assembled
 
@@ -104,11 +104,13 @@ def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:
         )
     if missing:
         there = ", ".join(shown(name) for name in names[:20])
-        guesses = {name: _did_you_mean(name, names) for name in missing}
+        own = {name: quantity for quantity, name in OWN_NAMES.items()}
+        guesses = {name: _did_you_mean(name, own[name], names) for name in missing}
         hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items() if guess]
         cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
-        own = {name: quantity for quantity, name in OWN_NAMES.items()}
-        options = [f"--{own[name]} {quote(f'{guesses[name]}:{name[2:]}')}" for name in missing if guesses[name]]
+        options = [_option(own[name], guess) for name, guess in guesses.items() if guess]
+        if "y_rad" in missing and not guesses["y_rad"]:
+            options += [_option("velocity", name) for name in names if sounds_like(name, "velocity")][:1]
         cure += f"; or {_OR_SAY} {' '.join(options) or '--time ms --drive pwm --position counts'}"
         raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
     for name in names:
@@ -127,13 +129,25 @@ def _refuse_other_units(text: CsvText, header: Sequence[str]) -> None:
             raise RecordingError(text.path, cause, cure, text.numbers[0] + 1)
 
 
-def _did_you_mean(name: str, there: Sequence[str]) -> str | None:
+def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
+    """The column that may be ``name``: by a usual name, by a unit in its name, or by its spelling."""
     unclaimed = {other.lower(): other for other in there if other not in COLUMNS}
     for other in (name.lower(), *_OTHER_NAMES[name]):
         if other in unclaimed:
             return unclaimed[other]
+    of_name = [other for other in unclaimed.values() if sounds_like(other, quantity)]
+    of_unit = [other for other in unclaimed.values() if units_said(other, quantity)]
+    for found in (of_name, of_unit):
+        if len(found) == 1:
+            return found[0]
     close = difflib.get_close_matches(name.lower(), [other[:100] for other in unclaimed], n=1, cutoff=0.5)
     return unclaimed.get(close[0]) if close else None
+
+
+def _option(quantity: str, name: str) -> str:
+    """The option that takes this column, in the unit that its name says, else in rig's own."""
+    unit = next(iter(sorted(units_said(name, quantity))), next(iter(UNITS[quantity])))
+    return f"--{quantity} {quote(f'{name}:{unit}')}"
 
 
 def _while_time_rises(columns: Columns, numbers: Sequence[int], notes: list[str]) -> Columns:

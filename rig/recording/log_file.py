@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import LARGEST, NAMES_UNIT, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, words_of
+from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, units_said
 from rig.recording.log_mends import (
     Summed,
     has_no_sign,
@@ -222,8 +222,7 @@ def _refuse_other_units(
     for quantity, (name, of_units) in said_of.items():
         given = choices[quantity]
         said = {of_units} & UNITS[quantity].keys()
-        for text in (of_units, name):
-            said = said or {unit for word in words_of(text) if (unit := NAMES_UNIT[quantity].get(word))}
+        said = said or units_said(of_units, quantity) or units_said(name, quantity)
         if given.column is None and said and given.unit not in said:
             raise RecordingError(
                 path,

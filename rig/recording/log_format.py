@@ -42,12 +42,13 @@ NAMES_UNIT: Final = {
         "sec": "s",
         "seconds": "s",
     },
-    "drive": {"pwm": "pwm", "duty": "duty", "volts": "V"},
+    "drive": {"pwm": "pwm", "duty": "duty", "volts": "V", "mv": "mV"},
     "position": {
         "rad": "rad",
         "radians": "rad",
         "deg": "deg",
         "degrees": "deg",
+        "grad": "deg",
         "turns": "turns",
         "count": "counts",
         "counts": "counts",
@@ -75,6 +76,11 @@ def words_of(name: str) -> list[str]:
 def sounds_like(name: str, quantity: str) -> bool:
     """Whether the first word of a column's name is a usual one for this quantity."""
     return any(word in USUAL_NAMES[quantity] for word in words_of(name)[:1])
+
+
+def units_said(name: str, quantity: str) -> set[str]:
+    """The units of this quantity that a column's name says."""
+    return {unit for word in words_of(name) if (unit := NAMES_UNIT[quantity].get(word))}
 
 
 class LogFormatError(RigError):

@@ -12,6 +12,7 @@ from rig.recording.errors import RecordingError
 MAX_BYTES: Final = 256 * 2**20
 MOST_LINES: Final = 4_000_000  # 11 hours at 10 ms, or 256 MiB of rows
 LONGEST_LINE: Final = 2**20  # characters
+MOST_PARTS: Final = 30  # of a file of a run: one for each disk that failed; each costs a copy of all
 
 
 def is_folder(path: Path) -> bool:
@@ -50,6 +51,10 @@ def whole_content(path: Path, *, own: bool = False) -> tuple[bytes, list[str]]:
     """
     content, notes = content_of(path, own=own), []
     beside = [(part, part.name.rpartition(".from-")[2]) for part in path.parent.glob(f"{escape(path.name)}.from-*")]
+    if len(beside) > MOST_PARTS:
+        raise RecordingError(
+            path, f"goes on in more than {MOST_PARTS} files {path.name}.from-*", "delete what is not of it"
+        )
     for part, number in sorted(((part, int(text)) for part, text in beside if text.isdecimal()), key=lambda p: p[1]):
         missing = number - len(content)
         notes.append(f"the disk failed: from byte {number} on it is {part.name}")

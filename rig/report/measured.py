@@ -229,7 +229,18 @@ def portraits(run: ReportedRun) -> Picture:
     _name_planes(left, "RA: v = 0", "#009E73")
     _name_planes(right, "RC: z = 0", "#D55E00")
     for axes in (left, right):  # the middle of a cycle is empty
-        axes.legend(loc="center", markerscale=2.0, frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
+        handles, labels = axes.get_legend_handles_labels()
+        order = sorted(range(len(labels)), key=lambda k: not labels[k].startswith("relay"))
+        axes.legend(
+            [handles[k] for k in order],
+            [labels[k] for k in order],
+            loc="center",
+            markerscale=2.0,
+            frameon=True,
+            facecolor="white",
+            edgecolor="none",
+            framealpha=0.9,
+        )
     source = "the tachometer" if has_tachometer(run) else "the central difference of the position"
     return render(
         figure, run.backend, "Phase portraits of the relay tests with the switching planes.",
@@ -354,7 +365,7 @@ def gain_search(run: ReportedRun) -> Picture:
     gains.set_xlim(begin, t[-1] + 0.02 * (t[-1] - begin))
     settled = int(np.isfinite(amplitude).sum())
     why = {s.outcome for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a)} - {""}
-    others = f" The others: {'; '.join(sorted(why))}." if why else ""
+    others = f" Why the others did not: {'; '.join(sorted(why))}." if why else ""
     return render(
         figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
         f"Gain search: it raises h2 until a cycle settles, then trims both gains towards the wanted amplitude and "

@@ -23,7 +23,7 @@ def test_its_answers_stand_in_a_config_that_check_accepts(tmp_path: Path) -> Non
     file = tmp_path / "bench.yaml"
     made = rig("init", file, *ANSWERED, "--supply-V", 9, "--travel-deg", 80, "--tests", "full")
     assert made.exit_code == 0, made.output
-    assert "rig flash --port /dev/ttyUSB0 --bridge in1-in2 --baud 1000000" in made.stdout
+    assert f"then type: rig flash {file}; " in made.stdout
     e = load(file)
     assert (e.name, e.daq.port, e.drive.bridge, e.drive.supply_V, e.drive.bridge_drop_V) == (
         "bench", "/dev/ttyUSB0", "in1-in2", 9.0, 2.0,
@@ -61,7 +61,7 @@ def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch:
         main, ["init", "pico.yaml"], input="pico\nencoder\ntb6612\nturns\n/dev/ttyUSB3\n9\n64\n50\n20\n200\nquick\n"
     )
     assert told.exit_code == 0, told.output
-    assert "rig flash --board pico --port /dev/ttyUSB3 --bridge in1-in2 --baud 1000000 --encoder" in told.output
+    assert "rig flash pico.yaml --board pico; " in told.output
     e = load(tmp_path / "pico.yaml")
     assert e.sensor.encoder is not None and e.sensor.encoder.gear == 50.0 and e.limits.turns == 20.0
     assert e.relay.until is not None and e.relay.target is None

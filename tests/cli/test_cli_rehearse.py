@@ -68,6 +68,7 @@ def test_each_command_that_reads_it_says_so(rehearsal: Path, tmp_path: Path) -> 
     assert rig("identify", rehearsal, "--report", page).stdout.startswith(REHEARSAL)
     assert "<title>Rehearsal: " in page.read_text(encoding="utf-8")
     assert json.loads(rig("identify", rehearsal, "--json").stdout)["rehearsal"] is True
+    assert rig("tune", rehearsal, "--draws", 39).stdout.startswith(f"{rehearsal.name}: {REHEARSAL}")
     listed = json.loads(rig("list", rehearsal.parent, "--json").stdout)
     assert [run["rehearsal"] for run in listed["runs"]] == [True]
     assert "rehearsal: done" in rig("list", rehearsal.parent).stdout

@@ -24,7 +24,7 @@ from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 import rig
 from faults import hanging_laws
 from rig.config import load
-from rig.control.law import Timed
+from rig.control.law import Rest, Timed
 from rig.experiment import law_watch
 from rig.experiment.law_watch import WatchedLaw, law_times
 from rig.faults import Fault
@@ -199,7 +199,7 @@ class Watched:
         self.ran_s, self.state = 0.0, "R"
         self.lease = LawLease(-1)
         loop: Any = SimpleNamespace(pid=1, is_real=is_real, times=bounds, thread=lambda: (self.state, self.ran_s))
-        self.watch = law_keeper.Watch(loop, self.lease, -1)
+        self.watch = law_keeper.Watch(loop, self.lease, -1, can_stop=is_real)
         kill = SimpleNamespace(kill=lambda pid, number: self.asked.append(clock[0]))
         monkeypatch.setattr(law_keeper, "os", kill)
 
@@ -294,6 +294,49 @@ def test_the_keeper_asks_at_once_where_somebody_has_pressed_stop(
     assert asked_s - began_s <= 2.5 * LOOK_EVERY_S
 
 
+def ended_still_after_s(one: Watched, for_s: float, looks_every_s: float = math.inf) -> float:
+    """When the keeper ends a loop that stands still between two steps, s; nan: it does not. Its looks end that."""
+    began_s = looked_s = one.clock[0]
+    while one.clock[0] < began_s + for_s:
+        if one.watch._stands_still():
+            return one.clock[0] - began_s
+        one.clock[0] += LOOK_EVERY_S
+        if one.clock[0] - looked_s >= looks_every_s:
+            one.lease.look()
+            looked_s = one.clock[0]
+    return math.nan
+
+
+def test_a_loop_that_stands_still_between_two_steps_is_ended_where_a_drive_may_be_on(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Watched(clock, monkeypatch, times(), is_real=True)
+    one.state = "S"
+    still_s = times().still_s
+    assert still_s > times().lease_s + 1.0, "what stops a drive has its time"
+    assert math.isnan(ended_still_after_s(one, 10.0)), "nothing drives"
+    one.lease.tell_drive(is_on=True)
+    assert math.isnan(ended_still_after_s(one, 10.0, looks_every_s=1.0)), "the loop goes on"
+    one.state = "T"
+    assert math.isnan(ended_still_after_s(one, 10.0)), "somebody has stopped it"
+    one.state = "S"
+    one.lease.look()
+    assert still_s < ended_still_after_s(one, 10.0) < still_s + 0.2
+    one.lease.begin(0)
+    assert math.isnan(ended_still_after_s(one, 10.0)), "the law is at work: it has a lease of its own"
+
+
+def test_a_loop_that_the_keeper_could_not_replace_is_ended_only_if_somebody_asks(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Watched(clock, monkeypatch, times(), is_real=False)
+    one.state = "S"
+    one.lease.tell_drive(is_on=True)
+    assert math.isnan(ended_still_after_s(one, 10.0))
+    one.watch._hear(bytes([signal.SIGTERM]))
+    assert ended_still_after_s(one, 10.0) > times().still_s
+
+
 # ---------------------------------------------------------------------- the keeper's process
 
 
@@ -353,6 +396,15 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
     with hanging_laws.offered(again):
         assert command("replay", folder).exit_code == 0
     assert command("report", folder).exit_code == 0
+
+
+def test_a_thread_of_a_law_that_holds_python_between_two_steps_does_not_keep_a_signal_away(tmp_path: Path) -> None:
+    host = hanging(tmp_path, hanging_laws.THREAD)
+    host.terminate()
+    said = host.communicate()[1]
+    assert host.returncode == -signal.SIGKILL and "LAW_TIME" in said and "SIGTERM" in said
+    [folder] = (tmp_path / "runs").iterdir()
+    wait_until(lambda: '"fault"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
 
 
 def test_a_stop_of_a_panel_ends_a_law_that_does_not_return(tmp_path: Path) -> None:
@@ -420,3 +472,62 @@ def test_where_a_motor_could_move_no_law_begins_without_its_keeper(
         rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path)
     [samples] = tmp_path.glob("*/samples.csv")
     assert len(samples.read_text(encoding="utf-8").splitlines()) == 1, "a header, and no row"
+
+
+class GoesAway:
+    """A law that goes to another folder."""
+
+    def step(self, sample: Sample) -> float:
+        os.chdir("/")
+        return 0.3
+
+
+def test_a_law_that_changes_the_folder_leaves_the_run_in_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = rig.run(rig.ready("simulated"), law=GoesAway(), duration_s=0.5, out=Path("runs"))
+    assert run.failure == "" and Path.cwd() == tmp_path
+    [folder] = (tmp_path / "runs").glob("2*")
+    assert (folder / "report.html").exists() and not (folder / "stop.flag").exists()
+
+
+class Forks:
+    """A law that makes a copy of the process, which goes on, too."""
+
+    copy: int | None = None
+
+    def step(self, sample: Sample) -> float:
+        if self.copy is None:
+            self.copy = os.fork()
+        return 0.3
+
+
+def test_a_copy_of_the_process_that_a_law_has_forked_drives_nothing() -> None:
+    law = Forks()
+    try:
+        fault, _ = driven(WatchedLaw(Timed(law, 0.3, "own"), times(law_cpu_s=0.5)))
+    finally:
+        if law.copy == 0:
+            os._exit(7)  # the copy has come out of the loop
+    assert fault is None and law.copy is not None
+    assert os.waitstatus_to_exitcode(os.waitpid(law.copy, 0)[1]) == 1
+
+
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit])
+def test_what_is_raised_into_the_loop_itself_ends_a_run_with_its_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, raised: type[BaseException]
+) -> None:
+    """As by a law's own handler of a signal, or by a thread of its own."""
+    step, steps = Rest.step, [0]
+
+    def fails(rest: Rest, sample: Sample) -> float:
+        steps[0] += 1
+        if steps[0] > 9:
+            raise raised
+        return step(rest, sample)
+
+    monkeypatch.setattr(Rest, "step", fails)
+    run = rig.run(rig.ready("simulated"), law=GoesAway(), duration_s=0.5, out=tmp_path)
+    assert run.failure.startswith("INTERRUPTED" if raised is KeyboardInterrupt else "INTERNAL")
+    assert [event.kind for event in run.events][-2:] == ["fault", "end"]

@@ -180,3 +180,14 @@ def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> Non
     answer = answered(recorded(motor, (3.0, 5.0, 7.0)), recorded(motor, (2.0, 4.0, 6.0), seed=2))
     assert answer.law is not None and [law.name for law in answer.law] == ["drift_each"]
     assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_filter_in_the_reading_is_named_and_undone() -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0))
+    filtered, keep = y_rad.copy(), math.exp(-PERIOD_S / 0.045)
+    for k in range(1, filtered.size):
+        filtered[k] = keep * filtered[k - 1] + (1.0 - keep) * 0.5 * (y_rad[k - 1] + y_rad[k])
+    found = found_in((t_s, u_V, filtered))
+    assert found.answer is not None and right(found.answer, MOTOR, 0.05, "tau_s", "K_rad_s_V", "fc_V")
+    (named,) = [note for note in found.notes if "low-passed" in note]
+    assert float(named.partition("low-passed by ")[2].split()[0]) == pytest.approx(45.0, rel=0.1)

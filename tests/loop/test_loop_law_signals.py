@@ -133,6 +133,37 @@ def test_a_law_that_swallows_the_signal_and_returns_ends_at_the_next_tick() -> N
     assert device.truth().pin_V == 0.0 and len(record.rows) == FROM_TICK
 
 
+def ignores() -> None:
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def blocks() -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+
+
+@pytest.mark.parametrize("takes", [ignores, blocks])
+def test_a_law_that_takes_the_signals_does_not_keep_them(takes: Callable[[], None]) -> None:
+    """Here it takes them in its 30th step; the signal comes while the loop reads in the tick after it."""
+    device, seen = VirtualBoard(DEMO, 3), list[str]()
+    with stop_on_signals() as stop:
+        loop, record = loop_on(device, stop)
+        read, ticks = loop._driver.read, [0]
+
+        def interrupted() -> Sample:
+            ticks[0] += 1
+            if ticks[0] == FROM_TICK + 1:
+                signal.raise_signal(signal.SIGINT)
+                seen.append("SIGINT")
+            return read()
+
+        loop._driver.read = interrupted  # type: ignore[method-assign]
+        with pytest.raises(Fault, match="SIGINT"), loop.armed(LIMITS):
+            loop.run(Timed(HangsFrom(takes), 5.0, "own"), "law")
+    assert seen and device.truth().pin_V == 0.0
+    assert record.events[-1]["kind"] == "stop" and record.events[-1]["confirmed"] is True
+
+
 def interrupting(owner: Any, name: str, seen: list[str]) -> None:
     """Let a signal arrive in each call of this method, from its 20th on; ``seen`` grows when it has run to its end."""
     method = getattr(owner, name)

@@ -14,9 +14,11 @@ import pytest
 
 from rig.faults import Fault
 from rig.recording import layout
+from rig.recording.errors import RecordingError
 from rig.recording.layout import ROW, SharedMemory
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
+from rig.recording.text_file import MOST_PARTS
 from rig.recording.writer import AppendOnlyFile, Writer
 from rig.report.source import load
 from rig.signals import Sample
@@ -212,6 +214,14 @@ def test_a_gap_before_the_other_file_is_said(bench: Bench) -> None:
         f"the disk failed: from byte {end} on it is samples.csv.from-{end}",
         f"it is torn before that: {end - cut - 9} bytes are lost",
     )
+
+
+def test_more_parts_than_disks_could_fail_are_refused(bench: Bench) -> None:
+    size = (bench.folder / "samples.csv").stat().st_size
+    for k in range(MOST_PARTS + 1):
+        (bench.folder / f"samples.csv.from-{size + k}").write_bytes(b"x")
+    with pytest.raises(RecordingError, match="more than 30 files"):
+        read_run(bench.folder)
 
 
 def test_the_run_ends_and_says_where_the_rest_is(tmp_path: Path) -> None:

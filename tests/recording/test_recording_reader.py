@@ -243,6 +243,13 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("t_s,u_V,y_rad\ns,V,deg\n0,1,0.1\n1,1,0.2\n2,1,0.3\n", 2, "'deg', by.*type --position y_rad:deg"),
         ("t_s,u_V,y_rad\nnow,1,0.1\n1,1,0.2\n2,1,0.3\n", 2, "column t_s: 'now' is not a number"),
         ("t u y\n" + ROWS.replace(",", " "), 1, "such as --time t:s --drive u:V --position y:rad$"),
+        (
+            "time_ms,voltage_mV,angle_deg\n" + ROWS,
+            1,
+            "--time time_ms:ms --drive voltage_mV:mV --position angle_deg:deg$",
+        ),
+        ("millis,pwm,count\n" + ROWS, 1, "--time millis:ms --drive pwm:pwm --position count:counts$"),
+        ("t_s,u_V,rpm\n" + ROWS, 1, "--velocity rpm:rpm$"),
         (b"\x1f\x8b\x08\x00rest", None, "gzip.*gunzip"),
         (b"PK\x03\x04rest\n", None, "Excel workbook"),
         ("t_s,u_V,y_rad\n0,1,0.1\n\n# c\n0,1,0.2\n2,1,0.3\n", 5, "repeats the time"),

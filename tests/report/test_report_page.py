@@ -207,8 +207,8 @@ def test_a_run_in_which_no_law_was_found_has_none_and_ok_names_both_of_its_bound
     page = page_of(run)
     assert "The answer is the motor with these laws" not in page.words
     assert (
-        "A verdict ok asks for at most 2.5 % of each, and that laws which the tests do not exclude move none of them "
-        "by more than 5 %: that may be wrong with a probability of at most 1 %."
+        "The verdict is ok if each is at most 2.5 %, and if no law that the tests leave open can move one by more than "
+        "5 %; the chance that one still does is at most 1 %."
     ) in page.words
 
 

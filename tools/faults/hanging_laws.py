@@ -9,7 +9,9 @@ import collections
 import contextlib
 import ctypes
 import itertools
+import os
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,31 +52,55 @@ def _locked() -> None:
 
 
 WAYS = {"spins": _spins, "swallows": _swallows, "sleeps": _sleeps, "in C": _in_c, "locked": _locked}
+THREAD = "thread"  # another way: the law returns, and then a thread of it holds the interpreter between two steps
 
 
 class Hangs:
     """Drives with ``u_V`` to and fro; ``after_s`` after its begin it does not return.
 
-    way   of ``WAYS``
+    way   of ``WAYS``, or ``THREAD``
     mark  file that it writes the time to just before, by the monotonic clock
     """
 
     def __init__(self, way: str, mark: str, u_V: float = 0.7, after_s: float = 1.0) -> None:
-        self._hang, self._mark = WAYS[way], Path(mark)
+        self._hang, self._mark = WAYS.get(way, self._begin_thread), Path(mark)
+        self._at_work = self._has_thread = False
         self._u_V, self._after_s = u_V, after_s
         self._began_s: float | None = None
 
     def step(self, sample: Sample) -> float:
         """As of a law."""
+        self._at_work = True
+        u_V = self._step(sample)
+        self._at_work = False
+        return u_V
+
+    def _step(self, sample: Sample) -> float:
         if self._began_s is None:
             self._began_s = sample.t_s
         t_s = sample.t_s - self._began_s
         if t_s >= self._after_s and sample.u_V != 0.0:
-            fresh = self._mark.with_suffix(".new")
-            fresh.write_text(repr(time.monotonic()), encoding="ascii")
-            fresh.rename(self._mark)
+            if self._hang != self._begin_thread:
+                self._written().rename(self._mark)
             self._hang()
         return self._u_V if t_s % PERIOD_S < PERIOD_S / 2 else -self._u_V
+
+    def _written(self) -> Path:
+        fresh = self._mark.with_suffix(".new")
+        fresh.write_text(repr(time.monotonic()), encoding="ascii")
+        return fresh
+
+    def _begin_thread(self) -> None:
+        if not self._has_thread:
+            self._has_thread = True
+            threading.Thread(target=self._hold, daemon=True).start()
+
+    def _hold(self) -> None:
+        rename, paths = ctypes.PyDLL(None).rename, (os.fsencode(self._written()), os.fsencode(self._mark))
+        while self._at_work:
+            pass
+        rename(*paths)  # it keeps the interpreter: nobody comes between
+        _in_c()
 
 
 def section(way: str, mark: Path) -> dict[str, Any]:

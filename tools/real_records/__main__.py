@@ -86,12 +86,12 @@ def entries(kind: str, data: Path, scratch: Path) -> Iterator[Entry]:
         for file in sorted((data / kind).glob("*.csv")):
             name = file.stem
             sets.setdefault("tu_A" if name.startswith("tu_A") else name, []).append(str(file))
-        for name, files in sets.items():
-            head = Path(files[0]).read_text().partition("\n")[0].split(",")
+        for name, each in sets.items():
+            head = Path(each[0]).read_text().partition("\n")[0].split(",")
             what, _, unit = head[2].partition("_")
             flag = f"--{what}"
             unit = {"deg_s": "deg/s"}.get(unit, unit)
-            yield Entry(name, (*files, "--time", "t_s:s", "--drive", "u_V:V", flag, f"{head[2]}:{unit}"))
+            yield Entry(name, (*each, "--time", "t_s:s", "--drive", "u_V:V", flag, f"{head[2]}:{unit}"))
 
 
 def identified(entry: Entry) -> tuple[dict[str, Any] | None, str, float]:
