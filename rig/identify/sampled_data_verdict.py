@@ -25,8 +25,6 @@ SLIPPED = 0.3  # of a period: largest difference between the recorded times of t
 AT_BOUND = 0.9995  # of the longest delay that is looked for
 REACH_PERIODS = 2.5  # periods: differences that are looked for
 TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
-UNEVEN = 0.2  # of a period: rows so far from even ones show whose time they have
-STAMPED, STAMPED_NOISES = 0.6, 2.0  # residual with other times over that as recorded; that over the sensor's noise
 VAGUE = 4.0  # times the scatter of a prediction: two standard deviations
 STUCK = 0.3  # share of the time in which the motor stands still under a drive
 
@@ -42,7 +40,7 @@ def judge(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     estimate = _asymmetry(estimate)
     if estimate.verdict == "refused":
         return estimate
-    estimate = _stamps(_row_convention(estimate, tests), tests)
+    estimate = _row_convention(estimate, tests)
     estimate = _sticking(estimate, tests)
     return _transfer(estimate, tests)
 
@@ -57,7 +55,7 @@ def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], free_run: t
     residual be as small as the sensor's noise: a motor's friction wanders. But a free run must hold.
     """
     estimate = _bounds(intervals(estimate, tests), tests)
-    return _stamps(_asymmetry(_free_run(_unexplained(estimate, tests), tests, free_run)), tests)
+    return _asymmetry(_free_run(_unexplained(estimate, tests), tests, free_run))
 
 
 def _free_run(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[float, float]) -> Estimate:
@@ -230,36 +228,6 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
             "the drive acted, or rows are missing; record every tick",
         )
     return estimate
-
-
-def _stamps(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """Doubtful where times of the row before, or after, explain the tests far better: loggers stamp lines so.
-
-    Only uneven rows can tell: else all times are off alike.
-    """
-    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
-    uneven = max(float(np.ptp(np.quantile(np.diff(test.t_s), [0.1, 0.9]))) / test.period_s for test in tests)
-    if uneven < UNEVEN or estimate.rms_rad < STAMPED_NOISES * noise_rad or any(t.t_u_s is not None for t in tests):
-        return estimate
-    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s)
-    bounds = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
-    for rows, words in ((-1, "before"), (1, "after")):
-        moved = [_stamped(test, rows) for test in tests]
-        found = refit(moved, theta, PARAMETERS, bounds)
-        if math.sqrt(found.cost / found.residual.size) < STAMPED * estimate.rms_rad:
-            left_rad = math.sqrt(found.cost / found.residual.size)
-            return estimate.judged(
-                "doubtful",
-                f"each row seems to have the time of the row {words}: with the times moved by a row the residual is "
-                f"{1e3 * left_rad:.2g} instead of {1e3 * estimate.rms_rad:.2g} mrad; of a log, type --time-row {rows}",
-            )
-    return estimate
-
-
-def _stamped(test: TimeSeries, rows: int) -> TimeSeries:
-    """The test with its times moved by one row: -1, up."""
-    times, others = (slice(1, None), slice(None, -1)) if rows < 0 else (slice(None, -1), slice(1, None))
-    return replace(test, t_s=test.t_s[times], y_rad=test.y_rad[others], u_V=test.u_V[others], even_s=None, edges=None)
 
 
 def _holds(estimate: Estimate, name: str, value: float) -> bool:

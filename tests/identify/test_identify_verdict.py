@@ -244,13 +244,3 @@ def test_rows_left_out_of_a_record_with_times_are_not_believed() -> None:
     thinned = judged(TimeSeries(t[::3], y[::3], t[::3] + 0.004, u[::3]))
     assert abs(thinned.tau_s / 0.17 - 1.0) > 0.05
     assert thinned.verdict != "ok"
-
-
-@pytest.mark.parametrize("rows", [-1, 1])
-def test_the_time_of_another_row_is_named_where_rows_are_uneven(rows: int) -> None:
-    whole = relay(known=False, jitter_s=0.004, noise_rad=0.0005, lsb_rad=0.0)
-    assert not any("the time of the row" in reason for reason in judged(whole).reasons)
-    times, others = (slice(None, -1), slice(1, None)) if rows < 0 else (slice(1, None), slice(None, -1))
-    found = judged(replace(whole, t_s=whole.t_s[times], y_rad=whole.y_rad[others], u_V=whole.u_V[others]))
-    assert found.verdict != "ok"
-    assert any(f"--time-row {rows}" in reason for reason in found.reasons)
