@@ -26,7 +26,7 @@ class Bench:
         rng = np.random.default_rng(4)
         strokes = [(way * size, int(rng.integers(20, 60))) for size in (149, 64, 106) for way in (1, -1)] * 5
         self.pwm = np.concatenate([np.full(rows, pwm) for pwm, rows in strokes])[:1200].astype(float)
-        self.ms = 1e3 * PERIOD_S * np.arange(self.pwm.size)
+        self.ms = np.arange(self.pwm.size) * np.float64(1e3 * PERIOD_S)
         v, y = np.zeros(self.pwm.size), np.zeros(self.pwm.size)
         for k in range(1, v.size):
             drive_V = self.pwm[k - 1] * 12.0 / 255.0
@@ -164,7 +164,8 @@ def test_a_drive_or_a_time_that_stands_in_another_row_moves_back(
 ) -> None:
     columns = {"ms": bench.ms, "pwm": bench.pwm, "counts": bench.counts}
     path = log_of(tmp_path, columns | {what: np.roll(columns[what], -rows)})
-    found = read(path, replace(COUNTED, **{"drive_row" if what == "pwm" else "time_row": rows}))
+    moved = replace(COUNTED, drive_row=rows) if what == "pwm" else replace(COUNTED, time_row=rows)
+    found = read(path, moved)
     kept = slice(rows, None) if rows > 0 else slice(None, rows)
     assert found.t_s == pytest.approx(1e-3 * bench.ms[kept])
     assert found.u_V == pytest.approx(bench.pwm[kept] * 12.0 / 255.0)

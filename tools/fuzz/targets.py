@@ -277,12 +277,13 @@ def log_file(data: bytes) -> None:
     path = _file("log.csv", data)
     for log in _LOGS:
         try:
-            recording = read_log(path, log)
+            runs = read_log(path, log)
         except RecordingError as error:
             assert error.cause
             assert error.cure
             continue
-        _check(recording)
+        for run in runs:
+            _check(run)
 
 
 _LOGS = (
