@@ -203,8 +203,9 @@ def require_rising(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
     cause = f"{'repeats the time before it' if steps[k - 1] == 0.0 else 'goes back in time'} "
     cause += f"(t_s = {t_s[k]:.9g} after {t_s[k - 1]:.9g})"
     cure = "keep one run in a file, with its rows in order and one row for each sample"
-    if float(np.mean(steps == 0.0)) > STANDS and not np.any(steps < 0.0):
-        tick_s = float(np.median(steps[steps > 0.0]))
+    goes_on = steps[steps > 0.0]
+    if float(np.mean(steps == 0.0)) > STANDS and goes_on.size and not np.any(steps < 0.0):
+        tick_s = float(np.median(goes_on))
         mean_s = float(np.polynomial.Polynomial.fit(np.arange(t_s.size), t_s, 1).convert().coef[1])
         cause += f": the clock stands still, and then goes on by {1e3 * tick_s:.4g} ms: it is too coarse for these rows"
         cure = (

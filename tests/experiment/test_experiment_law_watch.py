@@ -369,7 +369,6 @@ def keepers_of(pid: int) -> list[int]:
     ("way", "numbers"),
     [
         ("in C", [signal.SIGINT, signal.SIGINT]),
-        ("thread", [signal.SIGTERM]),  # it holds Python between two steps of the law
         *evidence(("swallows", [signal.SIGHUP])),
     ],
 )
@@ -397,6 +396,15 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
     with hanging_laws.offered(again):
         assert command("replay", folder).exit_code == 0
     assert command("report", folder).exit_code == 0
+
+
+def test_a_thread_of_a_law_that_holds_python_between_two_steps_does_not_keep_a_signal_away(tmp_path: Path) -> None:
+    host = hanging(tmp_path, hanging_laws.THREAD)
+    host.terminate()
+    said = host.communicate()[1]
+    assert host.returncode == -signal.SIGKILL and "LAW_TIME" in said and "SIGTERM" in said
+    [folder] = (tmp_path / "runs").iterdir()
+    wait_until(lambda: '"fault"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
 
 
 def test_a_stop_of_a_panel_ends_a_law_that_does_not_return(tmp_path: Path) -> None:

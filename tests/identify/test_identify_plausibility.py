@@ -83,9 +83,10 @@ def test_a_position_against_its_name_is_asked_about_with_what_to_type_if_the_nam
     ],
 )
 def test_a_drive_without_its_sign_is_named(u_V: Callable[[Array, Array], Array], lacks: bool) -> None:
-    t_s = 0.005 * np.arange(2000)
+    t_s: Array = 0.005 * np.arange(2000.0)
     way = np.where((np.arange(2000) // 200) % 2 == 0, 1.0, -1.0)
     drive = way * np.where((np.arange(2000) // 400) % 2 == 0, 1.0, 3.0)
-    test = TimeSeries(t_s, np.cumsum(0.005 * 5.0 * drive), None, u_V(drive, way))
+    y_rad: Array = np.cumsum(0.005 * 5.0 * drive)
+    test = TimeSeries(t_s, y_rad, None, u_V(drive, way))
     said = [objection for objection in judge_records([test]) if "sign is missing" in objection.reason]
     assert [objection.verdict for objection in said] == (["refused"] if lacks else [])
