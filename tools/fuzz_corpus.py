@@ -236,6 +236,8 @@ def core_corpus() -> dict[str, bytes]:
         "relay_bound": armed() + relay(RELAY._replace(z_bound=500)) + kept(2) + STOP,
         "relay_falling": armed(falling) + relay(swapped) + kept(2) + contacts(ESTOP) + READ,
         "relay_not_streamed": armed() + relay() + board(streams=False) + kept(3) + board() + ticks(1) + STOP,
+        "relay_block_after_setup": armed() + relay() + board(streams=False) + ticks(25)
+        + frame(Kind.SETUP, SETUP._replace(session=9, max_drive=50).pack()) + board() + READ,
         "relay_off_grid": armed() + relay() + ticks(4) + wait(300) + ticks(4) + KEEP + wait(160) + ticks(11),
         "strokes": reading(500) + armed() + strokes() + to_and_fro(6) + STOP + READ,
         "strokes_slow": reading(500) + armed() + strokes()
@@ -426,6 +428,14 @@ def core_corpus() -> dict[str, bytes]:
             + reading(5 * 10**7 + 2**20)
             + ticks(2)
             + READ,
+        ),
+        "counted_zero_at_the_other_switch": (
+            ENCODER,
+            contacts(END_LOW)
+            + frame(Kind.SETUP, limited.pack())
+            + ack(Code.RESET)
+            + zero(limited.hard_hi + 50)
+            + ticks(1),
         ),
         "counted_endless_strokes": (
             ENCODER,
