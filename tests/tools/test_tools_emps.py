@@ -29,7 +29,7 @@ def test_a_real_drive_has_its_published_numbers_and_the_law_predicts_what_it_has
         assert one.drive.mass_kg == pytest.approx(PUBLISHED.mass_kg, rel=0.03)
         assert one.drive.friction_N == pytest.approx(PUBLISHED.friction_N, rel=0.08)
         length_s, fitted_m = one.law.growth[0]
-        assert 1.5 < length_s < 2.5
+        assert 1.2 < length_s < 2.5  # of the first pieces: about 2 s
         assert fitted_m < 0.25e-3
     theirs = prediction(published_law(record), record)
     assert half.prediction.odd < theirs.odd  # held out from ours, seen by theirs
