@@ -120,12 +120,9 @@ def certain_but_for_laws(found: Estimate) -> bool:
 
     The words are the same for scatter and for laws, so the scatter alone must be what ok asks for.
     """
-    scatter = [
-        0.5 * (found.ci95[name][1] - found.ci95[name][0]) / abs(getattr(found, name))
-        for name in ("tau_s", "K_rad_s_V", "fc_V")
-    ]
+    asked = {name: ASKED * abs(getattr(found, name)) for name in ("tau_s", "K_rad_s_V", "fc_V")}
     return found.verdict == "ok" or (
         found.verdict == "doubtful"
-        and max(scatter) <= ASKED
+        and all(0.5 * (found.ci95[name][1] - found.ci95[name][0]) <= half for name, half in asked.items())
         and all("(at 95 %); ok asks for 2.5 %" in reason or "%; ok bears 1 %" in reason for reason in found.reasons)
     )

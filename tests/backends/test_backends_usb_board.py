@@ -148,7 +148,7 @@ def test_init_and_calibrate_keep_the_number_of_the_board_that_is_there(ports: Po
     made = rig("init", file, "--yes", "--bridge", "l298n", "--no-load-rpm", 590, "--port", port)
     assert made.exit_code == 0, made.output
     assert "for the board with USB serial number 12345678, and for no other" in made.stdout
-    assert f"--port {port} --usb-serial 12345678 " in made.stdout
+    assert f"rig flash {file}" in made.stdout, "which takes port and number from it"
     assert check(file)[0].daq.usb_serial == "12345678"
     assert open_config(file).draft.changes == {}, "it is there"
     bare = tmp_path / "bare.yaml"

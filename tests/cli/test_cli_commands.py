@@ -126,7 +126,7 @@ def test_two_schemas_at_once_are_refused(tmp_path: Path, of: str) -> None:
 
 def test_each_command_stands_in_the_file_of_its_name() -> None:
     for name in main.commands:
-        assert (ROOT / f"rig/cli/{name}.py").is_file()
+        assert (ROOT / f"rig/cli/{name.replace('-', '_')}.py").is_file()
 
 
 def test_help_shows_every_command_in_a_group_with_one_whole_short_sentence() -> None:
