@@ -197,7 +197,9 @@ def test_its_number_is_in_terminal_summary_report_and_export(
     result = RunResult(estimates=found.as_result().estimates, friction_law=found.as_result().friction_law)
     (run / "result.json").write_text(json.dumps(result.as_json()))
     page = write_report(run).read_text()
-    assert re.search(r'<th>a bent sensor</th>.*bend of the sensor <data value="0\.0[56]\d*">0\.0[56]\d*</data> 1/rad', page)
+    assert re.search(
+        r'<th>a bent sensor</th>.*bend of the sensor <data value="0\.0[56]\d*">0\.0[56]\d*</data> 1/rad', page
+    )
     export(run, tmp_path / "run.json")
     exported = json.loads((tmp_path / "run.json").read_text())["result"]["friction_law"]
     assert exported["rungs"][-1]["own"][0]["name"] == "bend_per_rad"
