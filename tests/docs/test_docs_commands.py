@@ -177,7 +177,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for name in (RUN, "20261123T120100Z-law-simulated"):
             shutil.copytree(run, here / "runs" / name)
         tests = ROOT / "tests" / "golden" / "simulated"
-        shutil.copytree(tests, here / "tmp/any/20261123T120300Z-run-demo")
         (here / "log.csv").write_text(log_of(read_run(tests)), encoding="utf-8")
         yield here
 

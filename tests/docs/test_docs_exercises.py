@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.laws
 PAGE = Path(__file__).resolve().parents[2] / "docs/exercises.md"
 EXERCISES = re.findall(r"^```python\n(.*?)^```\n\n```\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
