@@ -274,6 +274,8 @@ def _estimate(
     values = (tau, K, float(best.x[2]), float(best.x[3]), float(delay))
     quantile = float(stdtrit(freedom, 0.975))
     errors = [*np.sqrt(np.diag(shared))[:4].tolist(), delay_error]
+    if not problem.free[3]:
+        errors[3] = math.inf  # one way only: fc_V is what friction and asymmetry take that way
     estimate = Estimate(
         METHOD,
         *values,

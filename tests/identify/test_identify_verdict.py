@@ -152,13 +152,6 @@ def test_a_short_noisy_record_is_doubted_for_its_interval() -> None:
     assert any("only known to" in reason for reason in found.reasons)
 
 
-def test_a_motor_that_turns_one_way_only_is_refused() -> None:
-    samples = simulate(motor(), lambda t, y, z: 1.5 if t % 1.0 < 0.5 else 1.0, 400, Bench(**NOISY))
-    found = judged(record(samples))
-    assert found.verdict == "refused"
-    assert any("both ways" in reason or "only known" in reason for reason in found.reasons)
-
-
 @pytest.mark.parametrize(("between_V", "is_doubted"), [(0.3, True), (0.0, False)])
 def test_a_motor_that_mostly_stands_still_under_a_drive_is_doubted(between_V: float, *, is_doubted: bool) -> None:
     samples = simulate(

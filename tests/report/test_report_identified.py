@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,13 +87,15 @@ def test_the_fit_is_that_of_a_simulation_of_the_whole_test_and_a_wrong_motor_fit
 
 
 def test_a_refused_answer_has_no_picture_and_says_why(tmp_path: Path) -> None:
-    one_way = api.simulate(api.Motor(0.17, 6.5, api.coulomb(0.48)), [1.0] * 150 + [1.8] * 150, 3.0)
-    found = identify([one_way])
+    drive = [1.8 * math.sin(4.0 * t) for t in (0.01 * np.arange(600)).tolist()]
+    run = api.simulate(api.Motor(0.17, 6.5, api.coulomb(0.48)), drive, 6.0)
+    unsigned = replace(run, u_V=np.abs(run.u_V))
+    found = identify([unsigned])
     assert found.answer is not None and found.answer.is_refused and found.best is None
     with pytest.raises(AbsentError, match="no motor to simulate"):
         simulated(found)
-    path, picture, report = tmp_path / "one way.csv", tmp_path / "a.png", tmp_path / "a.html"
-    rows = zip(one_way.t_s.tolist(), one_way.u_V.tolist(), one_way.y_rad.tolist(), strict=True)
+    path, picture, report = tmp_path / "unsigned.csv", tmp_path / "a.png", tmp_path / "a.html"
+    rows = zip(unsigned.t_s.tolist(), unsigned.u_V.tolist(), unsigned.y_rad.tolist(), strict=True)
     path.write_text("t_s,u_V,y_rad\n" + "".join(f"{t:.9g},{u:.9g},{y:.9g}\n" for t, u, y in rows), encoding="utf-8")
     done = rig("identify", path, "--picture", picture, "--report", report)
     assert done.exit_code == 1 and "picture: none: The answer is refused" in done.stdout
