@@ -72,7 +72,8 @@ def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit
 def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fit:
     """The best fit with a force over position, as a hanging load has: beside it the plain numbers mean nothing."""
     given = best.problem
-    limits = {**given.limits, **dict.fromkeys(FORCE, (-largest_V, largest_V)), "tau_s": (0.0, LONGEST_TAU_S)}
+    tau_s = given.limits["tau_s"][0], LONGEST_TAU_S
+    limits = {**given.limits, **dict.fromkeys(FORCE, (-largest_V, largest_V)), "tau_s": tau_s}
     problem = replace(given, cut=whole.every(FORCE_PIECE_S), free=(*given.free, *FORCE), limits=limits)
     return _best(problem, (), longest_s, best.motor.delay_s)
 
