@@ -56,6 +56,9 @@ def test_a_log_is_predicted_with_laws_and_delay_and_drawn(tmp_path: Path, log: P
 def test_what_holds_no_motor_is_refused_in_words(tmp_path: Path, log: Path) -> None:
     refused = command("predict-run", log, "--model", found_in(tmp_path, verdict="refused"), *OPTIONS)
     assert refused.exit_code == 2 and "there is no motor to predict with" in refused.output
+    fast = FoundLawResult(name="sag", numbers={"sag_per_V": -5e9}, value=-5e9, unit="1/V")
+    wrong = command("predict-run", log, "--model", found_in(tmp_path, law=(fast,)), *OPTIONS)
+    assert wrong.exit_code == 2 and "runs away, or is too stiff to be followed" in wrong.output
     (tmp_path / "other.json").write_text("{}")
     nothing = command("predict-run", log, "--model", tmp_path / "other.json", *OPTIONS)
     assert nothing.exit_code == 2 and "holds no answer" in nothing.output

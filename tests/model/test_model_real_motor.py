@@ -360,6 +360,12 @@ def test_a_motor_that_drives_itself_on_without_end_has_no_readings() -> None:
     assert np.all(np.isnan(found.y_rad)) and np.all(np.isnan(found.by_number))
 
 
+def test_a_motor_that_would_take_steps_without_end_is_given_up() -> None:
+    stiff = PLAIN._replace(tau_s=1e-9, force_sin_V=0.2)
+    t_s = 0.01 * np.arange(5.0)
+    assert np.all(np.isnan(response(stiff, FRAME, (t_s, np.full(5, 1.0)), t_s, Pieces.one())))
+
+
 def test_numbers_out_of_range_are_refused() -> None:
     record = (np.zeros(1), np.zeros(1)), np.arange(3.0), Pieces.one()
     with pytest.raises(ValueError, match="backlash_rad must be at least 0"):

@@ -50,6 +50,7 @@ BACKLASH, LINEARITY, DRIFT = (RealMotor._fields.index(n) for n in ("backlash_rad
 
 # No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does.
 RUNAWAY_RAD_S = 1e5
+STEPS_OF_ROW = 10_000  # at most, on the average over rows and edges
 
 # Which of the derivatives cost a function of their own: over position, over the cogging, over speed.
 Used = tuple[bool, bool, bool]
@@ -409,7 +410,8 @@ def readings(
               and how far the bristles are bent, -1 to 1; 0: they balance the drive
     free      numbers (m,), and orders (k,), 1/rad, of waves of the force that the motor has not: the sine and the
               cosine of each are further numbers, c = m + 2 k + 2
-    out       readings, rad, and Jacobian. One of no columns: it is left out. All nan for a motor that runs away
+    out       readings, rad, and Jacobian. One of no columns: it is left out. All nan for a motor that runs away,
+              or that is so stiff that it takes too many steps
     """
     motor, frame = RealMotor(*numbers[0]), Frame(*numbers[1])
     edge_s, u_V = drive
@@ -437,6 +439,7 @@ def readings(
     _staged_slopes(motor, u_V[0], d.room[STAGED])
     _copy_staged(d.room)
     w, begun = staged_V, min(t_s[0], edge_s[0] + motor.delay_s)
+    left = STEPS_OF_ROW * (n + edges)
     for piece in range(first.size):
         k = first[piece]
         last = first[piece + 1] if piece + 1 < first.size else n
@@ -474,7 +477,8 @@ def readings(
                 now = end if step.duration_s >= end - now else now + step.duration_s
                 x = behind_play(motor, step.sign, step.end)
                 at = State(step.end.v, step.end.y, step.end.f, step.end.w, x)
-                if not abs(at.v) < RUNAWAY_RAD_S:  # its steps would become ever shorter, down to none at all
+                left -= 1
+                if left < 0 or not abs(at.v) < RUNAWAY_RAD_S:  # its steps are, or would become, too short ever to end
                     y_rad[:] = math.nan
                     jacobian[:] = math.nan
                     return
