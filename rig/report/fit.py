@@ -22,6 +22,7 @@ from rig.model.real_motor import FramedMotor, Pieces, response
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
 from rig.report.source import Array, ReportedRun, Span
+from rig.report.style import AbsentError
 from rig.results import EstimateResult, known
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
@@ -157,6 +158,7 @@ def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delay
 
     part      of the rows of ``series``
     delays_s  of the drive, where the test does not know it: the first that is finite counts, s
+    Raises AbsentError for a motor that cannot be followed.
     """
     edges, u = (series.edge_s, series.u_V) if series.edges is None else series.edges
     t, y = series.t_s[part], series.y_rad[part]
@@ -179,6 +181,8 @@ def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delay
     def residual(start: Array) -> Array:
         return np.asarray(path(start)[0] - y)
 
+    if not np.all(np.isfinite(residual(np.array([guess, y[0]])))):
+        raise AbsentError("The answer holds a motor that runs away, or is too stiff to be followed.")
     best = least_squares(residual, [guess, y[0]], method="lm", max_nfev=30)
     return Predicted((t - t[0]) / (t[-1] - t[0]), y, *path(best.x))
 
