@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence import evidence
 from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 
 from rig import config, experiment
@@ -216,7 +217,18 @@ def test_the_way_in_which_nothing_moved_is_named(plus_V: float, minus_V: float, 
         bench.loop.run(breakaway_check(), "breakaway")
 
 
-def test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth() -> None:
+# the whole grid as evidence; the worst is a light motor
+@pytest.mark.parametrize(
+    ("frictions_V", "taus_s"),
+    [
+        ((0.01, 0.1, 0.3, 0.7), (0.001, 0.05)),
+        *evidence(((0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7), (0.001, 0.01, 0.05, 0.2, 1.0))),
+    ],
+    ids=["some", "all"],
+)
+def test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth(
+    frictions_V: tuple[float, ...], taus_s: tuple[float, ...]
+) -> None:
     """The motors that it is about: as fast as the data sheet says, the less friction and inertia the farther.
 
     Also where one tick comes late, or the host dies in a stroke.
@@ -225,9 +237,9 @@ def test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth() 
     strokes = breakaway_strokes(demo)
     assert strokes is not None and demo.motor is not None
     worst_rad = 0.0
-    for friction_V in (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7):
+    for friction_V in frictions_V:
         K = demo.motor.no_load_speed_rad_s / (demo.drive.supply_V - friction_V)
-        for tau_s in (0.001, 0.01, 0.05, 0.2, 1.0):
+        for tau_s in taus_s:
             plus_V, minus_V = 1.1 * friction_V, 0.9 * friction_V
             motor = Motor(tau_s, K, Friction(plus_V, minus_V, plus_V, minus_V))
             seen = check(motor, breakaway_check(), demo.period_s, 1, stuck=True)
@@ -302,10 +314,11 @@ def test_a_drive_that_is_lost_at_the_end_of_a_stroke_is_taken_back() -> None:
     assert sum(u_V > 0.0 for u_V in asked) == 3 and sum(u_V < 0.0 for u_V in asked) == 4 + 1
 
 
-def test_random_motors_turn_little_unseen_and_are_seen_both_ways() -> None:
+@pytest.mark.parametrize("motors", [24, *evidence(80)])
+def test_random_motors_turn_little_unseen_and_are_seen_both_ways(motors: int) -> None:
     """Some of the 500 motors of tools/unseen_travel.py, which takes longer and says more."""
     ends: Counter[str] = Counter()
-    for number, (motor, e) in enumerate(trials(80)):
+    for number, (motor, e) in enumerate(trials(motors)):
         if not has_strokes(e, e.breakaway.max_V):
             ends["refused"] += 1
             continue
@@ -334,10 +347,10 @@ def test_a_fast_motor_with_much_friction_is_seen_by_further_pairs(fast: tuple[Mo
     assert strokes is not None and strokes.further > 5 and strokes.unseen_rad <= UNSEEN_RAD
     moved = dict.fromkeys((True, False), 0)
     for further in moved:
-        for seed in range(10):
+        for seed in range(5):
             seen = check(motor, check_of(e, further=further), e.period_s, seed, stuck=False)
             moved[further] += seen.end == "moves"
-    assert moved[True] >= 8 and moved[False] <= 1  # not always: the steps of the sensor may hide it
+    assert moved[True] >= 4 and moved[False] <= 1  # not always: the steps of the sensor may hide it
 
 
 def test_further_pairs_need_a_sensor_that_shows_motion_and_shows_it_again(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import evidence
 from simulated_bench import GUARD, LIMITS, PERIOD_S, RAD_PER_COUNT, BenchModel, break_away, simulated_bench
 
 from rig.control.sweep_plan import Room, SweepPlan, sweep_plan
@@ -43,8 +44,13 @@ def swept(
     return np.array(true_rad), np.array(wanted_rad), fault
 
 
-@pytest.mark.parametrize("tau_share", [0.7, 1.0, 1.3])
-@pytest.mark.parametrize("K_share", [0.75, 1.0, 1.3])
+@pytest.mark.parametrize(
+    ("tau_share", "K_share"),
+    [
+        *((0.7, 1.3), (1.0, 1.0), (1.3, 0.75)),
+        *evidence((0.7, 0.75), (0.7, 1.0), (1.0, 0.75), (1.0, 1.3), (1.3, 1.0), (1.3, 1.3)),
+    ],
+)
 def test_the_shaft_follows_though_the_motor_is_only_known_crudely(tau_share: float, K_share: float) -> None:
     crude = replace(CRUDE, tau_s=0.17 * tau_share, K_rad_s_V=6.5 * K_share)
     true, wanted, fault = swept(simulated_bench(offset_rad=0.0), crude)
@@ -74,11 +80,12 @@ def test_the_shaft_of_a_real_motor_follows_too(parts: dict[str, float]) -> None:
     assert np.all(true > LIMITS.soft_rad[0]) and np.all(true < LIMITS.soft_rad[1])
 
 
+@pytest.mark.parametrize("every", [8, *evidence(1)])
 @pytest.mark.parametrize("wiring", [{"sensor": "stuck"}, {"drive": "dead"}], ids=["reading freezes", "drive dies"])
-def test_what_hinders_the_shaft_is_found_before_it_leaves_the_hard_limits(wiring: dict[str, str]) -> None:
+def test_what_hinders_the_shaft_is_found_before_it_leaves_the_hard_limits(wiring: dict[str, str], every: int) -> None:
     """Whenever it happens; a reading that freezes hides how far the shaft runs under the growing drive."""
     codes = set()
-    for k in range(40):
+    for k in range(0, 40, every):
         after_s = 8.0 + 1.31 * k
         bench = simulated_bench(fault_after_s=after_s, seed=k, **wiring)  # type: ignore[arg-type]
         true, _, fault = swept(bench)
@@ -93,12 +100,14 @@ def test_what_hinders_the_shaft_is_found_before_it_leaves_the_hard_limits(wiring
     assert codes <= {"NOT_FOLLOWING", "SENSOR_STUCK"}
 
 
-@pytest.mark.parametrize("noise_rad", [0.0, 0.003])
-def test_in_slow_sweeps_a_frozen_reading_is_found_before_the_shaft_leaves_the_hard_limits(noise_rad: float) -> None:
+@pytest.mark.parametrize(("noise_rad", "every"), [(0.0, 4), (0.003, 4), *evidence((0.0, 1), (0.003, 1))])
+def test_in_slow_sweeps_a_frozen_reading_is_found_before_the_shaft_leaves_the_hard_limits(
+    noise_rad: float, every: int
+) -> None:
     """At 0.05 rad/s the reference is lost only after two seconds: by then the shaft would be at its stop."""
     bandwidth = loop_bandwidth_1_s(CRUDE, LOOP, NOISE_RAD)
     slow = sweep_plan(Room(LIMITS.soft_rad, GUARD.max_speed_rad_s, 0.05, bandwidth, 200.0), [0.1, 0.05])
-    for k in range(8):
+    for k in range(1, 8, every):
         after_s = 12.0 + 15.4 * k
         bench = simulated_bench(sensor="stuck", fault_after_s=after_s, seed=k, noise_rad=noise_rad, offset_rad=0.0)
         _, _, fault = swept(bench, plan=slow)

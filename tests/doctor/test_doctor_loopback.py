@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from evidence import evidence
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
@@ -101,7 +102,7 @@ def test_a_missing_wire_is_told_from_a_wrong_output(wires: int, topic: str, word
     assert words in found[topic]
 
 
-@pytest.mark.parametrize("board", ["uno", "pico"])
+@pytest.mark.parametrize("board", ["uno", *evidence("pico")])
 def test_a_watchdog_that_does_not_trip(board: str, build_with: Callable[[str, tuple[str, str, str]], None]) -> None:
     build_with(board, NEVER_TRIPS)
     found = bad(visited(board))
@@ -109,7 +110,7 @@ def test_a_watchdog_that_does_not_trip(board: str, build_with: Callable[[str, tu
     assert "does not trip" in found["watchdog"]
 
 
-@pytest.mark.parametrize("board", ["uno", "pico"])
+@pytest.mark.parametrize("board", ["uno", *evidence("pico")])
 def test_an_inverted_pwm(board: str, build_with: Callable[[str, tuple[str, str, str]], None]) -> None:
     build_with(board, INVERTED[board])
     found = bad(visited(board))

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig
+from evidence import evidence
 
 from rig import session
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
@@ -92,7 +93,7 @@ def test_an_e_stop_opened_and_closed_again_ends_the_run(tmp_path: Path, monkeypa
     assert devices[0].truth().pin_changed_s < devices[0].now_s() - 4.0  # not since the relay test
 
 
-@pytest.mark.parametrize("cause", [2, 4])
+@pytest.mark.parametrize("cause", [2, *evidence(4)])
 def test_a_reset_or_a_brown_out_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: int) -> None:
     def reset(chip: VirtualChip) -> None:
         chip.reset(cause)

@@ -117,6 +117,7 @@ def test_without_room_it_is_refused_before_anything_moves(sections: dict[str, An
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_the_rehearsal_has_the_delay_that_the_strokes_have_shown(tmp_path: Path) -> None:
     """Without it the rehearsal passes, and the shaft is lost in the sweeps."""
     limits = {"soft_rad": [-1.1, 1.1], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 3.0, "coast_tau_s": 0.2}
@@ -144,31 +145,42 @@ def test_the_check_of_a_thorough_config_names_the_sweeps(tmp_path: Path) -> None
     assert "at about 0.7, 0.4, 0.2 rad/s" in result.stdout
 
 
-def test_a_thorough_run_tells_what_the_plain_run_leaves_open(tmp_path: Path) -> None:
-    """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
+@pytest.fixture(scope="module")
+def thorough(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("thorough")
     survey = {"speeds_rad_s": [0.7, 0.3], "longest_s": 60}  # enough for a supply, which sags at any speed
-    path = written(tmp_path, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True}, survey=survey)
-    outcome = json.loads(rig("run", path, "--out", tmp_path / "runs", "--json").stdout)
-    assert any(note.startswith("thorough: the tests left") for note in outcome["notes"])
-    (law,) = outcome["answer"]["law"]
+    path = written(folder, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True}, survey=survey)
+    outcome: dict[str, Any] = json.loads(rig("run", path, "--out", folder / "runs", "--json").stdout)
+    return outcome
+
+
+def test_a_thorough_run_tells_what_the_plain_run_leaves_open(thorough: dict[str, Any]) -> None:
+    """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
+    assert any(note.startswith("thorough: the tests left") for note in thorough["notes"])
+    (law,) = thorough["answer"]["law"]
     assert law["name"] == "sag" and reaches(law["ci95"], 0.03)
-    truth, answer = outcome["truth"], outcome["answer"]
+    truth, answer = thorough["truth"], thorough["answer"]
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         assert answer[name] == pytest.approx(truth[name], rel=0.01)
         assert answer["u95"][name] < 0.025 * truth[name]
-    stages = read_run(Path(outcome["folder"])).stages()
+    stages = read_run(Path(thorough["folder"])).stages()
     assert [stage for stage in stages if stage != "rest"] == ["breakaway", "relay-1", "relay-2", "survey"]
 
-    plain = rig("identify", outcome["folder"], "--without", "survey", "--without", "relay-2", "--json")
+
+@pytest.mark.evidence
+def test_what_the_plain_run_would_have_said_is_doubtful_and_the_thorough_one_is_replayed(
+    thorough: dict[str, Any],
+) -> None:
+    plain = rig("identify", thorough["folder"], "--without", "survey", "--without", "relay-2", "--json")
     left = json.loads(plain.stdout)
     assert not left["answer"]["law"]
     estimate = left["estimates"]["sampled-data"]
-    assert estimate["verdict"] == "doubtful" and estimate["K_rad_s_V"] < 0.97 * truth["K_rad_s_V"]
-
-    done = json.loads(rig("replay", outcome["folder"], "--json").stdout)
+    assert estimate["verdict"] == "doubtful" and estimate["K_rad_s_V"] < 0.97 * thorough["truth"]["K_rad_s_V"]
+    done = json.loads(rig("replay", thorough["folder"], "--json").stdout)
     assert done["ok"] and done["replayed"] == done["rows"]
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_an_e_stop_in_a_sweep_ends_the_run_without_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measured at the output of an emulated I/O block, which cuts its drive but latches nothing."""
     blocks: list[VirtualIoBlock] = []

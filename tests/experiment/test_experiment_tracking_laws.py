@@ -57,7 +57,7 @@ def sagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Ident
 @pytest.mark.parametrize(
     ("name", "law", "seeds"),
     [
-        (SAG, "sag", (1,)),
+        # of one seed: test_track_drives_with_the_laws_of_another_run_and_without_them_if_told
         *evidence((SAG, "sag", SEEDS), (STRIBECK, "stribeck", SEEDS), (UNBALANCED, "force_over_position", SEEDS)),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from evidence import evidence, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_hil_pulses import LIMITS, driver_on
@@ -51,7 +52,7 @@ def test_a_dead_link_is_a_time_out_when_the_watchdog_must_have_acted() -> None:
     assert board.truth().pin_V == 0.0
 
 
-@pytest.mark.parametrize("number", [8, 10, 15, 22])
+@pytest.mark.parametrize("number", [10, 22, *evidence(8, 15)])
 def test_motors_that_a_stall_ended_once_are_whole(number: int) -> None:
     """By OVERSPEED after a gap, LINK_TIMEOUT, the check's short watchdog, and LATE; of `make stalls`."""
     found = row(CAMPAIGN, number, Stalls(), 0.25)
@@ -60,7 +61,7 @@ def test_motors_that_a_stall_ended_once_are_whole(number: int) -> None:
     assert math.hypot(*(e / b for e, b in zip(found.error, found.bound, strict=True))) < 8.0
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=examples(18, at_least=3), deadline=None)
 @given(st.integers(0, 499), st.floats(5.0, 60.0), st.floats(0.1, 0.4))
 def test_under_random_stalls_the_shaft_stays_inside_its_hard_limits(
     number: int, a_minute: float, watchdog_s: float
@@ -71,6 +72,7 @@ def test_under_random_stalls_the_shaft_stays_inside_its_hard_limits(
     assert found.fault.partition(":")[0] in ("", "NO_MOTION", "DEVICE_WATCHDOG", "NOT_IDENTIFIED", "LATE")
 
 
+@settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, 499), st.floats(0.03, 0.4))
 def test_the_longest_watchdog_has_room_to_stop(number: int, watchdog_s: float) -> None:
     e = config_of(draw(CAMPAIGN, number), CAMPAIGN, watchdog_s)

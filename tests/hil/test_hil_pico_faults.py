@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from click.testing import CliRunner
+from evidence import evidence
 
 from rig.backends.serial import opening
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
@@ -57,7 +58,7 @@ TROUBLES: dict[str, tuple[Callable[[VirtualPico], None], str, float]] = {
 }
 
 
-@pytest.mark.parametrize("name", TROUBLES)
+@pytest.mark.parametrize("name", ["cable", "e-stop", *evidence("hang", "reset")])
 def test_the_run_ends_by_its_code_with_the_pins_at_0(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

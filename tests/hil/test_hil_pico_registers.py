@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from evidence import evidence
 from pico_host import HELD, SETUP, PicoHost, pico
 
 from rig.backends.emulated.errors import EmulationError
@@ -121,10 +122,12 @@ def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: Variant)
 @pytest.mark.parametrize(
     ("name", "rule"),
     [
-        ("a peripheral left in reset", "in reset, section 2.14"),
-        ("a port set up while it is on", "before it is set up, section 4.2"),
         ("phase-correct", "a PWM mode"),
-        ("a conversion on top of another", "while a conversion runs, section 4.9"),
+        *evidence(
+            ("a peripheral left in reset", "in reset, section 2.14"),
+            ("a port set up while it is on", "before it is set up, section 4.2"),
+            ("a conversion on top of another", "while a conversion runs, section 4.9"),
+        ),
     ],
 )
 def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str], Variant]) -> None:
@@ -133,6 +136,7 @@ def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str]
         assert rule in host.board.broken_rule()
 
 
+@pytest.mark.evidence
 def test_a_byte_written_where_there_is_no_room_is_named(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("a byte on top of another")) as host:
         for _ in range(20):
@@ -141,6 +145,7 @@ def test_a_byte_written_where_there_is_no_room_is_named(build_with: Callable[[st
         assert "TXFF" in host.board.broken_rule()
 
 
+@pytest.mark.evidence
 def test_without_a_first_byte_the_port_never_asks_for_one(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("no first byte")) as host, pytest.raises(AssertionError, match="no reply"):
         host.hello()
@@ -157,10 +162,10 @@ def test_a_tick_that_goes_before_the_others_keeps_the_e_stop_waiting(build_with:
         host.wait(0.03)
         told = [Block.unpack(p.body) for p in FrameReader().feed(host.board.read(0.0)) if p.kind == Kind.BLOCK]
         tick_s = 1e-6 * (told[-1].t_first_us % 1000)  # of each millisecond: its rows' samples, first thing in the tick
-        for k in range(40):
+        for k in range(20):
             host.drive(900)
             now_s = host.board.now_s()
-            host.board.sleep_until(1e-3 * int(1e3 * now_s + 1) + tick_s + 0.2e-6 * (k - 10))
+            host.board.sleep_until(1e-3 * int(1e3 * now_s + 1) + tick_s + 0.4e-6 * (k - 5))
             host.board.contact("e_stop", is_open=True)
             opened_s = host.board.now_s()
             host.wait(0.0005)
@@ -171,7 +176,7 @@ def test_a_tick_that_goes_before_the_others_keeps_the_e_stop_waiting(build_with:
         assert slowest_s > 3e-6
 
 
-@pytest.mark.parametrize("name", ["an alarm in the past", "the alarm's flag left"])
+@pytest.mark.parametrize("name", ["an alarm in the past", *evidence("the alarm's flag left")])
 def test_a_clock_that_stops_or_runs_wild_is_reset_by_the_watchdog(
     name: str, build_with: Callable[[str], Variant]
 ) -> None:
@@ -181,6 +186,7 @@ def test_a_clock_that_stops_or_runs_wild_is_reset_by_the_watchdog(
         assert host.truth().resets > 0
 
 
+@pytest.mark.evidence
 def test_a_reset_by_the_watchdog_that_is_not_marked_is_not_told(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("a mark that is not there")) as host:
         host.board.hang()
@@ -188,6 +194,7 @@ def test_a_reset_by_the_watchdog_that_is_not_marked_is_not_told(build_with: Call
         assert host.truth().resets == 1 and host.hello().reset_words == "power-on"
 
 
+@pytest.mark.evidence
 def test_inputs_that_become_high_one_after_the_other_are_a_pulse(build_with: Callable[[str], Variant]) -> None:
     with pico(HELD, build_with("one input after the other")) as host:
         assert 0.0 < host.board.longest_pulse_s() < 1e-6

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+from evidence import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_bench import ListSink
@@ -144,7 +145,7 @@ def is_as_planned(e: Experiment, done: list[tuple[int, float]]) -> bool:
     ]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(
     speed_rad_s=st.floats(5.0, 300.0),
     period_s=st.sampled_from([0.005, 0.008, 0.01, 0.0125, 0.02]),

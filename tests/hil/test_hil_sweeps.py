@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import evidence
 from pico_host import twelve_bits
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, RAD_PER_COUNT, SCALING, ListSink, break_away
 
@@ -44,7 +45,7 @@ def bench(device: str) -> Iterator[tuple[Device, Scaling, GuardSettings]]:
         yield (VirtualBoard(DEMO, 1) if device == "host" else VirtualChip(DEMO, 1)), SCALING, GUARD
 
 
-@pytest.mark.parametrize("device", ["host", "uno", "pico"])
+@pytest.mark.parametrize("device", ["host", "uno", *evidence("pico")])
 def test_the_shaft_of_a_board_follows_the_sweeps_within_its_limits_and_rests(device: str) -> None:
     """The true shaft; the motor is known to 20 %."""
     true_rad: list[float] = []

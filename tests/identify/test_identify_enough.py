@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, break_away, simulated_bench
@@ -83,7 +84,7 @@ def scatter(found: Identification) -> dict[str, float]:
     return {name: getattr(line, name) / getattr(found.answer, name) for name in OF_PARAMETERS}
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=examples(18, at_least=3), deadline=None)
 @given(
     tau_s=st.floats(0.03, 0.5),
     K_rad_s_V=st.floats(2.0, 20.0),

@@ -239,7 +239,6 @@ def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(
         (lambda c: {"y_rad": np.round(c["y_rad"] / 0.0041) + 512.0}, "raw counts"),
         (lambda c: {"y_rad": c["u_V"], "u_V": c["y_rad"]}, "swapped?"),
         (lambda c: {"u_V": -c["u_V"]}, "reverse the sign"),
-        (lambda c: {"y_rad": -c["y_rad"]}, "reverse the sign"),
         (lambda c: {"y_rad": (c["y_rad"] + 0.2) % 0.5}, "unwrap"),
         (lambda c: {"y_rad": np.full_like(c["y_rad"], 0.3)}, "the position never changes"),
         (lambda c: {"u_V": np.full_like(c["u_V"], 0.3)}, "the drive never changes"),
@@ -249,9 +248,12 @@ def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(
         (lambda c: {"t_u_s": c["t_u_s"] * 1e3}, "one clock"),
         (lambda c: {"t_u_s": c["t_u_s"] - 5.0}, "one clock"),
         (lambda c: {"u_V": np.roll(c["u_V"], 1)}, "t_u_s"),
-        (lambda c: {"u_V": np.roll(c["u_V"], -1)}, "t_u_s"),
-        (lambda c: {"y_rad": np.roll(c["y_rad"], 1)}, "t_u_s"),
         (lambda c: {"y_rad": np.roll(c["y_rad"], -1)}, "t_u_s"),
+        *evidence(
+            (lambda c: {"y_rad": -c["y_rad"]}, "reverse the sign"),
+            (lambda c: {"u_V": np.roll(c["u_V"], -1)}, "t_u_s"),
+            (lambda c: {"y_rad": np.roll(c["y_rad"], 1)}, "t_u_s"),
+        ),
     ],
 )
 def test_columns_that_are_not_what_they_say(
@@ -302,8 +304,6 @@ def test_all_methods_take_what_the_others_refuse_without_a_traceback(
     spoils: tuple[Callable[[Columns], Columns], ...] = (
         lambda c: {},
         lambda c: {"y_rad": c["u_V"], "u_V": c["y_rad"]},
-        lambda c: {"u_V": -c["u_V"]},
-        lambda c: {"y_rad": 1e3 * c["y_rad"]},
         lambda c: {"u_V": np.sign(c["u_V"]) * 1e-5},
     )
     for spoil in spoils:

@@ -553,7 +553,7 @@ KEYS = [
 
 
 @settings(
-    max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+    max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
 )
 @given(
     st.dictionaries(st.sampled_from(KEYS), NUMBERS, min_size=1, max_size=3), st.lists(NUMBERS, min_size=4, max_size=4)

@@ -32,6 +32,7 @@ def chirp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_the_summary_of_a_recording_is_under_ten_lines_and_the_rest_is_there_if_asked_for(
     chirp: Path, tmp_path: Path
 ) -> None:
@@ -86,6 +87,7 @@ def test_the_fit_is_that_of_a_simulation_of_the_whole_test_and_a_wrong_motor_fit
     assert wrong.fit_percent < 80.0
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_a_refused_answer_has_no_picture_and_says_why(tmp_path: Path) -> None:
     drive = [1.8 * math.sin(4.0 * t) for t in (0.01 * np.arange(600)).tolist()]
     run = api.simulate(api.Motor(0.17, 6.5, api.coulomb(0.48)), drive, 6.0)

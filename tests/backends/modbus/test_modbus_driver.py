@@ -711,14 +711,14 @@ class RandomDamage:
 
 
 @pytest.mark.parametrize("style", STYLES)
-def test_two_minutes_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobody_commanded(style: str) -> None:
+def test_a_minute_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobody_commanded(style: str) -> None:
     """20 bytes a second, requests and replies; every fault is answered by a stop, and the run starts again."""
     rig = Rig(experiment_with(style))
     damaging = RandomDamage(20.0, seed=5)
     faults: dict[str, int] = {}
     ticks = 0
     clean_s = rig.block.now_s()
-    while rig.block.now_s() - clean_s < 120.0:
+    while rig.block.now_s() - clean_s < 60.0:
         damaging.begin(rig.block.now_s())
         rig.block.disturb(damaging)
         try:
@@ -736,9 +736,9 @@ def test_two_minutes_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobo
         rig.block.place(0.0)
         rig.arm()
         clean_s += rig.block.now_s() - from_s
-    assert damaging.done > 2000
-    assert sum(faults.values()) > 300  # each waits for a reply as long as the watchdog lets it
+    assert damaging.done > 1000
+    assert sum(faults.values()) > 150  # each waits for a reply as long as the watchdog lets it
     assert set(faults) <= {"LINK_TIMEOUT", "LINK_REPLY", "LINK_UNIT", "MODBUS_EXCEPTION"}
-    assert rig.block.requests["damaged"] > 200  # so many never reached a register
+    assert rig.block.requests["damaged"] > 100  # so many never reached a register
     assert rig.driven <= rig.commanded
-    assert len(rig.driven) > 500
+    assert len(rig.driven) > 250
