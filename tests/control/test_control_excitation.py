@@ -7,6 +7,7 @@ import math
 
 import pytest
 from directional_friction import directional
+from evidence import evidence
 from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, break_away, simulated_bench
 
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
@@ -34,8 +35,13 @@ MOTORS = {
 }
 
 
-@pytest.mark.parametrize("name", MOTORS)
-@pytest.mark.parametrize("start_rad", [0.0, 0.9])
+@pytest.mark.parametrize(
+    ("start_rad", "name"),
+    [
+        *((0.0, "demo"), (0.9, "quick"), (0.0, "slow"), (0.9, "one-sided")),
+        *evidence((0.9, "demo"), (0.0, "quick"), (0.9, "slow"), (0.0, "stiff"), (0.9, "stiff"), (0.0, "one-sided")),
+    ],
+)
 def test_search_finds_the_wanted_cycle_inside_the_soft_limits(name: str, start_rad: float) -> None:
     bench = simulated_bench(motor=MOTORS[name], start_rad=start_rad)
     relay, detector = relay_and_detector()

@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib.image
 import pytest
 from command_line import rig
+from evidence import evidence
 
 from rig.config import load
 from rig.model.real_motor import RealMotor
@@ -82,7 +83,7 @@ def test_words_and_picture(run: Path, tmp_path: Path) -> None:
     assert "is there already" in again.stderr
 
 
-@pytest.mark.parametrize("suffix", picture.FORMATS)
+@pytest.mark.parametrize("suffix", [".svg", *evidence(*(one for one in picture.FORMATS if one != ".svg"))])
 def test_the_same_design_gives_the_same_picture(found: dict[str, Any], suffix: str) -> None:
     result = DesignResult.model_validate({key: value for key, value in found.items() if key not in ("ok", "model")})
     assert picture.draw(result, "a title", suffix) == picture.draw(result, "a title", suffix)

@@ -1,4 +1,4 @@
-"""The survey in virtual time, by the command: its map, its limits, its replay; and what a thorough run adds."""
+"""The survey in virtual time, by the command: its map, its limits, its replay."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from command_line import rig
-from intervals import reaches
+from survey_config import ROOT, written
 
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.control.sweeps import Sweeps
@@ -18,31 +18,8 @@ from rig.loop.runner import Loop
 from rig.recording.reader import read_run
 from rig.signals import Sample
 
-ROOT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.long, pytest.mark.laws, pytest.mark.made]
-# An unbalanced load and a Stribeck effect: what the map is to show.
-FRICTION = {"fc_plus_V": 0.48, "fc_minus_V": 0.48, "fs_plus_V": 0.54, "fs_minus_V": 0.54, "stribeck_rad_s": 0.4}
+pytestmark = [pytest.mark.long, pytest.mark.made]
 NARROW = {"soft_rad": [-0.05, 0.05], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 4.9, "coast_tau_s": 0.2}
-PARTS = {"force_sin_V": 0.08, "half_travel_rad": 1.0}
-
-
-def written(folder: Path, parts: dict[str, float] | None = None, **sections: object) -> Path:
-    """config/quick.yaml with given gains, no tracking, this motor, and further sections."""
-    config = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
-    config.pop("tracking")
-    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.84}], "cycles": 6}
-    config["survey"] = {"speeds_rad_s": [0.7, 0.4, 0.2], "longest_s": 60}
-    motor = config["emulated"]["motor"]
-    motor |= FRICTION
-    if parts is not None:
-        motor["parts"] = parts
-        for name in ("fs_plus_V", "fs_minus_V", "stribeck_rad_s"):
-            motor.pop(name)
-    else:
-        motor["parts"] = PARTS
-    path = folder / "survey.yaml"
-    path.write_text(yaml.safe_dump(config | sections), encoding="utf-8")
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +76,6 @@ def test_its_report_has_the_map_and_its_terminal_lines_name_it(survey: dict[str,
 def test_a_survey_can_be_left_out(survey: dict[str, Any]) -> None:
     result = json.loads(rig("identify", survey["folder"], "--without", "survey", "--json").stdout)
     assert "friction_map" not in result
-    assert [record["name"] for record in survey["law_records"]] == ["relay-1", "breakaway", "survey"]
 
 
 @pytest.mark.parametrize(
@@ -117,7 +93,6 @@ def test_without_room_it_is_refused_before_anything_moves(sections: dict[str, An
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.usefixtures("plain_motor")
 def test_the_rehearsal_has_the_delay_that_the_strokes_have_shown(tmp_path: Path) -> None:
     """Without it the rehearsal passes, and the shaft is lost in the sweeps."""
     limits = {"soft_rad": [-1.1, 1.1], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 3.0, "coast_tau_s": 0.2}
@@ -145,42 +120,6 @@ def test_the_check_of_a_thorough_config_names_the_sweeps(tmp_path: Path) -> None
     assert "at about 0.7, 0.4, 0.2 rad/s" in result.stdout
 
 
-@pytest.fixture(scope="module")
-def thorough(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("thorough")
-    survey = {"speeds_rad_s": [0.7, 0.3], "longest_s": 60}  # enough for a supply, which sags at any speed
-    path = written(folder, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True}, survey=survey)
-    outcome: dict[str, Any] = json.loads(rig("run", path, "--out", folder / "runs", "--json").stdout)
-    return outcome
-
-
-def test_a_thorough_run_tells_what_the_plain_run_leaves_open(thorough: dict[str, Any]) -> None:
-    """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
-    assert any(note.startswith("thorough: the tests left") for note in thorough["notes"])
-    (law,) = thorough["answer"]["law"]
-    assert law["name"] == "sag" and reaches(law["ci95"], 0.03)
-    truth, answer = thorough["truth"], thorough["answer"]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        assert answer[name] == pytest.approx(truth[name], rel=0.01)
-        assert answer["u95"][name] < 0.025 * truth[name]
-    stages = read_run(Path(thorough["folder"])).stages()
-    assert [stage for stage in stages if stage != "rest"] == ["breakaway", "relay-1", "relay-2", "survey"]
-
-
-@pytest.mark.evidence
-def test_what_the_plain_run_would_have_said_is_doubtful_and_the_thorough_one_is_replayed(
-    thorough: dict[str, Any],
-) -> None:
-    plain = rig("identify", thorough["folder"], "--without", "survey", "--without", "relay-2", "--json")
-    left = json.loads(plain.stdout)
-    assert not left["answer"]["law"]
-    estimate = left["estimates"]["sampled-data"]
-    assert estimate["verdict"] == "doubtful" and estimate["K_rad_s_V"] < 0.97 * thorough["truth"]["K_rad_s_V"]
-    done = json.loads(rig("replay", thorough["folder"], "--json").stdout)
-    assert done["ok"] and done["replayed"] == done["rows"]
-
-
-@pytest.mark.usefixtures("plain_motor")
 def test_an_e_stop_in_a_sweep_ends_the_run_without_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measured at the output of an emulated I/O block, which cuts its drive but latches nothing."""
     blocks: list[VirtualIoBlock] = []

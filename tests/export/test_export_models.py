@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from command_line import rig
 from control.nlsys import input_output_response
+from evidence import evidence
 from run_with_laws import GOLDEN, LAWS, PERIOD_S, PLAIN, drive, motor_of, own_motion, run_with
 from scipy.io import loadmat
 from wpimath.controller import ArmFeedforward, SimpleMotorFeedforwardRadians
@@ -104,7 +105,9 @@ def test_python_controls_smooth_motor_is_near_rigs_own(exported: Callable[..., P
     assert np.abs(found.outputs[0][::50] - readings[:-1]).max() < 2e-3  # friction that turns over 1 mrad/s
 
 
-@pytest.mark.parametrize("laws", EACH, ids="-".join)
+@pytest.mark.parametrize(
+    "laws", [EACH[0], MANY, *evidence(*((laws,) for laws in EACH[1:-1]))], ids=lambda laws: "-".join(laws)
+)
 def test_mujoco_moves_as_rig_moves_the_motor(exported: Callable[..., Path], laws: tuple[str, ...]) -> None:
     folder = exported("mujoco", *laws)
     shaft = module(folder / "motor_mujoco.py")

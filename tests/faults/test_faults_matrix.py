@@ -496,9 +496,9 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
 
 def test_the_page_is_what_the_command_writes() -> None:
     row = next(row for row in ROWS if row.name == "port gone")
-    found = Found(
-        row.name, BOARD.key, CYCLE.key, 0.1, 0.03, 0.05, 0.0, "LINK_LOST", 1, 0, "refused: LINK_LOST; mended: moves"
-    )
+    bound_s = row.on(CYCLE.traits(BOARD.traits)).bound.seconds(times(BOARD))
+    next_run = "refused: LINK_LOST; mended: moves"
+    found = Found(row.name, BOARD.key, CYCLE.key, 0.1, 0.03, bound_s, 0.0, "LINK_LOST", 1, 0, next_run)
     one = Line(row, BOARD, CYCLE, times(BOARD), (found,))
     lines = kept.NONE.with_measured([one], "today", "c0de")
     page, short = render_rows(lines, [row], [BOARD]), render_summary(lines, [row], [BOARD])

@@ -8,6 +8,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from rig.backends.serial.emulated.firmware_build import source_folder
 
 SENT = "void blocks_sent(blocks *b)\n{\n"
@@ -27,6 +29,7 @@ def test_the_firmwares_own_tests_pass(tmp_path: Path) -> None:
     assert int(counts["frames"]) > 100_000 and int(counts["rig_core"]) > 500
 
 
+@pytest.mark.evidence
 def test_make_check_would_notice_a_breach_of_misra(tmp_path: Path) -> None:
     folder = tmp_path / "firmware"
     shutil.copytree(source_folder(), folder)

@@ -10,6 +10,7 @@ from itertools import pairwise
 import pytest
 from device_relay import DeviceRelay
 from device_strokes import DeviceStrokes
+from evidence import evidence
 from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, PicoHost, armed_pico, pico
 from simulated_bench import LIMITS
 from virtual_host import TICK_S
@@ -160,7 +161,7 @@ def test_dead_time_takes_its_share_of_what_is_switched() -> None:
         host.truth()
 
 
-@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+@pytest.mark.parametrize("options", [*evidence((Variant(),)), FAST], ids=["115200", str(FAST.baud)])
 def test_no_byte_is_lost_however_dense_the_requests(options: Variant) -> None:
     """The port holds one byte; a longest frame at full speed and answers at the same time."""
     with pico(BENCH, options) as host:
@@ -178,7 +179,7 @@ def test_no_byte_is_lost_however_dense_the_requests(options: Variant) -> None:
         assert host.board.broken_rule() == ""
 
 
-@pytest.mark.parametrize("stall_s", [0.0, 0.018])
+@pytest.mark.parametrize("stall_s", [*evidence(0.0), 0.018])
 def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: float) -> None:
     """Each row is on the grid of the ticks, and its drive the law's, while the main loop is busy for 18 ms, too."""
     reader, blocks, numbers = FrameReader(), [], []
@@ -203,7 +204,7 @@ def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: floa
     assert len({drive for *_, drive in rows}) == 4 and max(b.delay_us for b in blocks) < 12
 
 
-@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
+@pytest.mark.parametrize("options", [*evidence((Variant(),)), FAST], ids=["115200", str(FAST.baud)])
 def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) -> None:
     """Each row's drive is the law's, on the grid of the ticks, also while the main loop is busy; the pins follow it."""
     reader, blocks, numbers, pins = FrameReader(), [], [], set()

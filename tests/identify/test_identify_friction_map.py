@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from rig.control.sweep_plan import SweepPlan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
@@ -62,10 +63,12 @@ def deviations(found: FrictionMap) -> tuple[list[float], list[float]]:
     "parts",
     [
         {},
-        {"force_sin_V": 0.1, "force_cos_V": 0.05},
-        {"friction_sin_V": 0.05},
-        {"stribeck_V": 0.06, "stribeck_rad_s": 0.5},
-        {"viscous_by_direction_V_s_rad": 0.02, "drag_V_s2_rad2": 0.01},
+        *evidence(
+            {"force_sin_V": 0.1, "force_cos_V": 0.05},
+            {"friction_sin_V": 0.05},
+            {"stribeck_V": 0.06, "stribeck_rad_s": 0.5},
+            {"viscous_by_direction_V_s_rad": 0.02, "drag_V_s2_rad2": 0.01},
+        ),
         {"stribeck_V": 0.06, "stribeck_rad_s": 0.5, "force_sin_V": 0.08, "cogging_sin_V": 0.02, "cogging_per_rad": 6.0},
     ],
     ids=lambda parts: "+".join(name for name in parts if name.endswith("_V")) or "plain or viscous",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence import examples
+from evidence import evidence, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, drawn, motor
@@ -194,7 +194,7 @@ def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check: Chec
         assert found.delay_s == pytest.approx(ticks * FINE_S, abs=0.05 * FINE_S)
 
 
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", [*evidence(True), False])
 def test_the_command_on_a_plain_csv_of_it_is_right(tmp_path: Path, known: bool) -> None:
     record = recorded(ticks=1.3, known=known)
     columns = [record.t_s, record.u_V, record.y_rad] + ([] if record.t_u_s is None else [record.t_u_s])

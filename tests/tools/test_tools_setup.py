@@ -10,6 +10,7 @@ from importlib.metadata import packages_distributions, requires
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -106,8 +107,13 @@ def test_a_run_and_its_report_need_no_package_but_those_that_rig_runs_on(tmp_pat
         if not runs_on & {canonicalize_name(one) for one in brought_by}
     }
     assert {"pytest", "pandas", "setuptools", "starlette"} <= absent and "numpy" not in absent
+    short = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))
+    short["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}], "cycles": 4}
+    short["tracking"] |= {"duration_s": 2.0, "methods": ["sampled-data"]}
+    config = tmp_path / "short.yaml"
+    config.write_text(yaml.safe_dump(short), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, ",".join(absent), "run", ROOT / "config/quick.yaml", "--out", tmp_path],
+        [sys.executable, "-c", WITHOUT, ",".join(absent), "run", config, "--out", tmp_path],
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
