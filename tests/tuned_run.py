@@ -5,6 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import run_tuning
+from rig.tune.prediction import Prediction, predict
+from rig.tune.program import Trial
+from rig.tune.tuning import Tuned
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config/simulated.yaml"
@@ -32,3 +40,12 @@ def tuned_run(parent: Path) -> Path:
     }
     (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
     return folder
+
+
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The prediction of `rig tune` from 5 motors instead of the 39 that it asks for at least, which take seconds."""
+
+    def predicted(tuned: Tuned, trial: Trial, draws: int, **more: Any) -> Prediction:
+        return predict(tuned, trial, min(draws, 5), **more)
+
+    monkeypatch.setattr(run_tuning, "predict", predicted)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 from command_line import rig
+from tuned_run import few_draws
 
 from rig.panel.runs import Runs
 from rig.report.source import load
@@ -63,7 +64,8 @@ def test_a_rehearsal_that_went_well_leads_to_the_bench_and_to_no_controller(rehe
     assert [step.command for step in found.next_steps] == [""] and "Wire the bench" in found.next_steps[0].text
 
 
-def test_each_command_that_reads_it_says_so(rehearsal: Path, tmp_path: Path) -> None:
+def test_each_command_that_reads_it_says_so(rehearsal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few_draws(monkeypatch)
     page = tmp_path / "page.html"
     assert rig("identify", rehearsal, "--report", page).stdout.startswith(REHEARSAL)
     assert "<title>Rehearsal: " in page.read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from command_line import rig
 from evidence import evidence
-from tuned_run import GOLDEN, tuned_run
+from tuned_run import GOLDEN, few_draws, tuned_run
 
 from rig.backends.driver import DeviceInfo
 from rig.backends.serial import loopback
@@ -120,6 +120,7 @@ def test_what_drives_has_a_flag_when_it_arms(
 ) -> None:
     runs = tmp_path / "runs"
     armings = Armings(runs, monkeypatch)
+    few_draws(monkeypatch)
     armings.last = arming
     result = rig(command, *arguments.format(**given).split(), "--out", runs)
     assert armings.last <= 0, f"it never armed: {result.output}"

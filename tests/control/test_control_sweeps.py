@@ -64,11 +64,13 @@ def test_the_shaft_follows_though_the_motor_is_only_known_crudely(tau_share: flo
 @pytest.mark.parametrize(
     "parts",
     [
-        {"force_sin_V": 0.15},
         {"stribeck_V": 0.08, "stribeck_rad_s": 0.3},
-        {"cogging_sin_V": 0.05, "cogging_per_rad": 10.0},
         {"backlash_rad": 0.015},
-        {"dead_band_V": 0.08},
+        *evidence(
+            {"force_sin_V": 0.15},
+            {"cogging_sin_V": 0.05, "cogging_per_rad": 10.0},
+            {"dead_band_V": 0.08},
+        ),
     ],
     ids=lambda parts: next(iter(parts)),
 )
