@@ -33,3 +33,15 @@ def rows(trace: Path) -> list[dict[str, float]]:
     lines = trace.read_text().splitlines(keepends=True)
     whole = [line for line in lines if line.endswith("\n")]
     return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(whole)]
+
+
+# `rig` in a process of its own, but no laws are sought and no figure is made, which takes longer than most runs do
+PLAIN_RIG = """
+from rig.cli import main
+from rig.identify import identification
+from rig.report import page
+
+identification._add_motor_law = identification._add_friction_law = lambda *_: None
+page.drawn = lambda make: page.Figure(None, "not in this test")
+main()
+"""

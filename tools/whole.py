@@ -38,6 +38,7 @@ BUSY_LOOPS = 4
 STOPPED_S = (0.04, 1.0)  # shortest and longest
 BETWEEN_S = (0.3, 2.0)
 PACED_AT_ONCE = 5  # each sleeps most of its time
+PROGRAM = ("-m", "rig")  # what Python is told to run
 
 
 class Ended(NamedTuple):
@@ -59,7 +60,7 @@ class Ended(NamedTuple):
 
 def start(config: Path, out: Path, *options: str) -> subprocess.Popen[str]:
     """``rig run`` in a session of its own."""
-    command = [sys.executable, "-P", "-m", "rig", "run", str(config), "--out", str(out), "--json", *options]
+    command = [sys.executable, "-P", *PROGRAM, "run", str(config), "--out", str(out), "--json", *options]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )  # fmt: skip

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import yaml
 from evidence import evidence
+from processes import PLAIN_RIG
 
 import whole
 
@@ -22,6 +23,12 @@ TRIES = 4
 STOPPED_S = (0.04, 0.08, 0.15, 1.0)
 
 pytestmark = [pytest.mark.realtime, pytest.mark.long]
+
+
+@pytest.fixture(autouse=True)
+def _plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that end with their result: to look for laws and to draw takes longer than the run."""
+    monkeypatch.setattr(whole, "PROGRAM", ("-c", PLAIN_RIG))
 
 
 def shorter(config: dict[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from processes import PLAIN_RIG
 
 from rig.backends.clock import MonotonicClock
 from rig.loop.real_time import RealTimeSettings, real_time
@@ -117,8 +118,17 @@ def test_refusals_reach_meta_result_and_the_user(tmp_path: Path) -> None:
     config["daq"]["port"] = "emulated-realtime"
     config["loop"] = {"cpu": 4000, "spin_us": 50.0}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
-    program = "import rig.session; from rig.cli import main; rig.session.write_report = lambda *_: None; main()"
-    command = [sys.executable, "-c", program, "jog", str(tmp_path / "config.yaml"), "--u-V", "0.1", "--seconds", "0.2"]
+    command = [
+        sys.executable,
+        "-c",
+        PLAIN_RIG,
+        "jog",
+        str(tmp_path / "config.yaml"),
+        "--u-V",
+        "0.1",
+        "--seconds",
+        "0.2",
+    ]
     done = subprocess.run([*command, "--out", str(tmp_path)], cwd=ROOT, capture_output=True, text=True)
     (folder,) = (path.parent for path in tmp_path.glob("*/meta.json"))
     refused = json.loads((folder / "meta.json").read_text())["real_time"]["refused"]

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from processes import PLAIN_RIG
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, simulated_bench
 
 from rig.backends.clock import MonotonicClock
@@ -124,17 +125,6 @@ def test_no_tick_waits_for_a_disk_that_takes_nothing(tmp_path: Path) -> None:
 # -- a whole run beside which nobody reads and the progress hangs ------------------------------------------------------
 
 
-# no laws are sought, and no figure is made: each takes longer than the run
-PLAIN = """
-from rig.cli import main
-from rig.identify import identification
-from rig.report import page
-identification._add_motor_law = identification._add_friction_law = lambda *_: None
-page.drawn = lambda make: page.Figure(None, "not in this test")
-main()
-"""
-
-
 def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_path: Path) -> None:
     config = yaml.safe_load((ROOT / "config" / "quick.yaml").read_text())
     config["relay"] = {"gains": [{"h1_V": 0.8, "h2_V": 0.9}], "cycles": 4}
@@ -143,7 +133,7 @@ def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_pa
     terminal, seen_by_rig = os.openpty()
     reading, writing = full_pipe()
     run = subprocess.Popen(
-        [sys.executable, "-c", PLAIN, "relay", str(tmp_path / "config.yaml"), "--out", str(tmp_path / "runs")],
+        [sys.executable, "-c", PLAIN_RIG, "relay", str(tmp_path / "config.yaml"), "--out", str(tmp_path / "runs")],
         stdout=writing,
         stderr=seen_by_rig,
         cwd=ROOT,
