@@ -118,18 +118,8 @@ def test_refusals_reach_meta_result_and_the_user(tmp_path: Path) -> None:
     config["daq"]["port"] = "emulated-realtime"
     config["loop"] = {"cpu": 4000, "spin_us": 50.0}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
-    command = [
-        sys.executable,
-        "-c",
-        PLAIN_RIG,
-        "jog",
-        str(tmp_path / "config.yaml"),
-        "--u-V",
-        "0.1",
-        "--seconds",
-        "0.2",
-    ]
-    done = subprocess.run([*command, "--out", str(tmp_path)], cwd=ROOT, capture_output=True, text=True)
+    jog = ("jog", str(tmp_path / "config.yaml"), "--u-V", "0.1", "--seconds", "0.2", "--out", str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", PLAIN_RIG, *jog], cwd=ROOT, capture_output=True, text=True)
     (folder,) = (path.parent for path in tmp_path.glob("*/meta.json"))
     refused = json.loads((folder / "meta.json").read_text())["real_time"]["refused"]
     (line,) = (line for line in refused if line.startswith("core 4000 refused (Invalid argument)"))
