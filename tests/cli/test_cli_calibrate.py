@@ -92,6 +92,7 @@ def test_angles_on_emulated_devices(tmp_path: Path, name: str, port: str, rpc: f
     assert load(file).sensor.straight[0] == pytest.approx(rpc, rel=0.01)
 
 
+@pytest.mark.evidence
 def test_an_encoder_and_the_strokes_on_the_chip(tmp_path: Path) -> None:
     """Lines taken for edges, and counts that fall; the motor of the chip then turns as it should."""
     file = tmp_path / "encoder.yaml"

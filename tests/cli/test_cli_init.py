@@ -119,10 +119,10 @@ emulated:
         ("uno", (), "stops", False),
         ("uno", COUNTED, "stops", False),
         ("uno", COUNTED, "turns", False),
-        *evidence(("uno", COUNTED, "none", True)),
+        ("uno", COUNTED, "none", True),
         ("pico", (), "stops", False),
         ("pico", COUNTED, "stops", False),
-        ("pico", COUNTED, "turns", True),
+        *evidence(("pico", COUNTED, "turns", True)),
         ("pico", COUNTED, "none", False),
     ],
 )

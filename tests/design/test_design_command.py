@@ -89,6 +89,7 @@ def test_the_same_design_gives_the_same_picture(found: dict[str, Any], suffix: s
     assert picture.draw(result, "a title", suffix) == picture.draw(result, "a title", suffix)
 
 
+@pytest.mark.evidence
 def test_without_a_test_it_says_so(run: Path, tmp_path: Path) -> None:
     said = rig("design", CONFIG, "--model", run, "--doubt", "90", "--to", tmp_path / "none.svg")
     assert said.exit_code == 1

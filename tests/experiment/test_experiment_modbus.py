@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from command_line import rig
+from evidence import evidence
 
 from rig.recording.reader import read_run
 
@@ -43,22 +45,29 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
 
 
-def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) -> None:
-    searched = example("tcp")
-    searched["tracking"]["methods"] = ["sampled-data"]
-    separate = shorter(example("rtu"))
-    separate["daq"]["watchdog_s"] = 0.08
-    separate["daq"]["modbus"]["requests"] = "separate"
-    separate["period_s"] = 0.02
-    orders = []
-    for config in (searched, separate):
-        result = rig("run", written(config, tmp_path), "--out", tmp_path / "runs", "--json")
-        assert result.exit_code == 0, result.output
-        outcome = json.loads(result.stdout)
-        finds_the_truth(outcome)
-        recording = read_run(Path(outcome["folder"]))
-        orders.append(recording.meta.order)
-    assert orders == ["write_first", "sample_first"]
+def searched() -> dict[str, Any]:
+    config = example("tcp")
+    config["tracking"]["methods"] = ["sampled-data"]
+    return config
+
+
+def separate() -> dict[str, Any]:
+    config = shorter(example("rtu"))
+    config["daq"]["watchdog_s"] = 0.08
+    config["daq"]["modbus"]["requests"] = "separate"
+    config["period_s"] = 0.02
+    return config
+
+
+@pytest.mark.parametrize(("config", "order"), [(separate, "sample_first"), *evidence((searched, "write_first"))])
+def test_in_virtual_time_by_the_search_and_by_separate_requests(
+    config: Callable[[], dict[str, Any]], order: str, tmp_path: Path
+) -> None:
+    result = rig("run", written(config(), tmp_path), "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 0, result.output
+    outcome = json.loads(result.stdout)
+    finds_the_truth(outcome)
+    assert read_run(Path(outcome["folder"])).meta.order == order
 
 
 def test_the_worked_example_of_the_docs(tmp_path: Path) -> None:

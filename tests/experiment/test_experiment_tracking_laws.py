@@ -72,6 +72,7 @@ def test_with_the_laws_the_error_is_at_most_half_at_each_seed(
         assert known(with_laws.true_rms_rad) <= 0.5 * known(without.true_rms_rad)
 
 
+@pytest.mark.evidence
 def test_a_motor_without_laws_is_tracked_as_before_and_most_of_its_error_is_the_sensors(tmp_path: Path) -> None:
     found = compare(bench(*BENCHES[PLAIN]), tmp_path, seeds=(1,))
     assert found.laws == ()

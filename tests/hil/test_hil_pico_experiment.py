@@ -38,6 +38,7 @@ def test_the_whole_experiment_on_the_pico_finds_the_truth(tmp_path: Path) -> Non
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
 
 
+@pytest.mark.evidence
 def test_the_relay_in_the_pico_finds_the_truth(tmp_path: Path) -> None:
     gains = [{"h1_V": 0.42, "h2_V": 0.84}]
     outcome = run_on("emulated-pico", tmp_path, demo(), target=None, where="device", gains=gains, cycles=7)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from evidence import examples
+from evidence import evidence, examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_bench import ListSink
@@ -171,7 +171,7 @@ def test_every_stroke_is_as_planned_whatever_the_speed_and_the_steps_of_the_driv
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("sensor", "speed_rad_s"), [("potentiometer", 5.0), ("encoder", 21.0)])
+@pytest.mark.parametrize(("sensor", "speed_rad_s"), [("potentiometer", 5.0), *evidence(("encoder", 21.0))])
 def test_every_stroke_is_as_planned_on_the_unos_chip(sensor: Sensor, speed_rad_s: float) -> None:
     e = bench(speed_rad_s, sensor=sensor)
     assert is_as_planned(e, driven(e, emulated_chip(e)))

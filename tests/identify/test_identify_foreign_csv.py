@@ -256,14 +256,13 @@ def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(
         ),
     ],
 )
+@pytest.mark.parametrize("with_times", [False, *evidence(True)])
 def test_columns_that_are_not_what_they_say(
-    tmp_path: Path, relay_test: Columns, spoil: Callable[[Columns], Columns], words: str
+    tmp_path: Path, relay_test: Columns, spoil: Callable[[Columns], Columns], words: str, with_times: bool
 ) -> None:
-    """Without t_u_s too, but for what only t_u_s shows."""
-    spoiled = relay_test | spoil(relay_test)
-    not_believed(plain_csv(tmp_path / "a.csv", spoiled, WITH_DRIVE_TIMES), words)
-    if words not in ("one clock", "t_u_s"):
-        not_believed(plain_csv(tmp_path / "a.csv", spoiled), words)
+    """Without t_u_s, but for what only t_u_s shows; and with it."""
+    names = WITH_DRIVE_TIMES if with_times or words in ("one clock", "t_u_s") else PLAIN
+    not_believed(plain_csv(tmp_path / "a.csv", relay_test | spoil(relay_test), names), words)
 
 
 @pytest.mark.parametrize(

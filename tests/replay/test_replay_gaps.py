@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from rig import config, experiment
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -20,7 +21,7 @@ STALL_S = 0.085
 IN_CHECK_S, LATER_S = 0.71, 2.3  # it meets strokes, pauses and cycles at every phase
 
 
-@pytest.mark.parametrize("before_drive", [False, True], ids=["late readings", "late drives"])
+@pytest.mark.parametrize("before_drive", [*evidence(False), True], ids=["late readings", "late drives"])
 def test_a_run_with_gaps_decides_the_same(before_drive: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     next_s = [4.0]  # once it drives
     name = "write" if before_drive else "read"
