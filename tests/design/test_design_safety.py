@@ -71,7 +71,11 @@ def planned(true: Motor, believed: tuple[float, float, float, float], kind: Kind
 
 @pytest.mark.hypothesis
 @pytest.mark.parametrize("kind", ["strokes", "relay"])
-@settings(max_examples=examples(15, at_least=2), deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(
+    max_examples=examples(15, at_least=2),
+    deadline=None,
+    suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
+)
 @given(pair=motors(), seed=st.integers(0, 1000), start=st.floats(-0.8, 0.8))
 def test_a_wrong_model_leaves_no_limit(
     kind: Kind, pair: tuple[Motor, tuple[float, float, float, float]], seed: int, start: float

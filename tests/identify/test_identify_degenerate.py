@@ -117,7 +117,7 @@ def one_line(path: Path, others: list[Path], methods: tuple[str, ...] | None, ma
         estimate.as_result()
 
 
-@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     stretches=st.lists(STRETCH, min_size=1, max_size=2),
     methods=st.none() | st.sampled_from(METHODS).map(lambda method: (method,)),
@@ -142,7 +142,7 @@ STAGES = ("breakaway", "search", "relay-1", "relay-2", "hysteretic-1", "hysteret
 
 
 @pytest.mark.evidence
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     stages=st.dictionaries(st.sampled_from(STAGES), STRETCH, min_size=1, max_size=4),
     drive_times=st.booleans(),

@@ -388,7 +388,11 @@ def damaged(
     return rows, factors
 
 
-@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(how=damage(), drive_times=st.booleans())
 def test_any_damage_ends_in_an_error_a_refusal_a_doubt_or_the_right_motor(
     tmp_path: Path, relay_test: Columns, how: list[tuple[str, int, int, str, float]], drive_times: bool

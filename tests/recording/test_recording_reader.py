@@ -351,7 +351,11 @@ def damaged_files(draw: st.DrawFn) -> bytes:
     return bytes(content)
 
 
-@settings(max_examples=examples(600), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(600),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(content=st.one_of(damaged_files(), st.binary(max_size=200)))
 @example(b't_s,u_V,y_rad\n0,"1\r2",0\n1,1,1\n2,1,1\n')
 @example(b"t_s,u_V,y_rad\n-1e308,0,0\n1e308,0,0\n1.5e308,0,0\n")
@@ -373,7 +377,11 @@ def test_any_bytes_give_a_recording_or_a_recording_error(tmp_path: Path, content
         assert len(getattr(recording, name)) == len(recording)
 
 
-@settings(max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(200),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(
     content=st.one_of(
         st.binary(max_size=80),
@@ -391,7 +399,11 @@ def test_any_bytes_as_small_files_likewise(tmp_path: Path, content: bytes) -> No
         (tmp_path / name).unlink()
 
 
-@settings(max_examples=examples(200), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(200),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(values=st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2), min_size=3, max_size=20))
 def test_every_double_is_read_back_exactly(tmp_path: Path, values: list[tuple[float, float]]) -> None:
     nan = math.nan

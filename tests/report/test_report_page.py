@@ -272,8 +272,8 @@ def test_any_subset_of_files_makes_a_page_that_says_what_is_missing(run: Path, g
     samples, result = "samples.csv" not in gone, "result.json" not in gone
     steps = result or "events.jsonl" not in gone  # of the gain search
     # whole run, breakaway, relays, portraits, residual, tracking, timing, two averaged cycles; estimates side by side
-    # need a result, or samples that can be identified in its place; this result is older than uncertainty budgets
-    assert len(page.images()) == 9 * samples + (result or samples) + (samples and not result) + steps
+    # need a result, or samples that can be identified in its place; without laws there is no uncertainty budget
+    assert len(page.images()) == 9 * samples + (result or samples) + steps
     assert ("For this page its recording was identified" in page.words) == (samples and not result)
 
 
@@ -627,7 +627,11 @@ RESULT = st.fixed_dictionaries(
 
 @pytest.mark.usefixtures("undrawn")
 @given(result=RESULT, meta=st.dictionaries(st.sampled_from(["backend", "truth", "versions", "period_s"]), ANY_JSON))
-@settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 def test_no_result_however_odd_keeps_the_page_from_being_made(
     tmp_path: Path, result: dict[str, Any], meta: dict[str, Any]
 ) -> None:
