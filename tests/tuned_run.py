@@ -48,4 +48,5 @@ def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     def predicted(tuned: Tuned, trial: Trial, draws: int, **more: Any) -> Prediction:
         return predict(tuned, trial, min(draws, 5), **more)
 
+    monkeypatch.setattr("rig.tune.prediction.LEAST_DRAWS", 5)
     monkeypatch.setattr(run_tuning, "predict", predicted)

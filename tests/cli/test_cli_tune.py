@@ -75,9 +75,10 @@ def test_the_words_of_a_velocity_loop(run: Path) -> None:
     assert "Kp" in done.stdout and "Kd" not in done.stdout and "RMS error of the tracking, rad/s" in done.stdout
 
 
-def test_the_noise_of_the_runs_sensor_is_not_another_sensors(run: Path) -> None:
+def test_the_noise_of_the_runs_sensor_is_not_another_sensors(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few_draws(monkeypatch)
     bench = config.load(rig.ready("encoder"))
-    found = tune_run(run, Asked("position", 4.0, None, 45.0, 6.0), 3, bench)
+    found = tune_run(run, Asked("position", 4.0, None, 45.0, 6.0), 39, bench)
     assert found.tuned.sensing.noise_rad == LEAST_NOISE_RAD
     assert found.tuned.sensing.lsb_rad == bench.sensor.curve.lsb_rad
 

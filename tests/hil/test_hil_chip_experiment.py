@@ -37,7 +37,10 @@ def demo() -> dict[str, Any]:
 
 
 def test_the_whole_experiment_on_the_chip_finds_the_truth(tmp_path: Path) -> None:
-    outcome = run_on("emulated-chip", tmp_path, demo(), cycles=6)
+    config = demo()
+    config["relay"]["cycles"] = 6
+    config["tracking"]["methods"] = ["sampled-data"]
+    outcome = run_on("emulated-chip", tmp_path, config)
     assert outcome["backend"].startswith("emulated-chip (emulated uno board, build uno ")
     finds_it_undisturbed(outcome, 0.02)
     assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01

@@ -61,7 +61,7 @@ def test_on_windows_all_but_the_devices_of_linux(tmp_path: Path) -> None:
     assert not any(":" in path.name for path in tmp_path.rglob("*"))
     assert b"\r" not in (run / "samples.csv").read_bytes()
     result = json.loads((run / "result.json").read_text(encoding="utf-8"))
-    assert result["estimates"]["sampled-data"]["verdict"] == "ok"
+    assert result["estimates"]["sampled-data"]["tau_s"] == pytest.approx(0.17, rel=0.02)
     assert not result["faults"]
     assert (tmp_path / "run.mat").stat().st_size > 10_000
     assert str(Path("runs") / run.name / "report.html") in said.splitlines()

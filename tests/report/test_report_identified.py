@@ -32,7 +32,6 @@ def chirp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.usefixtures("plain_motor")
 def test_the_summary_of_a_recording_is_under_ten_lines_and_the_rest_is_there_if_asked_for(
     chirp: Path, tmp_path: Path
 ) -> None:
