@@ -127,6 +127,7 @@ def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_worker(tmp_path: P
             np.testing.assert_array_equal(table[name][known], EXPECTED[name][table["number"][known]], err_msg=name)
 
 
+@pytest.mark.evidence
 def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path: Path) -> None:
     process = started(tmp_path)
     os.killpg(process.pid, signal.SIGINT)

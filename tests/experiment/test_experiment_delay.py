@@ -88,6 +88,7 @@ def test_without_room_for_its_delay_a_bench_is_refused_before_any_relay(
     assert replay(folder).is_same
 
 
+@pytest.mark.evidence
 def test_a_short_delay_that_no_device_reports_is_fitted_although_the_strokes_do_not_show_it(tmp_path: Path) -> None:
     outcome, folder = ran(tmp_path, delay_s=0.008)
     low, high = identified(outcome)["ci95"]["delay_s"]

@@ -382,6 +382,7 @@ def plain_bench(number: int) -> tuple[Draw, Bench, Experiment]:
     return one, bench, config_of(one, bench)
 
 
+@pytest.mark.evidence
 def test_where_designed_tests_are_stopped_the_shaft_coasts_as_far_beyond_the_soft_limits_as_the_docs_say() -> None:
     one, bench, e = plain_bench(5)
     e = e.model_copy(update={"relay": RelaySection(until=UntilSection(longest_s=6.0))})

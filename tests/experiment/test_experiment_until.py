@@ -131,6 +131,7 @@ def test_an_unbalanced_load_is_found_while_the_tests_run_and_they_end_when_it_is
     assert replay(folder).is_same
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult], tmp_path: Path) -> None:
     folder, result = run(written(tmp_path), tmp_path, "--model", known[0])
@@ -150,6 +151,7 @@ def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
     (tmp_path / "result.json").write_text(json.dumps(wrong), encoding="utf-8")
     folder, result = run(written(tmp_path), tmp_path, "--model", tmp_path / "result.json")
     recording = read_run(folder)
+    assert "search" not in recording.stages() and result.search is None
     assert float(np.abs(recording.y_rad).max()) < SOFT_RAD
     assert result.stopped is not None and result.stopped.known and not result.faults
     assert replay(folder).is_same

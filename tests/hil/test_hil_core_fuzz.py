@@ -144,6 +144,7 @@ def test_the_corpus_is_what_the_drivers_frames_make_of_it(tmp_path: Path) -> Non
     assert {path.relative_to(kept): path.read_bytes() for path in kept.rglob("*") if path.is_file()} == fresh
 
 
+@pytest.mark.evidence
 def test_a_short_run_breaks_nothing(tmp_path: Path) -> None:
     made = make(source_folder(), "fuzz", "SECONDS=1", f"BUILD={tmp_path}")
     assert made.returncode == 0, made.stdout + made.stderr
