@@ -30,6 +30,7 @@ from rig.identify.reading_filter import reading_filter_s
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
+from rig.identify.time_stamps import stamps_off_by
 from rig.identify.verdict import in_percent, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
@@ -206,13 +207,14 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     if _takes_filter(data, found.estimates.get(LEADING)):
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
+    stamps = _stamps(data, found.estimates.get(LEADING))
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
     each = estimates_of_each(data.sources) if len(recordings) > 1 and reads_tests else []
-    objections = [*_said(disagreement(each)), *data.supplies]
+    objections = [*stamps, *_said(disagreement(each)), *data.supplies]
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if asked.choose_law:
@@ -269,6 +271,18 @@ def _takes_filter(data: Measurements, estimate: Estimate | None) -> bool:
     if lag_s > 0.0:
         data.take_reading_filter(lag_s)
     return lag_s > 0.0
+
+
+def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
+    """A sentence where the rows of plain files have the time stamps of other rows; empty where they have their own."""
+    if estimate is None or estimate.spoiled or any(test.stage is not None for test in data.tests):
+        return []
+    try:
+        rows = stamps_off_by(data.tests, estimate)
+    except IdentifyError:
+        return []  # too short for pieces
+    which = "before" if rows < 0 else "after"
+    return [f"each row seems to have the time stamp of the row {which}: try --time-row {rows}"] if rows else []
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:

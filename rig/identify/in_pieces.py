@@ -20,6 +20,7 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.noise import WHITE
 from rig.identify.plausibility import one_way
+from rig.identify.thinning import thinned
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
 
@@ -27,13 +28,13 @@ INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``
 LENGTHS_S = (0.15, 0.5, 2.0)
 TAUS = 4
 FRICTIONS = (0.05, 0.35)  # of the largest drive
-FIRST_ITERATIONS = 7
+FIRST_ITERATIONS, PIECE_ITERATIONS = 7, 8
 MOST_ROWS = 4000
 SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
 LONGEST_TAU_S = 3.0
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
 LOADED = 0.6  # error with the load over that without it, at most
-FORCE, FORCE_PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
+FORCE, PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
 
 
 def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit, Blocks]:
@@ -74,7 +75,7 @@ def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fi
     given = best.problem
     tau_s = given.limits["tau_s"][0], LONGEST_TAU_S
     limits = {**given.limits, **dict.fromkeys(FORCE, (-largest_V, largest_V)), "tau_s": tau_s}
-    problem = replace(given, cut=whole.every(FORCE_PIECE_S), free=(*given.free, *FORCE), limits=limits)
+    problem = replace(given, cut=whole.every(PIECE_S), free=(*given.free, *FORCE), limits=limits)
     return _best(problem, (), longest_s, best.motor.delay_s)
 
 
@@ -92,6 +93,21 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
     tried = [solve(begin(problem, motor), FIRST_ITERATIONS) for motor in motors]
     ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
     return min((solve(fit) for fit in ranked[:2]), key=lambda fit: fit.cost)
+
+
+def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
+    """RMS residual of the plain motor, begun at ``plain``, on pieces of half a second, rad.
+
+    Raises IdentifyError if a test is too short.
+    """
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    thin = [thinned(test, rows) for test in tests]
+    delay_s = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
+    cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
+    free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(tests))
+    motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
+    problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)
+    return solve(begin(problem, motor), PIECE_ITERATIONS).rms_rad
 
 
 def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Estimate:

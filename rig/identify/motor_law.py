@@ -57,6 +57,9 @@ Array = NDArray[np.float64]
 
 GRADES = {"exact": ASKED, "good": 0.10, "rough": 0.25}  # half width of u95, relative to the number: at most
 NOT_KNOWN = "not known"
+WITH_DEAD_BAND = (
+    "f_c has in it what a dead band of the drive would take: the drive never rests, nor pushes against the motion"
+)
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 # of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
@@ -110,7 +113,7 @@ class MotorLaw:
     growth          length of the pieces that were fitted, s, and their RMS residual, rad; the last one is the free run,
                     in which the tests are predicted whole, and only their starts are fitted
     records         what was fitted
-    left_out        a sentence for each record that was not, or not whole
+    remarks         a sentence for each record that was left out, or not whole; and on what f_c holds
     alone           tau, K and friction of each recording alone, with the laws as they are for all
     bounded         a sentence for each number at a bound of the fit
     predicts        how well this motor predicts blocks that it was not fitted to; None: not looked at
@@ -125,7 +128,7 @@ class MotorLaw:
     budget: Budget
     growth: tuple[tuple[float, float], ...]
     records: tuple[FittedRecord, ...] = ()
-    left_out: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     alone: tuple[RecordingEstimate, ...] = ()
     motor: FramedMotor | None = None
     explains: bool = False
@@ -135,7 +138,7 @@ class MotorLaw:
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
-        lines = [*self.left_out, *(f"law: {law.in_words()}" for law in self.found)]
+        lines = [*self.remarks, *(f"law: {law.in_words()}" for law in self.found)]
         for group in self.not_told_apart:
             told_by = next(d.told_by for d in DEPARTURES if d.name == group[0])
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
@@ -380,7 +383,7 @@ def motor_law(
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
     begun = Beginning.of(folded, plain, periods_s, stated)
     tested = sum(window.t_s.size for window in begun.whole.windows)
-    left_out: list[str] = []
+    remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
@@ -391,9 +394,9 @@ def motor_law(
             if begun.chooser.better_each(choice, each):
                 begun = replace(begun, whole=each, chooser=begun.chooser.with_drift_each())
                 choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
-        kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
-        left_out += remarks
-        if not remarks:
+        kept, disagree = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
+        remarks += disagree
+        if not disagree:
             break
         further = kept if left > 1 else ()
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
@@ -404,7 +407,8 @@ def motor_law(
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
-    of_model = model_error(parts, blocks.cut)
+    predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
+    of_model = model_error(parts, blocks.cut, predicts.error)
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
@@ -412,7 +416,6 @@ def motor_law(
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
-    predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     holds = _holds(whole)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
@@ -420,7 +423,7 @@ def motor_law(
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
         return MotorLaw(
-            (), (), None, lines, growth, records, tuple(left_out), bounded=bounded, predicts=predicts, holds=holds
+            (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
@@ -432,7 +435,7 @@ def motor_law(
         lines,
         growth,
         records,
-        tuple(left_out),
+        tuple(remarks),
         _alone(parts, of_windows),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
         bounded=bounded,

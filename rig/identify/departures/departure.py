@@ -28,6 +28,7 @@ class Bench:
     linearity_rad       largest error of the sensor's linearity, rad, by its data sheet
     path_per_row_rad    mean way from one sample to the next, rad
     small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
+    goes_along          whether the drive always pushes the way that the shaft turns, and never rests
     """
 
     K_rad_s_V: float
@@ -38,6 +39,7 @@ class Bench:
     linearity_rad: float
     path_per_row_rad: float
     small_drives_V: tuple[float, ...] = ()
+    goes_along: bool = False
 
     @property
     def half_drive_V(self) -> float:
