@@ -11,9 +11,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.special import stdtrit
 
 from rig.identify.blocks import Blocks
+from rig.identify.departures.departure import LARGEST_FORCE
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
@@ -32,6 +34,8 @@ FIRST_ITERATIONS, PIECE_ITERATIONS = 7, 8
 MOST_ROWS = 4000
 SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
 LONGEST_TAU_S = 3.0
+STRETCHES_S = (0.04, 0.12)
+AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
 LOADED = 0.6  # error with the load over that without it, at most
 FORCE, PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
@@ -74,7 +78,8 @@ def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fi
     """The best fit with a force over position, as a hanging load has: beside it the plain numbers mean nothing."""
     given = best.problem
     tau_s = given.limits["tau_s"][0], LONGEST_TAU_S
-    limits = {**given.limits, **dict.fromkeys(FORCE, (-largest_V, largest_V)), "tau_s": tau_s}
+    most_V = LARGEST_FORCE * largest_V
+    limits = {**given.limits, **dict.fromkeys(FORCE, (-most_V, most_V)), "tau_s": tau_s}
     problem = replace(given, cut=whole.every(PIECE_S), free=(*given.free, *FORCE), limits=limits)
     return _best(problem, (), longest_s, best.motor.delay_s)
 
@@ -87,6 +92,7 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
     drive_V = max(float(np.sqrt(np.mean([np.mean(w.steps.u_V**2) for w in cut.windows]))), 1e-9)
     taus = np.geomspace(max(4.0 * period_s, 0.01), max(min(1.0, longest_s / 3.0), 8.0 * period_s), TAUS)
     motors = [fit.motor for fit in earlier]
+    motors += [balanced(cut, length_s, FORCE[0] in problem.free, delay_s) for length_s in STRETCHES_S]
     for tau in taus.tolist():
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
@@ -108,6 +114,40 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
     problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)
     return solve(begin(problem, motor), PIECE_ITERATIONS).rms_rad
+
+
+def balanced(cut: Cut, length_s: float, with_force: bool, delay_s: float) -> RealMotor:
+    """The motor whose voltages balance best on stretches of the tests: u = (v + tau a) / K + friction + force.
+
+    length_s     of a stretch, s; at least five rows: its speed and acceleration are those of a parabola
+    with_force   whether a force over position is among them
+    Linear least squares of the inverse model (Gautier and Khalil, IEEE Int. Conf. Robotics and Automation, 1988): it
+    needs no start, and it is one. Its numbers carry what noise does to an acceleration.
+    """
+    columns, drives = [], []
+    for window in cut.windows:
+        rows = max(5, round(length_s / window.period_s))
+        for first in range(0, window.t_s.size - rows + 1, rows):
+            t_s, y_rad = window.t_s[first : first + rows], window.y_rad[first : first + rows]
+            middle_s = float(t_s.mean())
+            curve, speed, y = np.polyfit(t_s - middle_s, y_rad, 2).tolist()
+            steps = window.steps
+            at = np.searchsorted(steps.edge_s, t_s - delay_s, side="right") - 1
+            drives.append(float(np.mean(steps.u_V[np.maximum(at, 0)])))
+            columns.append((speed, 2.0 * curve, np.sign(speed), np.sin(y), np.cos(y)))
+    table, u_V = np.array(columns), np.array(drives)
+    speeds, largest_V = np.abs(table[:, 0]), max(float(np.abs(u_V).max()), 1e-9)
+    moves = speeds > AT_REST * float(speeds.max())
+    used = [0, 1, 2, 3, 4] if with_force else [0, 1, 2]
+    least = (1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf)
+    scale = np.maximum(np.linalg.norm(table[moves], axis=0), 1e-12)
+    found = lsq_linear(
+        table[np.ix_(moves, used)] / scale[used], u_V[moves], ([least[k] * scale[k] for k in used], np.inf)
+    )
+    by_speed, by_curve, friction, *force = (found.x / scale[used]).tolist()
+    motor = RealMotor(by_curve / by_speed, 1.0 / by_speed, friction, 0.0, delay_s)
+    motor = motor._replace(tau_s=max(motor.tau_s, 2.0 * min(window.period_s for window in cut.windows)))
+    return motor._replace(**dict(zip(FORCE, force, strict=True))) if with_force else motor
 
 
 def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -151,5 +191,6 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
         repeated=0.0,
         coloured=None,
         converged=True,
+        force_V=(motor.force_sin_V, motor.force_cos_V),
         spoiled=False,
     )

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, stdtrit
 
 from rig.identify.departures.budget import COVERAGE, Entry
-from rig.identify.departures.fit import POSITIVE, Fit, refitted, solve, unit
+from rig.identify.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.nuisances import OF
 from rig.identify.departures.pieces import Cut, is_plain
-from rig.identify.departures.prediction import sums_of_pieces
 
 Array = NDArray[np.float64]
 

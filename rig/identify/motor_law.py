@@ -20,12 +20,11 @@ from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, with_own_noise
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, solve, unit
+from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
-from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.departures.profile import profiles
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
@@ -288,7 +287,7 @@ class Beginning:
     """What the choice of laws begins with.
 
     whole       the tests, each as one piece
-    motor       the plain motor
+    motor       the plain motor, with the force over position that it was fitted beside
     cycle_s     period of the fastest cycle, s
     travel_rad  lowest and highest position, rad
     chooser     the choice
@@ -315,7 +314,7 @@ class Beginning:
         whole = Cut.whole(tests, delay_s[1])
         motor = RealMotor(
             plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
-        )
+        )._replace(force_sin_V=plain.force_V[0], force_cos_V=plain.force_V[1])
         durations = [window.duration_s for window in whole.windows]
         known_s = [p if p is not None else _swings_s(test) for p, test in zip(periods_s, tests, strict=True)]
         of_pieces_s = min(max(NO_CYCLE_TAUS * plain.tau_s, SHORTEST_S), LONGEST_S, max(durations) / NO_CYCLE)

@@ -2,8 +2,8 @@
 
 A reading y of a shaft at x obeys T dy/dt + y = x. So where T is known, y + T dy/dt is the shaft. The T is looked for
 with which the plain motor explains pieces of the tests best. It counts where the plain motor leaves far more than
-noise, and most of it goes with the filter. A driver filters row by row, y_k = a y_{k-1} + (1 - a) x_k: that is undone to
-the last bit. Behind a filter of resistor and capacitor the same leaves a delay of half a row.
+noise, and most of it goes with the filter. A driver filters row by row, y_k = a y_{k-1} + (1 - a) x_k: that is undone
+to the last bit. Behind a filter of resistor and capacitor the same leaves a delay of half a row.
 """
 
 from __future__ import annotations

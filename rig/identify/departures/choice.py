@@ -107,8 +107,8 @@ class Chooser:
     asked: Asked = ASKED
 
     def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
-        """From a plain motor near the true one."""
-        laws: tuple[Departure, ...] = ()
+        """From a motor near the true one: a plain one, or with laws, which then are the first."""
+        laws = tuple(law for law in self.candidates if any(getattr(motor, name) for name in law.numbers))
         growth: list[tuple[float, float]] = []
         fit: Fit | None = None
         for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
@@ -393,9 +393,11 @@ def loss(normal: Normal, fit: Fit, law: Departure) -> float:
     shape = [free.index(name) for name in law.shape]
     rest = [k for k in range(len(free)) if k not in own and k not in shape]
     size = np.array([getattr(fit.motor, name) for name in law.numbers])
-    matrix = normal.matrix
-    cross = np.linalg.lstsq(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, own)], rcond=1e-14)[0]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal.matrix), 1e-300))
+    matrix = normal.matrix * np.outer(scale, scale)
+    cross = np.linalg.lstsq(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, own)], rcond=1e-12)[0]
     left = matrix[np.ix_(own, own)] - matrix[np.ix_(own, rest)] @ cross
+    size = size / scale[own]
     return float(size @ left @ size)
 
 

@@ -25,6 +25,7 @@ DAMPING = 1e-3
 VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived,
 ENOUGH_SHARE = 2e-6  # or this share of it, where that is more: of a model that leaves far more than noise
+CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -279,6 +280,9 @@ class Normal:
         matrix = raw - np.einsum("pki,pkj->ij", border, solved[:, :, :-1])
         gradient = raw_gradient - np.einsum("pki,pk->i", border, solved[:, :, -1])
         squares = float(r @ r - np.einsum("pk,pk", pull, solved[:, :, -1]))
+        if np.any(np.diag(raw) > CANCELS * np.diag(matrix)):  # what differences of squares leave is rounding
+            left, pulled = sums_of_pieces(rows, begins)
+            matrix, gradient = left.sum(axis=0), pulled.sum(axis=0)
         scale = np.einsum("pii->pi", own).copy()
         # a shaft at rest shows no velocity: without this its start would go anywhere
         scale[:, 0] = np.maximum(scale[:, 0], scale[:, 1] * (VELOCITY_SHOWN * cut.durations_s) ** 2)
@@ -301,6 +305,20 @@ class Normal:
         if free.size:
             change[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=1e-14)[0]
         return change, -(solved[:, :, -1] + solved[:, :, :-1] @ change)
+
+
+def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Normal equations (p, m, m) and (p, m) of each piece, its start taken out, by the first row of each piece."""
+    ends = np.append(begins[1:], rows.residual.size)
+    matrix, gradient = [], []
+    for begin, end in zip(begins, ends, strict=True):
+        own = np.linalg.qr(rows.by_start[begin:end])[0]
+        both = np.column_stack((rows.by_number[begin:end], rows.residual[begin:end]))
+        left = both - own @ (own.T @ both)
+        squares = left.T @ left
+        matrix.append(squares[:-1, :-1])
+        gradient.append(squares[:-1, -1])
+    return np.array(matrix), np.array(gradient)
 
 
 def _regular(own: Array) -> Array:
