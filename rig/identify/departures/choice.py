@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.identify.blocks import Blocks
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
 from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
@@ -36,7 +37,6 @@ GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
-BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
@@ -47,7 +47,7 @@ class Asked(NamedTuple):
     entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
     stay      to stay
     predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
-    cuts      share of the error beyond the sensor's noise, in blocks of the tests, that a law must take away
+    cuts      share of the error beyond the sensor's noise, in blocks that were not fitted, that a law must take away
     """
 
     entry: float = 5.0
@@ -190,7 +190,7 @@ class Chooser:
         return self._at_best_shape(bare, others) if is_faint else bare
 
     def _idle(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> Departure | None:
-        """The law that takes least of the error in blocks of the tests; None if each takes as much as is asked.
+        """The law that takes least of the error in blocks that were not fitted; None if each takes as much as is asked.
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
         sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it. Where it leaves white
@@ -198,21 +198,21 @@ class Chooser:
         """
         if fit.problem.noise.white:
             return None
-        longer = whole.every(max(BLOCK_S, BLOCK_TAUS * fit.motor.tau_s))
-        cut = longer if longer.longest_s > fit.problem.cut.longest_s else fit.problem.cut
-        full = self._in_blocks(fit, laws, fit.motor, cut)
+        blocks = Blocks.of(whole, fit.motor.tau_s)
+        full = self._held_out_rad(blocks, laws, fit.motor)
         cuts: dict[Departure, float] = {}
         for law in laws:
             others = tuple(one for one in laws if one is not law)
-            bare = self._in_blocks(fit, others, without(fit.motor, law), cut)
+            bare = self._held_out_rad(blocks, others, without(fit.motor, law))
             left, all_of_it = (max(rad**2 - self.sigma_rad**2, 1e-300) for rad in (full, bare))
             cuts[law] = 1.0 - math.sqrt(left / all_of_it)
         least = min(cuts, key=lambda law: cuts[law])
         return least if cuts[least] < self.asked.cuts else None
 
-    def _in_blocks(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor, cut: Cut) -> float:
-        """RMS residual of these laws in these pieces, rad, fitted to them by least squares."""
-        return solve(start(self.problem(cut, laws, math.inf), motor), TRIAL_ITERATIONS).rms_rad
+    def _held_out_rad(self, blocks: Blocks, laws: Sequence[Departure], motor: RealMotor) -> float:
+        """RMS error in blocks, rad, each predicted by what the others say of these laws and numbers."""
+        squares = blocks.held_out(self.problem(blocks.cut, laws, math.inf), motor)
+        return math.sqrt(float(squares.sum()) / max(int(np.count_nonzero(~blocks.shown)), 1))
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""
