@@ -63,14 +63,14 @@ ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 # of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
 NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
-MOST_ROWS, FEWER_ROWS = 8000, 3000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
-LEAVES = 8.0  # residual over the sensor's noise of such a fit
+MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
+LEAVES = 2.0  # residual over the sensor's noise of such a fit
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
 SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
-ROWS_OF_TAU, FEWER_OF_TAU = 20, 8  # at least so many of the rows taken as one have room in tau
+ROWS_OF_TAU, FEWER_OF_TAU = 20, 5  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
@@ -371,7 +371,7 @@ def motor_law(
     further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
-    Of more than 8,000 rows several at a time are taken as one, or of 3,000 where the plain motor leaves far more than
+    Of more than 8,000 rows several at a time are taken as one, or of 2,000 where the plain motor leaves far more than
     noise. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
@@ -504,7 +504,10 @@ def _record(series: TimeSeries) -> FittedRecord:
 def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSeries:
     """The series as it is taken where all records have ``of_rows``, for at most ``most``."""
     rows_of_tau = ROWS_OF_TAU if most == MOST_ROWS else FEWER_OF_TAU
-    return thinned(series, min(math.ceil(of_rows / most), int(tau_s / series.period_s / rows_of_tau)))
+    rows = math.ceil(of_rows / most)
+    if most == FEWER_ROWS and series.steps.edge_s.size <= len(series) // max(rows, 1):
+        return thinned(series, rows)  # its edges stay where they were: the motion between them has a closed form
+    return thinned(series, min(rows, int(tau_s / series.period_s / rows_of_tau)))
 
 
 def _slow(series: TimeSeries) -> TimeSeries:

@@ -37,7 +37,8 @@ GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
-FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
+STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
+FAR, FIRST_CUT = 2.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
@@ -274,10 +275,11 @@ class Chooser:
 
     def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
-        if len(laws) >= MOST:
-            return []
+        seen = with_own_noise(fit)
+        if len(laws) >= MOST or (fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW):
+            return []  # the sensor's own steps are left, which look like anything
         found = []
-        for promise in self.promises(with_own_noise(fit), laws)[:TRIED]:
+        for promise in self.promises(seen, laws)[:TRIED]:
             law = promise.law
             if law.name in left or promise.gain < self.price(law, fit, self.asked.entry):
                 continue
