@@ -513,7 +513,7 @@ def budget_rows(result: IdentificationResult) -> list[list[str]]:
     rows = []
     for line in that_matter(budget_lines(result), SMALL_SHARE):
         name = line.source if line.is_sum else line.source.replace("_", " ")
-        cells = ["-" if math.isnan(share) else f"{share:.2f}" for share in line.percent]
+        cells = ["-" if math.isnan(share) else "> 100" if share > 100.0 else f"{share:.2f}" for share in line.percent]
         rows.append([name, *cells, "u95_absolute" if line.absolute and not line.is_sum else ""])
     return rows
 

@@ -44,10 +44,10 @@ class Blocks:
     shown: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, whole: Cut, tau_s: float) -> Blocks:
-        """Of tests, for a motor of this time constant."""
+    def of(cls, whole: Cut, tau_s: float, least: tuple[float, float] = (BLOCK_S, BLOCK_TAUS)) -> Blocks:
+        """Of tests, for a motor of this time constant; ``least``: how long they are, s, and in time constants."""
         total_s = sum(window.duration_s for window in whole.windows)
-        length_s = max(BLOCK_S, BLOCK_TAUS * tau_s if math.isfinite(tau_s) else BLOCK_S)
+        length_s = max(least[0], least[1] * tau_s if math.isfinite(tau_s) else 0.0)
         length_s = max(min(length_s, total_s / FEWEST_BLOCKS), SHORTEST_BLOCK_S)
         cut = whole.every(length_s)
         since_s = cut.t_s - cut.t_s[cut.begins][cut.piece]

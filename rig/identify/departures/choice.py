@@ -38,6 +38,7 @@ PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycl
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
+LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
 FAR, FIRST_CUT = 2.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
@@ -199,7 +200,7 @@ class Chooser:
         """
         if fit.problem.noise.white:
             return None
-        blocks = Blocks.of(whole, fit.motor.tau_s)
+        blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         full = self._held_out_rad(blocks, laws, fit.motor)
         cuts: dict[Departure, float] = {}
         for law in laws:
