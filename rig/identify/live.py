@@ -387,7 +387,7 @@ class LiveFit:
             if t_s in self._starts:
                 fit.starts[k] = self._starts[t_s]
         residual = cut.readings(fit.motor, fit.starts) - cut.y_rad
-        fit = replace(fit, residual_rad=residual, cost=fit.problem.cost(residual) + fit.problem.surprise(fit.motor))
+        fit = replace(fit, residual_rad=residual, cost=fit.problem.cost(residual, fit.motor))
         return solve(fit, ITERATIONS)
 
     def _first(self, prior: FramedMotor) -> RealMotor:

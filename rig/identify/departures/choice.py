@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
-from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
+from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
@@ -97,6 +97,7 @@ class Chooser:
     delay_s     bounds of the delay, s
     sigma_rad   the sensor's noise, rad
     asked       what a law must bring
+    known       what is known of the numbers from beside the tests; None: nothing
     """
 
     candidates: Sequence[Departure]
@@ -105,6 +106,7 @@ class Chooser:
     delay_s: tuple[float, float]
     sigma_rad: float
     asked: Asked = ASKED
+    known: Known | None = None
 
     def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
         """From a plain motor near the true one."""
@@ -203,12 +205,20 @@ class Chooser:
         full = self._in_blocks(fit, laws, fit.motor, cut)
         cuts: dict[Departure, float] = {}
         for law in laws:
+            if self._is_shown_beside(fit, law):
+                continue
             others = tuple(one for one in laws if one is not law)
             bare = self._in_blocks(fit, others, without(fit.motor, law), cut)
             left, all_of_it = (max(rad**2 - self.sigma_rad**2, 1e-300) for rad in (full, bare))
             cuts[law] = 1.0 - math.sqrt(left / all_of_it)
-        least = min(cuts, key=lambda law: cuts[law])
-        return least if cuts[least] < self.asked.cuts else None
+        least = min(cuts, key=lambda law: cuts[law], default=None)
+        return None if least is None or cuts[least] >= self.asked.cuts else least
+
+    def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
+        """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
+        surprise = fit.problem.surprise
+        rise = (surprise(without(fit.motor, law)) - surprise(fit.motor)) / unit(fit)
+        return rise >= self.price(law, fit, self.asked.stay)
 
     def _in_blocks(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor, cut: Cut) -> float:
         """RMS residual of these laws in these pieces, rad, fitted to them by least squares."""
@@ -226,7 +236,7 @@ class Chooser:
         """The problem of these laws on this cut."""
         free = self.core + tuple(name for law in laws for name in (*law.numbers, *law.shape))
         limits = limits_of(free, cut, self.delay_s) | limits_of_laws(laws, self.bench)
-        return Problem(cut, free, limits, self.sigma_rad, robust_rad)
+        return Problem(cut, free, limits, self.sigma_rad, robust_rad, known=self.known)
 
     def _settle(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Add and drop laws until none gains and none is without worth.
@@ -246,7 +256,7 @@ class Chooser:
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
             of, found = end
-            squares = finest.problem.cost(of.residual_rad) / unit(finest)
+            squares = finest.problem.cost(of.residual_rad, of.motor) / unit(finest)
             return squares + sum(self.price(law, of, self.asked.entry) for law in found)
 
         return min(ends, key=worth)
@@ -372,13 +382,13 @@ def with_own_noise(fit: Fit) -> Fit:
     cut = fit.problem.cut
     noise = noise_of(fit.residual_rad, cut.t_s, cut.lengths)
     problem = replace(fit.problem, robust_rad=math.inf, noise=noise)
-    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad))
+    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad, fit.motor))
 
 
 def _gain(fit: Fit, richer: Fit) -> float:
     """Twice the gain in log likelihood, with the noise of the richer fit's residual."""
     seen = with_own_noise(richer)
-    return (seen.problem.cost(fit.residual_rad) - seen.cost) / unit(seen)
+    return (seen.problem.cost(fit.residual_rad, fit.motor) - seen.cost) / unit(seen)
 
 
 def without(motor: RealMotor, law: Departure) -> RealMotor:
@@ -408,11 +418,11 @@ class Columns:
     def __init__(self, fit: Fit, rows: Rows, smooth: Sequence[Departure] = ()) -> None:
         self._fit, self._rows = fit, rows
         self.base = Normal.of(rows, fit.problem.cut)
-        self._known: dict[str, Array] = {}
+        self._smooth: dict[str, Array] = {}
         if smooth:
             names = [name for law in smooth for name in law.numbers]
             found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
-            self._known = dict(zip(names, self._white(found.by_number).T, strict=True))
+            self._smooth = dict(zip(names, self._white(found.by_number, names).T, strict=True))
 
     def of_all(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[Array, float]]:
         """``of`` for each of the trials; those of a wave over the angle in one go."""
@@ -421,7 +431,7 @@ class Columns:
             return
         fit = self._fit
         found = fit.problem.cut.derivatives(fit.motor, fit.starts, (), [trial[ORDER] for trial in trials])
-        white = self._white(found.by_number)
+        white = self._white(found.by_number, law.numbers * len(trials))
         yield from ((white[:, 2 * k : 2 * k + 2], 1.0) for k in range(len(trials)))
 
     def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
@@ -431,14 +441,16 @@ class Columns:
         value is 0.
         """
         fit = self._fit
-        if all(name in self._known for name in law.numbers):
-            return np.column_stack([self._known[name] for name in law.numbers]), 1.0
+        if all(name in self._smooth for name in law.numbers):
+            return np.column_stack([self._smooth[name] for name in law.numbers]), 1.0
         cut, motor = fit.problem.cut, fit.motor._replace(**trial)
         if any(name in trial for name in law.numbers):
             change = cut.readings(motor, fit.starts) - cut.readings(fit.motor, fit.starts)
-            return self._white(change[:, None]), 0.0
+            known = fit.problem.known
+            beside = np.zeros(0) if known is None else known.off(motor) - known.off(fit.motor)
+            return np.concatenate((self._weighed(change[:, None]), beside[:, None])), 0.0
         found = cut.derivatives(motor, fit.starts, [index(name) for name in law.numbers])
-        return self._white(found.by_number), 1.0
+        return self._white(found.by_number, law.numbers), 1.0
 
     def gain(self, added: Array) -> tuple[float, Array]:
         """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes."""
@@ -456,7 +468,13 @@ class Columns:
         both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
         return Normal.of(both, self._fit.problem.cut)
 
-    def _white(self, columns: Array) -> Array:
+    def _white(self, columns: Array, names: Sequence[str]) -> Array:
+        """Derivatives by these numbers, whitened; behind them those of what is known from beside the tests."""
+        known = self._fit.problem.known
+        white = self._weighed(columns)
+        return white if known is None else np.concatenate((white, known.by(names)))
+
+    def _weighed(self, columns: Array) -> Array:
         problem = self._fit.problem
         if math.isinf(problem.robust_rad):
             return problem.whitened(columns)
