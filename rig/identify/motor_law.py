@@ -70,7 +70,7 @@ SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU, FEWER_OF_TAU = 20, 8  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
-AT_REST_V = ("fc_V", "dead_band_V", "static_V", "stribeck_V")  # what holds a shaft at rest, up to their sum
+AT_REST_V = ("fc_V", "dead_band_V", "static_V", "stribeck_V")  # their sum holds a shaft at rest (docs/theory.md 8.4)
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
