@@ -54,8 +54,8 @@ class StaticFriction:
     def level_V(self) -> tuple[float, float] | None:
         """Friction at rest, the mean of both directions, and its standard error, V; None unless both show it.
 
-        The error (docs/theory.md 8.4) is larger than the intervals say: noise hides how a shaft creeps away just above the level, and the
-        fit takes friction for that in motion as soon as it moves. Under Stribeck friction a ramp shows too much.
+        The error is larger than the intervals say (docs/theory.md 8.4): noise hides how a shaft creeps away just above
+        the level. Under Stribeck friction a ramp shows too much, for its fit takes friction for that in motion.
         """
         if self.plus is None or self.minus is None:
             return None
