@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.choice import Chooser, with_own_noise
+from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, unit
 from rig.identify.departures.fit import start as begin
@@ -545,9 +545,10 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     slope = values / size if values.size > 1 and size > 0.0 else np.ones(values.size)
     error = math.sqrt(max(0.0, float(slope @ covariance[np.ix_(at, at)] @ slope)))
     half = float(stdtrit(_freedom(fit), 0.975)) * error
+    ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
-    return FoundLaw(law, size, (size - half, size + half), gain - price, numbers)
+    return FoundLaw(law, size, ci95, gain - price, numbers)
 
 
 def _estimate(

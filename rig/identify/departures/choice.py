@@ -17,7 +17,19 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
-from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
+from rig.identify.departures.fit import (
+    BOUNDLESS,
+    Fit,
+    Known,
+    Normal,
+    Problem,
+    Rows,
+    limits_of,
+    refitted,
+    solve,
+    start,
+    unit,
+)
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
@@ -38,6 +50,9 @@ AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
+LEAPS = (0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.45, 1.7, 2.0)  # sizes of a law that leaps, over its own, that are looked at
+LEAP_ITERATIONS = 4
+CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
@@ -136,8 +151,9 @@ class Chooser:
             )
         while laws:
             rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
-            least = min(rises, key=lambda law: rises[law])
-            if rises[least] >= self.asked.predicts:
+            # normal equations say nothing of a law that leaps
+            least = min((law for law in laws if not law.leaps), key=lambda law: rises[law], default=None)
+            if least is None or rises[least] >= self.asked.predicts:
                 break
             laws = tuple(law for law in laws if law is not least)
             fit, laws = self._last(
@@ -162,6 +178,8 @@ class Chooser:
     def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
         """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
         for law in laws:
+            if law.leaps:
+                fit = min((one for _, one in by_size(fit, law)), key=lambda one: one.cost)
             trials = law.trials(self.bench)
             if not law.shape or len(trials) == 1:
                 continue
@@ -360,11 +378,19 @@ class Chooser:
         return sorted(found, key=lambda promise: -promise.gain)
 
     def _worst(self, fit: Fit, laws: Sequence[Departure]) -> tuple[float, Departure] | None:
-        """The law whose loss would cost least, and that cost, by the linear model; None without laws."""
+        """The law whose loss would cost least, and that cost, by the linear model if it has one; None without laws."""
         if not laws:
             return None
         normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-        return min(((loss(normal, fit, law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+
+        def cost(law: Departure) -> float:
+            if not law.leaps:
+                return loss(normal, fit, law)
+            others = [one for one in laws if one is not law]
+            bare = self.with_laws(fit, others, without(fit.motor, law))
+            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
+
+        return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
 
 def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[float, float]]:
@@ -394,6 +420,27 @@ def _gain(fit: Fit, richer: Fit) -> float:
 def without(motor: RealMotor, law: Departure) -> RealMotor:
     """The motor without a law."""
     return motor._replace(**dict.fromkeys((*law.numbers, *law.shape), 0.0))
+
+
+def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
+    """The fit, and fits of the other numbers at other sizes of a law that leaps, each with its size."""
+    [name] = law.numbers
+    size, most = getattr(fit.motor, name), fit.problem.limits.get(name, BOUNDLESS)[1]
+    others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
+    found = [(size, fit)]
+    for share in LEAPS:
+        if share != 1.0 and 0.0 < share * size <= most:
+            one = solve(refitted(fit, others, fit.motor._replace(**{name: share * size})), LEAP_ITERATIONS)
+            found.append((share * size, replace(one, problem=fit.problem)))
+    return found
+
+
+def as_likely(fit: Fit, law: Departure) -> tuple[float, float]:
+    """Between which sizes those of a law that leaps are as likely as that of the fit, at 95 %."""
+    found = sorted((size, (one.cost - fit.cost) / unit(fit) < CHANCE) for size, one in by_size(fit, law))
+    near = [k for k, (_, likely) in enumerate(found) if likely]
+    low = found[near[0] - 1][0] if near[0] > 0 else 0.0
+    return low, found[min(near[-1] + 1, len(found) - 1)][0]
 
 
 def loss(normal: Normal, fit: Fit, law: Departure) -> float:

@@ -47,11 +47,11 @@ class Known:
         return cls(tuple(names), np.array(mean), np.linalg.inv(np.linalg.cholesky(covariance)))
 
     @classmethod
-    def of_sum(cls, names: Sequence[str], value: float, error: float) -> Known:
-        """From the sum of these numbers, and its standard error."""
+    def of_sum(cls, names: Sequence[str], value_V: float, error_V: float) -> Known:
+        """From the sum of these voltages, and its standard error."""
         mean = np.zeros(len(names))
-        mean[0] = value
-        return cls(tuple(names), mean, np.full((1, len(names)), 1.0 / error))
+        mean[0] = value_V
+        return cls(tuple(names), mean, np.full((1, len(names)), 1.0 / error_V))
 
     def by(self, names: Sequence[str]) -> Array:
         """Derivatives of ``off`` by these fields, (m, len(names)), by the logarithms of ``POSITIVE``."""

@@ -52,7 +52,7 @@ def in_place(
     """
     found: dict[tuple[str, str], InPlace] = {}
     for law in laws:
-        linear = (_replaced(nuisances, law, one) for one in nuisances.each)
+        linear = (_replaced(nuisances, law, one) for one in nuisances.each if not law.leaps)
         for new in [*filter(None, linear), *_fitted(nuisances.fit, law, laws, chooser, bare[law.name])]:
             best = found.get((law.name, new.other.name))
             if best is None or new.rise < best.rise:
