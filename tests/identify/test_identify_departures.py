@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
 from rig.identify.motor_law import motor_law
 from rig.identify.thinning import thinned
-from rig.model.friction import tustin
+from rig.model.friction import coulomb, tustin
 from rig.model.motor import Motor
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
 from rig.recording.series import TimeSeries
@@ -156,6 +157,25 @@ def test_breakaway_ramps_show_static_friction_that_is_clearly_above_that_in_moti
     assert [getattr(estimate, name) for name in OF] == pytest.approx([0.17, 6.5, 0.5], rel=0.02)
     if "static" in names:  # what is at rest alone leaves the motion as it is
         assert [getattr(estimate, name) for name in OF] == pytest.approx([getattr(plain, n) for n in OF], rel=2e-3)
+
+
+def test_a_slow_drive_shows_static_friction_without_ramps() -> None:
+    """A stair of drives up and down: the shaft stands on steps that would move it without a static level."""
+
+    def stairs(top_V: float) -> Callable[[float, float, float], float]:
+        return lambda t, y, z: top_V * round(4.0 * math.sin(math.pi * t)) / 4.0
+
+    motor = Motor(0.17, 6.5, coulomb(0.3, 0.45))
+    tests = [
+        record(simulate(motor, stairs(top_V), 1200, synthetic.Bench(noise_rad=0.003, lsb_rad=synthetic.LSB_RAD)))
+        for top_V in (0.8, 1.2)
+    ]
+    law = motor_law(tests, sampled_data.fit(tests), [None, None])
+    assert [one.law.name for one in law.found] == ["static"]
+    low, high = law.found[0].ci95
+    assert low < 0.15 < high < 0.3
+    assert law.estimate is not None
+    assert [getattr(law.estimate, name) for name in OF] == pytest.approx([0.17, 6.5, 0.3], rel=0.01)
 
 
 def _fit() -> tuple[Problem, RealMotor, Cut]:

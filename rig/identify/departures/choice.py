@@ -179,7 +179,7 @@ class Chooser:
         """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
         for law in laws:
             if law.leaps:
-                fit = min((one for _, one in by_size(fit, law)), key=lambda one: one.cost)
+                fit = at_best_size(fit, law)
             trials = law.trials(self.bench)
             if not law.shape or len(trials) == 1:
                 continue
@@ -311,6 +311,7 @@ class Chooser:
                 continue
             motor = fit.motor._replace(**promise.first)
             trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            trial = at_best_size(trial, law) if law.leaps else trial
             worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
             if worth > 0.0 and not self._hardly_shows(fit, trial):
                 found.append((worth, trial, (*laws, law)))
@@ -433,6 +434,11 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
             one = solve(refitted(fit, others, fit.motor._replace(**{name: share * size})), LEAP_ITERATIONS)
             found.append((share * size, replace(one, problem=fit.problem)))
     return found
+
+
+def at_best_size(fit: Fit, law: Departure) -> Fit:
+    """The best fit of ``by_size``."""
+    return min((one for _, one in by_size(fit, law)), key=lambda one: one.cost)
 
 
 def as_likely(fit: Fit, law: Departure) -> tuple[float, float]:
