@@ -108,8 +108,6 @@ def test_its_line_alone_puts_it_on_the_command_line_into_configs_and_into_the_re
     script = f"""
 import json
 from click.testing import CliRunner
-from campaign_real.kinds import KINDS, case
-from rig.config.campaign import Campaign
 from rig.estimators import ESTIMATORS, EstimatorEntry
 ESTIMATORS.append(EstimatorEntry(*{tuple(LINE)!r}))
 from rig.cli import main
