@@ -424,7 +424,7 @@ def without(motor: RealMotor, law: Departure) -> RealMotor:
 
 
 def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
-    """Fits of the other numbers at sizes of a law that leaps (docs/theory.md 8.4), its own first, each with its size."""
+    """Fits of the rest at sizes of a law that leaps, its own first, each with its size (docs/theory.md 8.4)."""
     [name] = law.numbers
     size, most = getattr(fit.motor, name), fit.problem.limits.get(name, BOUNDLESS)[1]
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
