@@ -176,6 +176,7 @@ def test_a_slow_drive_shows_static_friction_without_ramps() -> None:
     assert low < 0.15 < high < 0.3
     assert law.estimate is not None
     assert [getattr(law.estimate, name) for name in OF] == pytest.approx([0.17, 6.5, 0.3], rel=0.01)
+    assert all(law.budget.u95[name] < 0.05 * getattr(law.estimate, name) for name in OF)
 
 
 def _fit() -> tuple[Problem, RealMotor, Cut]:
