@@ -17,19 +17,7 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
-from rig.identify.departures.fit import (
-    BOUNDLESS,
-    Fit,
-    Known,
-    Normal,
-    Problem,
-    Rows,
-    limits_of,
-    refitted,
-    solve,
-    start,
-    unit,
-)
+from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
@@ -50,7 +38,7 @@ AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
-LEAPS = (0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.45, 1.7, 2.0)  # sizes of a law that leaps, over its own, that are looked at
+LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
@@ -426,11 +414,11 @@ def without(motor: RealMotor, law: Departure) -> RealMotor:
 def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
     """Fits of the rest at sizes of a law that leaps, its own first, each with its size (docs/theory.md 8.4)."""
     [name] = law.numbers
-    size, most = getattr(fit.motor, name), fit.problem.limits.get(name, BOUNDLESS)[1]
+    size, most = getattr(fit.motor, name), fit.problem.limits[name][1]
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
     found = [(size, fit)]
     for share in LEAPS:
-        if share != 1.0 and 0.0 < share * size <= most:
+        if 0.0 < share * size <= most:
             one = solve(refitted(fit, others, fit.motor._replace(**{name: share * size})), LEAP_ITERATIONS)
             found.append((share * size, replace(one, problem=fit.problem)))
     return found
