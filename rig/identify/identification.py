@@ -1,4 +1,4 @@
-"""From recordings to estimates: gather the tests, run each estimator of the list, choose the friction law."""
+"""From recordings to estimates: gather the tests, run each estimator of the list, choose the law of the motor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from rig.identify.blocks import HeldOut
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
-from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.friction_map import FrictionMap, friction_map
 from rig.identify.known_model import model_of
 from rig.identify.least_squares import Transient
@@ -50,7 +49,6 @@ from rig.results import (
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
-MUCH_MORE = 8.0  # residual over the sensor's noise of a motor that is far from plain
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
@@ -64,7 +62,6 @@ class Identification:
     cycles      stage -> averaged cycle
     tests       the series that the estimators read
     breakaway   drives at break-away in both directions; None without breakaway ramps
-    friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
     friction_map    the drive over speed and over position; None without a survey, or without a motor
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
@@ -77,7 +74,6 @@ class Identification:
     cycles: dict[str, Cycle] = field(default_factory=dict)
     tests: list[TimeSeries] = field(default_factory=list, repr=False)
     breakaway: StaticFrictionResult | None = None
-    friction_law: FrictionLawChoice | None = None
     friction_map: FrictionMap | None = None
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
@@ -93,7 +89,6 @@ class Identification:
             notes=tuple(self.notes),
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
-            friction_law=None if self.friction_law is None else self.friction_law.as_result(),
             friction_map=None if self.friction_map is None else self.friction_map.as_result(),
             **self.evidence,
         )
@@ -145,8 +140,8 @@ def identify(
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
-    choose_law  whether to choose a friction law, and the law of the motor, from the sampled-data estimate. False: the
-                motor is known to be plain, and no verdict asks for u95
+    choose_law  whether to choose the law of the motor, from the sampled-data estimate. False: the motor is known to be
+                plain, and no verdict asks for u95
     without     names of stages that are not read, such as breakaway, search and relay-2
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
@@ -217,11 +212,9 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     objections = [*stamps, *_said(disagreement(each)), *data.supplies]
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
-    if asked.choose_law:
-        _add_motor_law(data, found, each, any(map(_was_known, recordings)))
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
-        _add_friction_law(data, static, found)
+        _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
     _add_friction_map(recordings, without, found)
     return found
 
@@ -409,11 +402,16 @@ def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], f
 
 
 def _add_motor_law(
-    data: Measurements, found: Identification, each: Sequence[RecordingEstimate], was_known: bool
+    data: Measurements,
+    found: Identification,
+    each: Sequence[RecordingEstimate],
+    static: StaticFriction | None,
+    was_known: bool,
 ) -> None:
     """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
 
     each        what each recording alone says; empty if there is one
+    static      static friction from breakaway ramps; None without any
     was_known   whether the tests of one ended because its live fit knew the motor
     The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
     """
@@ -426,7 +424,14 @@ def _add_motor_law(
         return
     try:
         law = motor_law(
-            data.tests, plain, data.periods_s, data.stated, data.further, data.recording_of, was_known=was_known
+            data.tests,
+            plain,
+            data.periods_s,
+            data.stated,
+            data.further,
+            data.recording_of,
+            level_V=None if static is None else static.level_V,
+            was_known=was_known,
         )
     except IdentifyError as error:
         _doubt(found, error.cause)
@@ -535,25 +540,3 @@ def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:
     if plain.verdict == "refused" and other_times_explain(slipped_rms_rad(plain, tests), plain.rms_rad, noise_rad):
         return "the drive acted at other times than t_u_s says, and laws would only imitate that"
     return None
-
-
-def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:
-    """Choose a law. The sampled-data estimate becomes doubtful if a richer law predicts better."""
-    estimate = found.estimates.get(LEADING)
-    if estimate is None or estimate.verdict == "refused":
-        return
-    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in data.tests])))
-    if static is None and estimate.rms_rad > MUCH_MORE * noise_rad:
-        return  # what the plain motor leaves is not noise: no criterion tells friction laws by it
-    try:
-        choice = friction_law(data.tests, estimate, data.periods_s, static)
-    except IdentifyError as error:
-        found.notes.append(f"friction law: {error.cause}")
-        return
-    found.friction_law = choice
-    found.notes += choice.notes()
-    richer = choice.beyond_coulomb
-    laws = () if found.motor_law is None else found.motor_law.found
-    another = bool(laws) and choice.chosen.law not in {one.law.name for one in laws}  # the laws found say it better
-    if richer is not None and not (another and estimate.verdict != "ok"):
-        found.estimates[LEADING] = estimate.judged("doubtful", richer)

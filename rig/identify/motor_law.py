@@ -18,9 +18,9 @@ from scipy.special import stdtrit
 from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.choice import Chooser, with_own_noise
+from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, solve, sums_of_pieces, unit
+from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
@@ -72,6 +72,7 @@ SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU, FEWER_OF_TAU = 20, 5  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+AT_REST_V = ("fc_V", "dead_band_V", "static_V", "stribeck_V")  # their sum holds a shaft at rest (docs/theory.md 8.4)
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
@@ -306,6 +307,7 @@ class Beginning:
         plain: Estimate,
         periods_s: Sequence[float | None],
         stated: Sequence[StatedErrors] = (StatedErrors(),),
+        level_V: tuple[float, float] | None = None,
     ) -> Beginning:
         """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
         free_delay = any(test.t_u_s is None for test in tests)
@@ -332,6 +334,7 @@ class Beginning:
             (*core, DELAY) if free_delay else core,
             delay_s,
             max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
+            known=None if level_V is None else Known.of_sum(AT_REST_V, *level_V),
         )
         return cls(whole, motor, cycle_s, travel_rad, chooser)
 
@@ -362,6 +365,7 @@ def motor_law(
     further: Sequence[Further] = (),
     recording_of: Sequence[str] | None = None,
     *,
+    level_V: tuple[float, float] | None = None,
     was_known: bool = False,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
@@ -370,6 +374,7 @@ def motor_law(
     stated        what is known of the benches that recorded them; at least one
     further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
+    level_V       friction at rest by breakaway ramps, and its standard error; None without ramps
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
     Of more than 8,000 rows several at a time are taken as one, or of 2,000 where the plain motor leaves far more than
     noise. Raises IdentifyError if a test is too short.
@@ -380,7 +385,7 @@ def motor_law(
     noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
     most = FEWER_ROWS if plain.rms_rad > LEAVES * noise_rad else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
-    begun = Beginning.of(folded, plain, periods_s, stated)
+    begun = Beginning.of(folded, plain, periods_s, stated, level_V)
     tested = sum(window.t_s.size for window in begun.whole.windows)
     remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     for left in reversed(range(ROUNDS + 1)):
@@ -545,9 +550,10 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     slope = values / size if values.size > 1 and size > 0.0 else np.ones(values.size)
     error = math.sqrt(max(0.0, float(slope @ covariance[np.ix_(at, at)] @ slope)))
     half = float(stdtrit(_freedom(fit), 0.975)) * error
+    ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
-    return FoundLaw(law, size, (size - half, size + half), gain - price, numbers)
+    return FoundLaw(law, size, ci95, gain - price, numbers)
 
 
 def _estimate(

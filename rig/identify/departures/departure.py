@@ -58,6 +58,7 @@ class Departure(ABC):
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
     one_sided        whether its numbers are never below 0
     over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
+    leaps            whether the motion leaps where its one number grows: no derivative shows its size
     both_ways        whether only a shaft that turns both ways can show it
     told_by          what to record to tell it from laws that look alike
     """
@@ -70,6 +71,7 @@ class Departure(ABC):
     shape: tuple[str, ...] = ()
     one_sided: bool = False
     over_position: bool = False
+    leaps: bool = False
     both_ways: bool = False
     told_by: str = "a relay test of another amplitude"
 

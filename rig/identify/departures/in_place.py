@@ -55,7 +55,7 @@ def in_place(
     """
     found: dict[tuple[str, str], InPlace] = {}
     for law in laws:
-        for new in filter(None, (_replaced(nuisances, law, one) for one in nuisances.each)):
+        for new in filter(None, (_replaced(nuisances, law, one) for one in nuisances.each if not law.leaps)):
             best = found.get((law.name, new.other.name))
             if best is None or new.rise < best.rise:
                 found[law.name, new.other.name] = new
