@@ -142,7 +142,7 @@ def balanced(cut: Cut, length_s: float, with_force: bool, delay_s: float) -> Rea
     least = (1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf)
     scale = np.maximum(np.linalg.norm(table[moves], axis=0), 1e-12)
     found = lsq_linear(
-        table[np.ix_(moves, used)] / scale[used], u_V[moves], ([least[k] * scale[k] for k in used], np.inf)
+        table[np.ix_(np.flatnonzero(moves), used)] / scale[used], u_V[moves], ([least[k] * scale[k] for k in used], np.inf)
     )
     by_speed, by_curve, friction, *force = (found.x / scale[used]).tolist()
     motor = RealMotor(by_curve / by_speed, 1.0 / by_speed, friction, 0.0, delay_s)

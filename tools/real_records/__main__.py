@@ -31,15 +31,24 @@ from rig.results import Answer
 from shared.page import render, today, write
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
-COUNTS = {"counts_per_turn": 1440.0}
 
 
-def _log(time: str, drive: str, what: str, column: str, **more: float) -> LogFormat:
-    read = {what: LogColumn.parse(what, column)}
-    return LogFormat(LogColumn.parse("time", time), LogColumn.parse("drive", drive), **read, **more)
+def _log(time: str, drive: str, what: str, column: str, counts: float | None = None) -> LogFormat:
+    """A log of PWM of 255 at 12 V, or of volts; ``what`` is position or velocity."""
+    pwm = {"full": 255.0, "supply_V": 12.0} if drive == "pwm" else {"full": None, "supply_V": None}
+    seen = LogColumn.parse(what, column)
+    return LogFormat(
+        LogColumn.parse("time", time),
+        LogColumn.parse("drive", drive),
+        position=seen if what == "position" else None,
+        velocity=seen if what == "velocity" else None,
+        counts_per_turn=counts,
+        full=pwm["full"],
+        supply_V=pwm["supply_V"],
+    )
 
 
-BOARD = _log("us", "pwm", "position", "counts", full=255.0, supply_V=12.0, **COUNTS)
+BOARD = _log("us", "pwm", "position", "counts", 1440.0)
 CASES: tuple[tuple[str, LogFormat | None], ...] = (
     ("dead_band_1p3V.csv", BOARD),
     ("closedloop.csv", None),
@@ -49,11 +58,11 @@ CASES: tuple[tuple[str, LogFormat | None], ...] = (
     ("unbalance_2p5V.csv", BOARD),
     ("unsigned_drive.csv", BOARD),
     ("lost_counts_fwd2pct.csv", BOARD),
-    ("stamp_of_line_before.csv", _log("us", "volts:V", "position", "counts", **COUNTS)),
+    ("stamp_of_line_before.csv", _log("us", "volts:V", "position", "counts", 1440.0)),
     ("drift_each_1.csv drift_each_2.csv", None),
     ("demo-refused", None),
-    ("vel_lpf5ms.csv", _log("us", "pwm", "velocity", "vel:rad/s", full=255.0, supply_V=12.0)),
-    ("vel_int16.csv", _log("us", "pwm", "velocity", "vel:counts/s", full=255.0, supply_V=12.0, counts_per_turn=8192.0)),
+    ("vel_lpf5ms.csv", _log("us", "pwm", "velocity", "vel:rad/s")),
+    ("vel_int16.csv", _log("us", "pwm", "velocity", "vel:counts/s", 8192.0)),
     ("velfilt.csv", _log("time:s", "voltage:V", "velocity", "rpm:rpm")),
 )
 KNOWN = ("tau_s", "K_rad_s_V", "fc_V")
@@ -86,12 +95,12 @@ def entries(kind: str, data: Path, scratch: Path) -> Iterator[Entry]:
         sets: dict[str, list[Path]] = {}
         for path in sorted((data / kind).glob("*.csv")):
             sets.setdefault("tu_A" if path.stem.startswith("tu_A") else path.stem, []).append(path)
-        for name, paths in sets.items():
-            column = paths[0].read_text().partition("\n")[0].split(",")[2]
+        for name, files in sets.items():
+            column = files[0].read_text().partition("\n")[0].split(",")[2]
             what, _, unit = column.partition("_")
-            read = {what: LogColumn.parse(what, f"{column}:{ {'deg_s': 'deg/s', 'rad_s': 'rad/s'}.get(unit, unit) }")}
-            log = LogFormat(LogColumn.parse("time", "t_s:s"), LogColumn.parse("drive", "u_V:V"), **read)
-            yield Entry(name, name.partition("_")[0], tuple(paths), log)
+            unit = {"deg_s": "deg/s", "rad_s": "rad/s"}.get(unit, unit)
+            log = _log("t_s:s", "u_V:V", what, f"{column}:{unit}")
+            yield Entry(name, name.partition("_")[0], tuple(files), log)
 
 
 def identified(entry: Entry) -> tuple[Identification | None, str, float]:
