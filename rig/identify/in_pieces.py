@@ -24,6 +24,7 @@ from rig.identify.noise import WHITE
 from rig.identify.plausibility import one_way
 from rig.identify.thinning import thinned
 from rig.model.real_motor import RealMotor
+from rig.model.real_step import mean_cosine
 from rig.recording.series import TimeSeries
 
 INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``PARAMETERS``
@@ -92,7 +93,7 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
     drive_V = max(float(np.sqrt(np.mean([np.mean(w.steps.u_V**2) for w in cut.windows]))), 1e-9)
     taus = np.geomspace(max(4.0 * period_s, 0.01), max(min(1.0, longest_s / 3.0), 8.0 * period_s), TAUS)
     motors = [fit.motor for fit in earlier]
-    motors += [balanced(cut, length_s, FORCE[0] in problem.free, delay_s) for length_s in STRETCHES_S]
+    motors += [balanced(cut, length_s, problem.free, delay_s) for length_s in STRETCHES_S]
     for tau in taus.tolist():
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
@@ -116,38 +117,37 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     return solve(begin(problem, motor), PIECE_ITERATIONS).rms_rad
 
 
-def balanced(cut: Cut, length_s: float, with_force: bool, delay_s: float) -> RealMotor:
-    """The motor whose voltages balance best on stretches of the tests: u = (v + tau a) / K + friction + force.
+def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:
+    """The motor whose voltages balance best on stretches of the tests: u = (v + tau a) / K + friction + bias + force.
 
     length_s     of a stretch, s; at least five rows: its speed and acceleration are those of a parabola
-    with_force   whether a force over position is among them
+    free         the numbers that it may have: ``FORCE`` and bias_V among them or not
     Linear least squares of the inverse model (Gautier and Khalil, IEEE Int. Conf. Robotics and Automation, 1988): it
     needs no start, and it is one. Its numbers carry what noise does to an acceleration.
     """
     columns, drives = [], []
-    for window in cut.windows:
+    for window, frame in zip(cut.windows, cut.frames, strict=True):
         rows = max(5, round(length_s / window.period_s))
         for first in range(0, window.t_s.size - rows + 1, rows):
             t_s, y_rad = window.t_s[first : first + rows], window.y_rad[first : first + rows]
-            middle_s = float(t_s.mean())
-            curve, speed, y = np.polyfit(t_s - middle_s, y_rad, 2).tolist()
-            steps = window.steps
+            curve, speed, y = np.polyfit(t_s - float(t_s.mean()), y_rad, 2).tolist()
+            steps, q = window.steps, y - frame.centre_rad
             at = np.searchsorted(steps.edge_s, t_s - delay_s, side="right") - 1
             drives.append(float(np.mean(steps.u_V[np.maximum(at, 0)])))
-            columns.append((speed, 2.0 * curve, np.sign(speed), np.sin(y), np.cos(y)))
+            columns.append((speed, 2.0 * curve, np.sign(speed), 1.0, np.sin(q), np.cos(q) - mean_cosine(frame)))
     table, u_V = np.array(columns), np.array(drives)
     speeds, largest_V = np.abs(table[:, 0]), max(float(np.abs(u_V).max()), 1e-9)
     moves = speeds > AT_REST * float(speeds.max())
-    used = [0, 1, 2, 3, 4] if with_force else [0, 1, 2]
-    least = (1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf)
-    scale = np.maximum(np.linalg.norm(table[moves], axis=0), 1e-12)
-    found = lsq_linear(
-        table[np.ix_(np.flatnonzero(moves), used)] / scale[used], u_V[moves], ([least[k] * scale[k] for k in used], np.inf)
-    )
-    by_speed, by_curve, friction, *force = (found.x / scale[used]).tolist()
-    motor = RealMotor(by_curve / by_speed, 1.0 / by_speed, friction, 0.0, delay_s)
-    motor = motor._replace(tau_s=max(motor.tau_s, 2.0 * min(window.period_s for window in cut.windows)))
-    return motor._replace(**dict(zip(FORCE, force, strict=True))) if with_force else motor
+    names = ("by_speed", "by_curve", "fc_V", "bias_V", *FORCE)
+    used = [k for k, name in enumerate(names) if k < 3 or name in free]
+    least = np.array([1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf, -np.inf])[used]
+    table = table[moves][:, used]
+    scale = np.maximum(np.linalg.norm(table, axis=0), 1e-12)
+    found = lsq_linear(table / scale, u_V[moves], (least * scale, np.inf)).x / scale
+    by_speed, by_curve, *rest = found.tolist()
+    tau_s = max(by_curve / by_speed, 2.0 * min(window.period_s for window in cut.windows))
+    numbers = dict(zip((names[k] for k in used[2:]), rest, strict=True))
+    return RealMotor(tau_s, 1.0 / by_speed, 0.0, 0.0, delay_s)._replace(**numbers)
 
 
 def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
