@@ -447,7 +447,7 @@ def _add_motor_law(
         law = law.without_laws()  # the plain verdict says so
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
-        judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data.tests)
+        judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
         odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
@@ -529,7 +529,7 @@ def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
 def _bare(plain: Estimate, data: Measurements) -> Estimate:
     """The plain estimate judged as if it had no residual."""
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=(), spoiled=False)
-    return _with_causes(judge_with_laws(fine, data.tests, (0.0, 0.0)), data.tests)
+    return _with_causes(judge_with_laws(fine, data.tests, [(0.0, 0.0)]), data.tests)
 
 
 def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:

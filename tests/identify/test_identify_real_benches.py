@@ -169,7 +169,7 @@ def test_errors_of_the_model_add_nothing_on_a_motor_that_is_what_the_model_says(
     for columns in (plain, bent):
         cut, problem, motor = _whole_fit(columns)
         fit = solve(start(problem, motor))
-        lines.append({entry.source: entry for entry in model_error(fit, cut.every(1.0)).lines})
+        lines.append({entry.source: entry for entry in model_error(fit, cut.every(1.0), 1.0).lines})
     assert lines[0] == {}
     assert {PIECES, DRIVES} & lines[1].keys()
     assert max(entry.K_rad_s_V for entry in lines[1].values()) > 0.005 * MOTOR.K_rad_s_V
