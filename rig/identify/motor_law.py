@@ -64,7 +64,7 @@ TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 # of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
 NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
 MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
-LEAVES = 2.0  # residual over the sensor's noise of such a fit
+LEAVES, LONG_LEAVES = 8.0, 2.0  # residual over the sensor's noise of such a fit; of tests of more than ``MOST_ROWS``
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
@@ -377,13 +377,14 @@ def motor_law(
     level_V       friction at rest by breakaway ramps, and its standard error; None without ramps
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
     Of more than 8,000 rows several at a time are taken as one, or of 2,000 where the plain motor leaves far more than
-    noise. Raises IdentifyError if a test is too short.
+    noise, in a long record twice as much. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
     further = [(_slow(series), number) for series, number in further]
     noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
-    most = FEWER_ROWS if plain.rms_rad > LEAVES * noise_rad else MOST_ROWS
+    leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
+    most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
     begun = Beginning.of(folded, plain, periods_s, stated, level_V)
     tested = sum(window.t_s.size for window in begun.whole.windows)

@@ -39,7 +39,7 @@ AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
-FAR, FIRST_CUT = 2.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
+FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
 CHANCE = 3.84  # chi-squared of one degree, 95 %
@@ -229,8 +229,8 @@ class Chooser:
 
     def _held_out_rad(self, blocks: Blocks, laws: Sequence[Departure], motor: RealMotor) -> float:
         """RMS error in blocks, rad, each predicted by what the others say of these laws and numbers."""
-        squares = blocks.held_out(self.problem(blocks.cut, laws, math.inf), motor)
-        return math.sqrt(float(squares.sum()) / max(int(np.count_nonzero(~blocks.shown)), 1))
+        squares = blocks.held_out(self.problem(blocks.cut, laws, math.inf), motor, starts_known=True)
+        return math.sqrt(float(squares.sum()) / blocks.shown.size)
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""
