@@ -38,7 +38,7 @@ LONGEST_TAU_S = 3.0
 STRETCHES_S = (0.04, 0.12)
 AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
-LOADED = 0.6  # error with the load over that without it, at most
+LOADED = 0.75  # error with the load over that without it, at most
 FORCE, PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
 
 

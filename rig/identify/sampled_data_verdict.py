@@ -44,9 +44,7 @@ def judge(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     return _transfer(estimate, tests)
 
 
-def judge_with_laws(
-    estimate: Estimate, tests: Sequence[TimeSeries], growth: Sequence[tuple[float, float]]
-) -> Estimate:
+def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], growth: Sequence[tuple[float, float]]) -> Estimate:
     """An estimate with laws beyond the plain one, with its verdict: intervals, bounds, residual, free run, asymmetry.
 
     growth   length of the pieces, s, and their RMS residual, rad; the last one is of all tests, each predicted whole

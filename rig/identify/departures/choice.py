@@ -39,6 +39,7 @@ AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+BENT = 1.3  # growth of the residual in a fit with its noise beyond which it is no noise
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
@@ -326,7 +327,12 @@ class Chooser:
                 noise = noise_of(fit.residual_rad, problem.cut.t_s, problem.cut.lengths)
                 if noise.white:
                     break
-                fit = solve(refitted(fit, replace(problem, noise=noise)))
+                seen = refitted(fit, replace(problem, noise=noise))
+                found = solve(seen)
+                if found.rms_rad > BENT * fit.rms_rad:
+                    fit = seen  # what is left is the motor, not noise: a noise that takes it up would bend the numbers
+                    break
+                fit = found
             worst = self._worst(fit, laws)
             if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
                 return fit, laws
