@@ -31,4 +31,4 @@ ESTIMATORS: Final = [
     EstimatorEntry("least-squares", "LS", "rig.identify.least_squares:LeastSquares", finds_motor=False),
 ]
 LEADING: Final = ESTIMATORS[0].name
-"""The estimator that decides: it needs the least data, and friction laws extend its model."""
+"""The estimator that decides: it needs the least data, and the laws of real motors extend its model."""

@@ -33,12 +33,10 @@ from rig.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResu
 from rig.results.answer_words import answer_lines
 from rig.terminal import (
     BUDGET_HEADINGS,
-    LAW_HEADINGS,
     MOTOR_LAW_HEADINGS,
     budget_rows,
     comparison_words,
     law_causes,
-    law_rows,
     motor_law_rows,
     plain_table,
 )
@@ -265,12 +263,11 @@ class Found(Identification):
         return self.best.to_control()
 
     def summary(self) -> str:
-        """The answer; then each method, what the friction law adds, the laws, the uncertainty, reasons and notes."""
+        """The answer; then each method, the laws, the uncertainty, reasons and notes."""
         reasons = [f"{name}: {reason}" for name, e in self.estimates.items() for reason in e.reasons]
         result = self.as_result()
         tables = (
             (_HEADINGS, _table(self._result())),
-            (LAW_HEADINGS, law_rows(result.friction_law)),
             (MOTOR_LAW_HEADINGS, motor_law_rows(result)),
             (BUDGET_HEADINGS, budget_rows(result)),
         )

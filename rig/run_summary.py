@@ -171,7 +171,6 @@ def run_result(
         hysteretic=None if own is None else _hysteretic(own, experiment),
         models_from=None if found.models_from is None else str(found.models_from),
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
-        friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
         friction_map=None if own is None or own.friction_map is None else own.friction_map.as_result(),
         **({} if own is None else own.evidence),
         jog=found.jog,

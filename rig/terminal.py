@@ -19,7 +19,6 @@ from rich.text import Text
 from rig.results import (
     Answer,
     EstimateResult,
-    FrictionLawResult,
     FrictionMapResult,
     IdentificationResult,
     LoopResult,
@@ -46,7 +45,6 @@ if TYPE_CHECKING:  # each loads slowly
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 SHORT = ("tau", "K", "f_c")
-LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
 MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
 BUDGET_HEADINGS = ("from", "tau, %", "K, %", "f_c, %", "only in")
@@ -392,7 +390,7 @@ def law_causes() -> dict[str, tuple[str, str]]:
 
 
 def show_details(result: IdentificationResult) -> None:
-    """Show what the answer is made of: notes, each method, friction law, laws, uncertainty, friction map."""
+    """Show what the answer is made of: notes, each method, laws, uncertainty, friction map."""
     for note in result.notes:
         click.echo(note)
     show_estimates(result.estimates, None)
@@ -401,7 +399,6 @@ def show_details(result: IdentificationResult) -> None:
         click.echo(f"{method}: {reason}")
     if any("record" in reason for _, reason in reasons):
         click.echo(RECORD_AGAIN)
-    show_friction_law(result.friction_law, of_plain=bool(result.answer and result.answer.law))
     show_motor_law(result)
     show_friction_map(result.friction_map)
 
@@ -440,18 +437,6 @@ def _tracking_cell(outcome: TrackingResult | None) -> str:
         return "not run"
     true = "" if outcome.true_rms_rad is None else f" (true {outcome.true_rms_rad:.4f})"
     return f"{outcome.rms_rad:.4f}{true}"
-
-
-def show_friction_law(found: FrictionLawResult | None, *, of_plain: bool) -> None:
-    """Show the numbers that the chosen friction law adds; nothing if it adds none.
-
-    of_plain   whether the motor has laws, which this friction law does not know
-    """
-    rows = law_rows(found)
-    if found is not None and rows:
-        show_table(
-            f"friction law{' if the motor had no other law' if of_plain else ''}: {found.chosen}", LAW_HEADINGS, rows
-        )
 
 
 def show_motor_law(result: IdentificationResult) -> None:
@@ -513,21 +498,8 @@ def budget_rows(result: IdentificationResult) -> list[list[str]]:
     rows = []
     for line in that_matter(budget_lines(result), SMALL_SHARE):
         name = line.source if line.is_sum else line.source.replace("_", " ")
-        cells = ["-" if math.isnan(share) else f"{share:.2f}" for share in line.percent]
+        cells = ["-" if math.isnan(share) else "> 100" if share > 100.0 else f"{share:.2f}" for share in line.percent]
         rows.append([name, *cells, "u95_absolute" if line.absolute and not line.is_sum else ""])
-    return rows
-
-
-def law_rows(found: FrictionLawResult | None) -> list[list[str]]:
-    """The numbers that the chosen friction law adds, a row of ``LAW_HEADINGS`` each."""
-    rows = []
-    chosen = () if found is None else (fit for fit in found.rungs if fit.law == found.chosen)
-    for number in (number for fit in chosen for number in fit.own):
-        text = "-" if number.value is None else f"{number.value:.4g}"
-        bounds = number.interval
-        if bounds is not None:
-            text += f" ±{0.5 * (bounds[1] - bounds[0]):.2g}"
-        rows.append([number.name, text, number.unit, number.meaning])
     return rows
 
 

@@ -1,4 +1,4 @@
-"""From recordings to estimates: gather the tests, run and judge each estimator, choose the friction law.
+"""From recordings to estimates: gather the tests, run and judge each estimator, choose the law of the motor.
 
 identification       ``identify``, and the list of estimators
 measurements         the tests and cycles in some recordings
@@ -8,7 +8,7 @@ sampled_data         the estimator to use: exact prediction under the recorded d
 output_error, starts     its least-squares fit, and first guesses for it
 triple_relay, describing_function, least_squares   the reference estimators
 cycles, mean_cycle   gains, edges, settled cycles, their average
-friction_law         chooses a law of laws/; friction_fit fits one law, breakaway shows static friction
+motor_law            what the motor has beyond tau, K and friction: laws of departures/; breakaway shows static friction
 noise, repetition    the residual: white, coloured, repeated in each cycle
 verdict              ok, doubtful or refused: rules that all estimators share
 plausibility         rules about units and columns

@@ -44,10 +44,10 @@ class Blocks:
     shown: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, whole: Cut, tau_s: float) -> Blocks:
-        """Of tests, for a motor of this time constant."""
+    def of(cls, whole: Cut, tau_s: float, least: tuple[float, float] = (BLOCK_S, BLOCK_TAUS)) -> Blocks:
+        """Of tests, for a motor of this time constant; ``least``: how long they are, s, and in time constants."""
         total_s = sum(window.duration_s for window in whole.windows)
-        length_s = max(BLOCK_S, BLOCK_TAUS * tau_s if math.isfinite(tau_s) else BLOCK_S)
+        length_s = max(least[0], least[1] * tau_s if math.isfinite(tau_s) else 0.0)
         length_s = max(min(length_s, total_s / FEWEST_BLOCKS), SHORTEST_BLOCK_S)
         cut = whole.every(length_s)
         since_s = cut.t_s - cut.t_s[cut.begins][cut.piece]
@@ -65,12 +65,17 @@ class Blocks:
         """How many blocks there are."""
         return int(self.cut.begins.size)
 
-    def off_rad(self, motor: RealMotor, problem: Problem) -> Array:
-        """(n,) predicted less recorded, rad, of each row; 0 where a row shows the start."""
-        weight = self.shown.astype(float)
+    def off_rad(self, motor: RealMotor, problem: Problem, *, starts_known: bool = False) -> Array:
+        """(n,) predicted less recorded, rad, of each row; 0 where a row shows the start.
+
+        starts_known   the start of a block is fitted to all of its rows, and none is left out: noise of the start is no
+                       error of the motor
+        """
+        weight = None if starts_known else self.shown.astype(float)
         starts = solve(begin(_of_starts(problem, replace(self.cut, weight=weight)), motor), 8).starts
         off = self.cut.readings(motor, starts) - self.cut.y_rad
-        return np.where(self.shown, 0.0, np.where(np.isfinite(off), off, np.inf))
+        off = np.where(np.isfinite(off), off, np.inf)
+        return off if starts_known else np.where(self.shown, 0.0, off)
 
     def stays_rad(self) -> Array:
         """(n,) what is left of each row if it stays as it was, rad."""
@@ -85,11 +90,12 @@ class Blocks:
         """RMS error of a motor over that of 'it stays as it was'; of a motor that was fitted to all blocks."""
         return _ratio(self.squares(self.off_rad(motor, problem)), self.squares(self.stays_rad()))
 
-    def held_out(self, problem: Problem, motor: RealMotor) -> Array:
+    def held_out(self, problem: Problem, motor: RealMotor, *, starts_known: bool = False) -> Array:
         """(p,) sum of squares of each block, rad^2, predicted by the numbers that the others say.
 
-        problem   which numbers are free, and their limits
-        motor     the fit to all blocks
+        problem        which numbers are free, and their limits
+        motor          the fit to all blocks
+        starts_known   as ``off_rad``
         """
         pieces = np.arange(self.count)
         found = np.zeros(self.count)
@@ -99,7 +105,7 @@ class Blocks:
             weight = np.where(held[self.cut.piece], 0.0, 1.0)
             given = replace(problem, cut=replace(self.cut, weight=weight), robust_rad=math.inf, noise=WHITE)
             trained = solve(begin(given, motor), FOLD_ITERATIONS)
-            found[held] = self.squares(self.off_rad(trained.motor, problem))[held]
+            found[held] = self.squares(self.off_rad(trained.motor, problem, starts_known=starts_known))[held]
         return found
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ Array = NDArray[np.float64]
 
 SETTLE_S = 0.3  # time after the last drive of a ramp that still belongs to it
 CHANCE = 3.84  # chi-squared of one degree, 95 %
+ROUGH = 0.05  # of a level: so much more than its interval says, a standard deviation, a ramp is off on emulated benches
 NEEDED = 0.1  # largest relative standard error with which friction and bias are split
 
 
@@ -50,6 +50,18 @@ class StaticFriction:
     friction_V: tuple[float, float, float] | None
     reason: str
 
+    @property
+    def level_V(self) -> tuple[float, float] | None:
+        """Friction at rest, the mean of both directions, and its standard error, V; None unless both show it.
+
+        The error is larger than the intervals say (docs/theory.md 8.4): noise hides how a shaft creeps away just above
+        the level. Under Stribeck friction a ramp shows too much, for its fit takes friction for that in motion.
+        """
+        if self.plus is None or self.minus is None:
+            return None
+        level_V = 0.5 * (self.plus.static_V + self.minus.static_V)
+        return level_V, math.hypot(self.plus.error_V, self.minus.error_V, ROUGH * level_V)
+
     def as_result(self) -> StaticFrictionResult:
         """As result.json holds it: the drives at break-away, their intervals, and the reason."""
         return StaticFrictionResult(
@@ -58,31 +70,6 @@ class StaticFriction:
             static_plus_range_V=None if self.plus is None else (self.plus.low_V, self.plus.high_V),
             static_minus_range_V=None if self.minus is None else (self.minus.low_V, self.minus.high_V),
             reason=self.reason,
-        )
-
-
-class Ramps(NamedTuple):
-    """Static level from ramps in both directions, V; its standard error, V; whether each ramp alone shows one (95 %).
-
-    The fit of a ramp takes friction for fc once the motor moves. With Stribeck friction the motor seems to break away
-    later.
-    """
-
-    fs_V: float
-    error_V: float
-    significant: tuple[bool, bool]
-
-    @classmethod
-    def of(cls, breakaway: StaticFriction | None, estimate: Estimate) -> Ramps | None:
-        """From breakaway ramps, compared with the friction in motion; None unless both directions show a level."""
-        if breakaway is None or breakaway.plus is None or breakaway.minus is None:
-            return None
-        plus, minus = breakaway.plus, breakaway.minus
-        moving = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
-        return cls(
-            0.5 * (plus.static_V + minus.static_V),
-            0.5 * math.hypot(plus.error_V, minus.error_V),
-            (plus.low_V > moving[0], minus.low_V > moving[1]),
         )
 
 

@@ -47,6 +47,7 @@ class Estimate:
                     one's; None without it
     cycles          the limit cycles behind the estimate; () for a method that needs none
     converged       whether its fit came to an end
+    force_V         sine and cosine of the force over position that it was fitted beside; 0: of none
     spoiled         whether it was refused for what no better fit mends: wrong columns, a damaged record, no motor
     """
 
@@ -74,6 +75,7 @@ class Estimate:
     cycles: tuple[Cycle, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = ()
     converged: bool = True
+    force_V: tuple[float, float] = (0.0, 0.0)
     spoiled: bool = False
 
     @property

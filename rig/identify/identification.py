@@ -1,4 +1,4 @@
-"""From recordings to estimates: gather the tests, run each estimator of the list, choose the friction law."""
+"""From recordings to estimates: gather the tests, run each estimator of the list, choose the law of the motor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from rig.identify.blocks import HeldOut
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
-from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.friction_map import FrictionMap, friction_map
 from rig.identify.known_model import model_of
 from rig.identify.least_squares import Transient
@@ -30,6 +29,7 @@ from rig.identify.reading_filter import reading_filter_s
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
+from rig.identify.time_stamps import stamps_off_by
 from rig.identify.verdict import in_percent, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
@@ -49,7 +49,6 @@ from rig.results import (
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
-MUCH_MORE = 8.0  # residual over the sensor's noise of a motor that is far from plain
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
@@ -63,7 +62,6 @@ class Identification:
     cycles      stage -> averaged cycle
     tests       the series that the estimators read
     breakaway   drives at break-away in both directions; None without breakaway ramps
-    friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
     friction_map    the drive over speed and over position; None without a survey, or without a motor
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
@@ -76,7 +74,6 @@ class Identification:
     cycles: dict[str, Cycle] = field(default_factory=dict)
     tests: list[TimeSeries] = field(default_factory=list, repr=False)
     breakaway: StaticFrictionResult | None = None
-    friction_law: FrictionLawChoice | None = None
     friction_map: FrictionMap | None = None
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
@@ -92,7 +89,6 @@ class Identification:
             notes=tuple(self.notes),
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
-            friction_law=None if self.friction_law is None else self.friction_law.as_result(),
             friction_map=None if self.friction_map is None else self.friction_map.as_result(),
             **self.evidence,
         )
@@ -144,8 +140,8 @@ def identify(
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
-    choose_law  whether to choose a friction law, and the law of the motor, from the sampled-data estimate. False: the
-                motor is known to be plain, and no verdict asks for u95
+    choose_law  whether to choose the law of the motor, from the sampled-data estimate. False: the motor is known to be
+                plain, and no verdict asks for u95
     without     names of stages that are not read, such as breakaway, search and relay-2
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
@@ -206,20 +202,19 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     if _takes_filter(data, found.estimates.get(LEADING)):
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
+    stamps = _stamps(data, found.estimates.get(LEADING))
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
     each = estimates_of_each(data.sources) if len(recordings) > 1 and reads_tests else []
-    objections = [*_said(disagreement(each)), *data.supplies]
+    objections = [*stamps, *_said(disagreement(each)), *data.supplies]
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
-    if asked.choose_law:
-        _add_motor_law(data, found, each, any(map(_was_known, recordings)))
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
-        _add_friction_law(data, static, found)
+        _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
     _add_friction_map(recordings, without, found)
     return found
 
@@ -269,6 +264,18 @@ def _takes_filter(data: Measurements, estimate: Estimate | None) -> bool:
     if lag_s > 0.0:
         data.take_reading_filter(lag_s)
     return lag_s > 0.0
+
+
+def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
+    """A sentence where the rows of plain files have the time stamps of other rows; empty where they have their own."""
+    if estimate is None or estimate.spoiled or any(test.stage is not None for test in data.tests):
+        return []
+    try:
+        rows = stamps_off_by(data.tests, estimate)
+    except IdentifyError:
+        return []  # too short for pieces
+    which = "before" if rows < 0 else "after"
+    return [f"each row seems to have the time stamp of the row {which}: try --time-row {rows}"] if rows else []
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
@@ -395,11 +402,16 @@ def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], f
 
 
 def _add_motor_law(
-    data: Measurements, found: Identification, each: Sequence[RecordingEstimate], was_known: bool
+    data: Measurements,
+    found: Identification,
+    each: Sequence[RecordingEstimate],
+    static: StaticFriction | None,
+    was_known: bool,
 ) -> None:
     """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
 
     each        what each recording alone says; empty if there is one
+    static      static friction from breakaway ramps; None without any
     was_known   whether the tests of one ended because its live fit knew the motor
     The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
     """
@@ -412,7 +424,14 @@ def _add_motor_law(
         return
     try:
         law = motor_law(
-            data.tests, plain, data.periods_s, data.stated, data.further, data.recording_of, was_known=was_known
+            data.tests,
+            plain,
+            data.periods_s,
+            data.stated,
+            data.further,
+            data.recording_of,
+            level_V=None if static is None else static.level_V,
+            was_known=was_known,
         )
     except IdentifyError as error:
         _doubt(found, error.cause)
@@ -428,7 +447,7 @@ def _add_motor_law(
         law = law.without_laws()  # the plain verdict says so
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
-        judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data.tests)
+        judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
         odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
@@ -510,7 +529,7 @@ def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
 def _bare(plain: Estimate, data: Measurements) -> Estimate:
     """The plain estimate judged as if it had no residual."""
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=(), spoiled=False)
-    return _with_causes(judge_with_laws(fine, data.tests, (0.0, 0.0)), data.tests)
+    return _with_causes(judge_with_laws(fine, data.tests, [(0.0, 0.0)]), data.tests)
 
 
 def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:
@@ -521,25 +540,3 @@ def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:
     if plain.verdict == "refused" and other_times_explain(slipped_rms_rad(plain, tests), plain.rms_rad, noise_rad):
         return "the drive acted at other times than t_u_s says, and laws would only imitate that"
     return None
-
-
-def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:
-    """Choose a law. The sampled-data estimate becomes doubtful if a richer law predicts better."""
-    estimate = found.estimates.get(LEADING)
-    if estimate is None or estimate.verdict == "refused":
-        return
-    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in data.tests])))
-    if static is None and estimate.rms_rad > MUCH_MORE * noise_rad:
-        return  # what the plain motor leaves is not noise: no criterion tells friction laws by it
-    try:
-        choice = friction_law(data.tests, estimate, data.periods_s, static)
-    except IdentifyError as error:
-        found.notes.append(f"friction law: {error.cause}")
-        return
-    found.friction_law = choice
-    found.notes += choice.notes()
-    richer = choice.beyond_coulomb
-    laws = () if found.motor_law is None else found.motor_law.found
-    another = bool(laws) and choice.chosen.law not in {one.law.name for one in laws}  # the laws found say it better
-    if richer is not None and not (another and estimate.verdict != "ok"):
-        found.estimates[LEADING] = estimate.judged("doubtful", richer)

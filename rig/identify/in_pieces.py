@@ -11,29 +11,35 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.special import stdtrit
 
 from rig.identify.blocks import Blocks
+from rig.identify.departures.departure import LARGEST_FORCE
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.noise import WHITE
 from rig.identify.plausibility import one_way
+from rig.identify.thinning import thinned
 from rig.model.real_motor import RealMotor
+from rig.model.real_step import mean_cosine
 from rig.recording.series import TimeSeries
 
 INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``PARAMETERS``
 LENGTHS_S = (0.15, 0.5, 2.0)
 TAUS = 4
 FRICTIONS = (0.05, 0.35)  # of the largest drive
-FIRST_ITERATIONS = 7
+FIRST_ITERATIONS, PIECE_ITERATIONS = 7, 8
 MOST_ROWS = 4000
 SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
 LONGEST_TAU_S = 3.0
+STRETCHES_S = (0.04, 0.12)
+AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
-LOADED = 0.6  # error with the load over that without it, at most
-FORCE, FORCE_PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
+LOADED = 0.75  # error with the load over that without it, at most
+FORCE, PIECE_S = ("force_sin_V", "force_cos_V"), 0.5
 
 
 def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit, Blocks]:
@@ -73,8 +79,9 @@ def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fi
     """The best fit with a force over position, as a hanging load has: beside it the plain numbers mean nothing."""
     given = best.problem
     tau_s = given.limits["tau_s"][0], LONGEST_TAU_S
-    limits = {**given.limits, **dict.fromkeys(FORCE, (-largest_V, largest_V)), "tau_s": tau_s}
-    problem = replace(given, cut=whole.every(FORCE_PIECE_S), free=(*given.free, *FORCE), limits=limits)
+    most_V = LARGEST_FORCE * largest_V
+    limits = {**given.limits, **dict.fromkeys(FORCE, (-most_V, most_V)), "tau_s": tau_s}
+    problem = replace(given, cut=whole.every(PIECE_S), free=(*given.free, *FORCE), limits=limits)
     return _best(problem, (), longest_s, best.motor.delay_s)
 
 
@@ -86,12 +93,61 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
     drive_V = max(float(np.sqrt(np.mean([np.mean(w.steps.u_V**2) for w in cut.windows]))), 1e-9)
     taus = np.geomspace(max(4.0 * period_s, 0.01), max(min(1.0, longest_s / 3.0), 8.0 * period_s), TAUS)
     motors = [fit.motor for fit in earlier]
+    motors += [balanced(cut, length_s, problem.free, delay_s) for length_s in STRETCHES_S]
     for tau in taus.tolist():
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
     tried = [solve(begin(problem, motor), FIRST_ITERATIONS) for motor in motors]
     ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
     return min((solve(fit) for fit in ranked[:2]), key=lambda fit: fit.cost)
+
+
+def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
+    """RMS residual of the plain motor, begun at ``plain``, on pieces of half a second, rad.
+
+    Raises IdentifyError if a test is too short.
+    """
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    thin = [thinned(test, rows) for test in tests]
+    delay_s = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
+    cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
+    free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(tests))
+    motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
+    problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)
+    return solve(begin(problem, motor), PIECE_ITERATIONS).rms_rad
+
+
+def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:
+    """The motor whose voltages balance best on stretches of the tests: u = (v + tau a) / K + friction + bias + force.
+
+    length_s     of a stretch, s; at least five rows: its speed and acceleration are those of a parabola
+    free         the numbers that it may have: ``FORCE`` and bias_V among them or not
+    Linear least squares of the inverse model (Gautier and Khalil, IEEE Int. Conf. Robotics and Automation, 1988): it
+    needs no start, and it is one. Its numbers carry what noise does to an acceleration.
+    """
+    columns, drives = [], []
+    for window, frame in zip(cut.windows, cut.frames, strict=True):
+        rows = max(5, round(length_s / window.period_s))
+        for first in range(0, window.t_s.size - rows + 1, rows):
+            t_s, y_rad = window.t_s[first : first + rows], window.y_rad[first : first + rows]
+            curve, speed, y = np.polyfit(t_s - float(t_s.mean()), y_rad, 2).tolist()
+            steps, q = window.steps, y - frame.centre_rad
+            at = np.searchsorted(steps.edge_s, t_s - delay_s, side="right") - 1
+            drives.append(float(np.mean(steps.u_V[np.maximum(at, 0)])))
+            columns.append((speed, 2.0 * curve, np.sign(speed), 1.0, np.sin(q), np.cos(q) - mean_cosine(frame)))
+    table, u_V = np.array(columns), np.array(drives)
+    speeds, largest_V = np.abs(table[:, 0]), max(float(np.abs(u_V).max()), 1e-9)
+    moves = speeds > AT_REST * float(speeds.max())
+    names = ("by_speed", "by_curve", "fc_V", "bias_V", *FORCE)
+    used = [k for k, name in enumerate(names) if k < 3 or name in free]
+    least = np.array([1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf, -np.inf])[used]
+    table = table[moves][:, used]
+    scale = np.maximum(np.linalg.norm(table, axis=0), 1e-12)
+    found = lsq_linear(table / scale, u_V[moves], (least * scale, np.inf)).x / scale
+    by_speed, by_curve, *rest = found.tolist()
+    tau_s = max(by_curve / by_speed, 2.0 * min(window.period_s for window in cut.windows))
+    numbers = dict(zip((names[k] for k in used[2:]), rest, strict=True))
+    return RealMotor(tau_s, 1.0 / by_speed, 0.0, 0.0, delay_s)._replace(**numbers)
 
 
 def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -135,5 +191,6 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
         repeated=0.0,
         coloured=None,
         converged=True,
+        force_V=(motor.force_sin_V, motor.force_cos_V),
         spoiled=False,
     )

@@ -171,8 +171,13 @@ class _Laws(NamedTuple):
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Fields of ``RealMotor`` that are fitted for them."""
+        """Their fields of ``RealMotor``."""
         return tuple(name for law in self.laws for name in (*law.numbers, *law.shape))
+
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """Those that are fitted: no derivative shows the size of a law that leaps, so it stays as it was found."""
+        return tuple(name for law in self.laws if not law.leaps for name in (*law.numbers, *law.shape))
 
 
 class LiveFit:
@@ -358,7 +363,7 @@ class LiveFit:
         """The fit as least squares; a prior motor is known to its percentage."""
         free_delay = self._late or any(window.series.t_u_s is None for window in cut.windows)
         core = (*CORE, DELAY) if free_delay else CORE
-        free = core + self._laws.numbers
+        free = core + self._laws.fitted
         limits = limits_of(free, cut, self._delay_s)
         limits["fc_V"] = (0.0, self.settings.largest_V)
         limits["tau_s"] = (0.2 * self.settings.period_s, 100.0)
@@ -387,7 +392,7 @@ class LiveFit:
             if t_s in self._starts:
                 fit.starts[k] = self._starts[t_s]
         residual = cut.readings(fit.motor, fit.starts) - cut.y_rad
-        fit = replace(fit, residual_rad=residual, cost=fit.problem.cost(residual) + fit.problem.surprise(fit.motor))
+        fit = replace(fit, residual_rad=residual, cost=fit.problem.cost(residual, fit.motor))
         return solve(fit, ITERATIONS)
 
     def _first(self, prior: FramedMotor) -> RealMotor:

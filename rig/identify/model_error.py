@@ -3,7 +3,8 @@
 On a motor that is what the model says both are no larger than the scatter of the fit tells, and add nothing. On another
 the pieces differ by more than that, for the noise of each is not the cause: then what they differ by says how far the
 numbers may be off (a sandwich covariance over pieces, and half the difference between the halves with low and with high
-drive). Neither sees an error that all pieces share: where the model leaves far more than noise, 3 % stands for it.
+drive). Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands for it, but
+not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a velocity.
 """
 
 from __future__ import annotations
@@ -17,11 +18,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, stdtrit
 
 from rig.identify.departures.budget import COVERAGE, Entry
-from rig.identify.departures.fit import POSITIVE, Fit, refitted, solve, unit
+from rig.identify.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.nuisances import OF
-from rig.identify.departures.pieces import Cut
-from rig.identify.departures.prediction import sums_of_pieces
+from rig.identify.departures.pieces import Cut, is_plain
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,7 @@ DRIVES = "low and high drive"
 LEFT = "what the model leaves out"
 LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
 SHARED = 0.03  # of each number
+PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
 
 class ModelError(NamedTuple):
@@ -43,11 +44,12 @@ class ModelError(NamedTuple):
     effect: float = 1.0
 
 
-def model_error(fit: Fit, blocks: Cut) -> ModelError:
+def model_error(fit: Fit, blocks: Cut, predicts: float) -> ModelError:
     """The lines of the budget for what pieces, and low and high drives, differ by; none where they do not.
 
-    fit      by least squares, with its noise
-    blocks   the tests in blocks: they count where the fit's own pieces are longer
+    fit        by least squares, with its noise
+    blocks     the tests in blocks: they count where the fit's own pieces are longer
+    predicts   error of its motor in blocks that it has not seen, 1
     """
     if fit.problem.cut.longest_s > 1.01 * blocks.longest_s:
         given = replace(fit.problem, cut=blocks)
@@ -66,7 +68,7 @@ def model_error(fit: Fit, blocks: Cut) -> ModelError:
         for source, half in zip((PIECES, DRIVES), lines, strict=True)
         if half.any()
     ]
-    if fit.rms_rad > LEAVES * fit.problem.sigma_rad:
+    if fit.rms_rad > LEAVES * fit.problem.sigma_rad and not (is_plain(fit.motor) and predicts < PREDICTED):
         found.append(Entry(LEFT, *(SHARED * abs(getattr(fit.motor, name)) for name in OF)))
     return ModelError(tuple(found), effect)
 

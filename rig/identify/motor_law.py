@@ -18,14 +18,13 @@ from scipy.special import stdtrit
 from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.choice import Chooser, with_own_noise
+from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, solve, unit
+from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
-from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.departures.profile import profiles
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
@@ -57,19 +56,23 @@ Array = NDArray[np.float64]
 
 GRADES = {"exact": ASKED, "good": 0.10, "rough": 0.25}  # half width of u95, relative to the number: at most
 NOT_KNOWN = "not known"
+WITH_DEAD_BAND = (
+    "f_c has in it what a dead band of the drive would take: the drive never rests, nor pushes against the motion"
+)
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 # of a record without a cycle: so many time constants count as one, at least, at most, and at most a part of all, s
 NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
-MOST_ROWS, FEWER_ROWS = 8000, 3000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
-LEAVES = 8.0  # residual over the sensor's noise of such a fit
+MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
+LEAVES, LONG_LEAVES = 8.0, 2.0  # residual over the sensor's noise of such a fit; of tests of more than ``MOST_ROWS``
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 MOST_SURVEY_ROWS = 1200
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
 SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
-ROWS_OF_TAU, FEWER_OF_TAU = 20, 8  # at least so many of the rows taken as one have room in tau
+ROWS_OF_TAU, FEWER_OF_TAU = 20, 5  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+AT_REST_V = ("fc_V", "dead_band_V", "static_V", "stribeck_V")  # their sum holds a shaft at rest (docs/theory.md 8.4)
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
@@ -110,7 +113,7 @@ class MotorLaw:
     growth          length of the pieces that were fitted, s, and their RMS residual, rad; the last one is the free run,
                     in which the tests are predicted whole, and only their starts are fitted
     records         what was fitted
-    left_out        a sentence for each record that was not, or not whole
+    remarks         a sentence for each record that was left out, or not whole; and on what f_c holds
     alone           tau, K and friction of each recording alone, with the laws as they are for all
     bounded         a sentence for each number at a bound of the fit
     predicts        how well this motor predicts blocks that it was not fitted to; None: not looked at
@@ -125,7 +128,7 @@ class MotorLaw:
     budget: Budget
     growth: tuple[tuple[float, float], ...]
     records: tuple[FittedRecord, ...] = ()
-    left_out: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     alone: tuple[RecordingEstimate, ...] = ()
     motor: FramedMotor | None = None
     explains: bool = False
@@ -135,7 +138,7 @@ class MotorLaw:
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
-        lines = [*self.left_out, *(f"law: {law.in_words()}" for law in self.found)]
+        lines = [*self.remarks, *(f"law: {law.in_words()}" for law in self.found)]
         for group in self.not_told_apart:
             told_by = next(d.told_by for d in DEPARTURES if d.name == group[0])
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
@@ -285,7 +288,7 @@ class Beginning:
     """What the choice of laws begins with.
 
     whole       the tests, each as one piece
-    motor       the plain motor
+    motor       the plain motor, with the force over position that it was fitted beside
     cycle_s     period of the fastest cycle, s
     travel_rad  lowest and highest position, rad
     chooser     the choice
@@ -304,6 +307,7 @@ class Beginning:
         plain: Estimate,
         periods_s: Sequence[float | None],
         stated: Sequence[StatedErrors] = (StatedErrors(),),
+        level_V: tuple[float, float] | None = None,
     ) -> Beginning:
         """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
         free_delay = any(test.t_u_s is None for test in tests)
@@ -312,7 +316,7 @@ class Beginning:
         whole = Cut.whole(tests, delay_s[1])
         motor = RealMotor(
             plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
-        )
+        )._replace(force_sin_V=plain.force_V[0], force_cos_V=plain.force_V[1])
         durations = [window.duration_s for window in whole.windows]
         known_s = [p if p is not None else _swings_s(test) for p, test in zip(periods_s, tests, strict=True)]
         of_pieces_s = min(max(NO_CYCLE_TAUS * plain.tau_s, SHORTEST_S), LONGEST_S, max(durations) / NO_CYCLE)
@@ -330,6 +334,7 @@ class Beginning:
             (*core, DELAY) if free_delay else core,
             delay_s,
             max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
+            known=None if level_V is None else Known.of_sum(AT_REST_V, *level_V),
         )
         return cls(whole, motor, cycle_s, travel_rad, chooser)
 
@@ -360,6 +365,7 @@ def motor_law(
     further: Sequence[Further] = (),
     recording_of: Sequence[str] | None = None,
     *,
+    level_V: tuple[float, float] | None = None,
     was_known: bool = False,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
@@ -368,19 +374,21 @@ def motor_law(
     stated        what is known of the benches that recorded them; at least one
     further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
+    level_V       friction at rest by breakaway ramps, and its standard error; None without ramps
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
-    Of more than 8,000 rows several at a time are taken as one, or of 3,000 where the plain motor leaves far more than
-    noise. Raises IdentifyError if a test is too short.
+    Of more than 8,000 rows several at a time are taken as one, or of 2,000 where the plain motor leaves far more than
+    noise, in a long record twice as much. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
     further = [(_slow(series), number) for series, number in further]
     noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
-    most = FEWER_ROWS if plain.rms_rad > LEAVES * noise_rad else MOST_ROWS
+    leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
+    most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
-    begun = Beginning.of(folded, plain, periods_s, stated)
+    begun = Beginning.of(folded, plain, periods_s, stated, level_V)
     tested = sum(window.t_s.size for window in begun.whole.windows)
-    left_out: list[str] = []
+    remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
@@ -391,9 +399,9 @@ def motor_law(
             if begun.chooser.better_each(choice, each):
                 begun = replace(begun, whole=each, chooser=begun.chooser.with_drift_each())
                 choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
-        kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
-        left_out += remarks
-        if not remarks:
+        kept, disagree = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
+        remarks += disagree
+        if not disagree:
             break
         further = kept if left > 1 else ()
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
@@ -404,7 +412,8 @@ def motor_law(
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
-    of_model = model_error(parts, blocks.cut)
+    predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
+    of_model = model_error(parts, blocks.cut, predicts.error)
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
@@ -412,7 +421,6 @@ def motor_law(
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
-    predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     holds = _holds(whole)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
@@ -420,7 +428,7 @@ def motor_law(
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
     if not choice.laws and not further:
         return MotorLaw(
-            (), (), None, lines, growth, records, tuple(left_out), bounded=bounded, predicts=predicts, holds=holds
+            (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
@@ -432,7 +440,7 @@ def motor_law(
         lines,
         growth,
         records,
-        tuple(left_out),
+        tuple(remarks),
         _alone(parts, of_windows),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
         bounded=bounded,
@@ -502,7 +510,10 @@ def _record(series: TimeSeries) -> FittedRecord:
 def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSeries:
     """The series as it is taken where all records have ``of_rows``, for at most ``most``."""
     rows_of_tau = ROWS_OF_TAU if most == MOST_ROWS else FEWER_OF_TAU
-    return thinned(series, min(math.ceil(of_rows / most), int(tau_s / series.period_s / rows_of_tau)))
+    rows = math.ceil(of_rows / most)
+    if most == FEWER_ROWS and series.steps.edge_s.size <= len(series) // max(rows, 1):
+        return thinned(series, rows)  # its edges stay where they were: the motion between them has a closed form
+    return thinned(series, min(rows, int(tau_s / series.period_s / rows_of_tau)))
 
 
 def _slow(series: TimeSeries) -> TimeSeries:
@@ -540,9 +551,10 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     slope = values / size if values.size > 1 and size > 0.0 else np.ones(values.size)
     error = math.sqrt(max(0.0, float(slope @ covariance[np.ix_(at, at)] @ slope)))
     half = float(stdtrit(_freedom(fit), 0.975)) * error
+    ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
-    return FoundLaw(law, size, (size - half, size + half), gain - price, numbers)
+    return FoundLaw(law, size, ci95, gain - price, numbers)
 
 
 def _estimate(

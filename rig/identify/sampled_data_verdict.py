@@ -44,30 +44,36 @@ def judge(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     return _transfer(estimate, tests)
 
 
-def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[float, float]) -> Estimate:
+def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], growth: Sequence[tuple[float, float]]) -> Estimate:
     """An estimate with laws beyond the plain one, with its verdict: intervals, bounds, residual, free run, asymmetry.
 
-    free_run   length of the longest test, s, and RMS residual of all, rad, each predicted whole
+    growth   length of the pieces, s, and their RMS residual, rad; the last one is of all tests, each predicted whole
 
     What a plain motor alone can be held to, as whether one test predicts another, is part of the choice of laws. Cycles
     that a law changes need not be alike: whether they are enough, their interval and the budget say. Nor must the
     residual be as small as the sensor's noise: a motor's friction wanders. But a free run must hold.
     """
     estimate = _bounds(intervals(estimate, tests), tests)
-    return _asymmetry(_free_run(_unexplained(estimate, tests), tests, free_run))
+    return _asymmetry(_free_run(_unexplained(estimate, tests), tests, growth))
 
 
-def _free_run(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[float, float]) -> Estimate:
-    length_s, rms_rad = free_run
-    share = rms_rad / spread_rad(tests)
+def _free_run(estimate: Estimate, tests: Sequence[TimeSeries], growth: Sequence[tuple[float, float]]) -> Estimate:
+    (piece_s, piece_rad), (length_s, rms_rad) = growth[0], growth[-1]
+    spread = spread_rad(tests)
+    share = rms_rad / spread
     if share <= FREE_RUN:
         return estimate
-    return estimate.judged(
-        "refused" if share > FREE_RUN_FAILS else "doubtful",
+    off = (
         f"predicted over {length_s:.3g} s, the position is {in_percent(share)} of its motion off; ok asks for "
-        f"{100 * FREE_RUN:.2g} %: something that no law here describes moves the motor, or the times are wrong",
-        spoiled=False,
+        f"{100 * FREE_RUN:.2g} %: "
     )
+    cause = "something that no law here describes moves the motor, or the times are wrong"
+    if piece_rad <= NEGLIGIBLE * spread:
+        cause = (
+            f"over {piece_s:.2g} s it is not, so a small difference grows: as where a load nearly balances the drive, "
+            "or where something that no law here describes moves the motor slowly"
+        )
+    return estimate.judged("refused" if share > FREE_RUN_FAILS else "doubtful", off + cause, spoiled=False)
 
 
 def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:

@@ -69,7 +69,6 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         estimates=identified.estimates,
         relays=identified.relays,
         hysteretic=identified.hysteretic,
-        friction_law=identified.friction_law,
         friction_map=identified.friction_map,
         **found.evidence,
     )
@@ -104,7 +103,6 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
             figures=draw(run, identification),
             estimates=tables.estimates(run),
             relays=tables.relays(run),
-            friction_law=tables.friction_law(run),
             motor_law=tables.motor_law(run),
             promise_percent=100.0 * PROMISE,
             risk_percent=100.0 * RISK,

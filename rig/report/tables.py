@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
 from pydantic import JsonValue
 
-from rig.identify import laws
 from rig.identify.departures import DEPARTURES
 from rig.report.budget import budget_in_words
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
-from rig.results import LawFit, LawNumberResult, Quantiles, TrackingResult, TrueLaw, known
+from rig.results import Quantiles, TrackingResult, TrueLaw, known
 
 Cell = tuple[float | None, str]
 
@@ -41,36 +39,6 @@ class StageRow:
 
     stage: str
     cells: list[Cell]
-
-
-@dataclass(frozen=True)
-class LawNumberRow:
-    """A number that a law adds, with its unit, and its 95 % interval in words."""
-
-    meaning: str
-    value: Cell
-    unit: str
-    interval: str
-
-
-@dataclass(frozen=True)
-class LawRow:
-    """One friction law: the levels that all laws have, the numbers that it adds, and how it compares."""
-
-    law: str
-    levels: list[Cell]
-    own: list[LawNumberRow]
-    cells: list[Cell]
-    standing: str
-
-
-@dataclass(frozen=True)
-class LawTable:
-    """The friction laws, sentences about them, and the test that they had to predict."""
-
-    lines: list[LawRow]
-    words: list[str]
-    held_out: str
 
 
 @dataclass(frozen=True)
@@ -141,22 +109,6 @@ def relays(run: ReportedRun) -> list[StageRow]:
     ]
 
 
-def friction_law(run: ReportedRun) -> LawTable | None:
-    """The friction laws, a line each, and why one was chosen; None if there are none."""
-    found = run.result.friction_law
-    if found is None or not found.rungs:
-        return None
-    names = {law.name: law.adds or law.title for law in laws.LAWS}
-    lines = []
-    for fit in found.rungs:
-        levels = [_cell(fit.parameters.get(name)) for name in ("fc_V", "asym_V")]
-        compared = [_cell(fit.criterion), _cell(fit.held_out_rms_rad, 1e3)]
-        own = [_law_number(number) for number in _own(fit) if number.value is not None]
-        lines.append(LawRow(names.get(fit.law, fit.law), levels, own, compared, fit.standing))
-    words = [sentence for sentence in (found.reason, found.viscous) if sentence]
-    return LawTable(lines, [*words, *found.record], (found.held_out or "").replace("-", " "))
-
-
 def motor_law(run: ReportedRun) -> list[MotorLawRow]:
     """The laws that the motor has beyond the plain one."""
     causes = {law.name: (law.title, law.cause) for law in DEPARTURES}
@@ -203,28 +155,6 @@ def budget(run: ReportedRun) -> list[BudgetRow]:
         )
         for line in budget_in_words(run)
     ]
-
-
-def _own(fit: LawFit) -> Sequence[LawNumberResult]:
-    """The numbers that a law adds; older files hold them among its parameters, without unit and interval."""
-    if fit.says("own"):
-        return fit.own
-    reported = [number for law in laws.LAWS if law.name == fit.law for number in law.reports]
-    return [
-        LawNumberResult(name=n.name, meaning=n.meaning, unit=n.unit, value=fit.parameters.get(n.name)) for n in reported
-    ]
-
-
-def _law_number(number: LawNumberResult) -> LawNumberRow:
-    bounds = number.interval
-    if bounds is None:
-        return LawNumberRow(number.meaning or number.name, _cell(number.value), number.unit, "")
-    low, high = bounds
-    half = 0.5 * (high - low)
-    value = known(number.value), rounded(known(number.value), half)
-    return LawNumberRow(
-        number.meaning or number.name, value, number.unit, f"{rounded(low, half)} to {rounded(high, half)}"
-    )
 
 
 def hysteretic(run: ReportedRun) -> list[StageRow]:

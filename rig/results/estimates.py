@@ -1,4 +1,4 @@
-"""Results of an identification: relay tests, estimates, static friction and the friction law."""
+"""Results of an identification: relay tests, estimates, static friction, the laws of the motor."""
 
 from __future__ import annotations
 
@@ -112,49 +112,6 @@ class BreakawayResult(Part):
     static_plus_range_V: Annotated[Interval | None, _IfIdentified] = Field(None, description="its interval, V")
     static_minus_range_V: Annotated[Interval | None, _IfIdentified] = Field(None, description="its interval, V")
     reason: Annotated[Text, _IfIdentified] = Field("", description="why something is null, or what was assumed")
-
-
-class LawNumberResult(Part):
-    """A number that a friction law adds to tau, K, f_c, asymmetry and delay."""
-
-    name: Text = Field(description="with its unit, as in `parameters`")
-    meaning: Text = Field("", description="in words")
-    unit: Text = Field("", description="for people")
-    value: Number = Field(None, description="in that unit")
-    ci95: Interval | None = Field(None, description="its 95 % interval: low, high; null: not known")
-
-    @property
-    def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval; None if it has none."""
-        return _finite(self.ci95)
-
-
-class LawFit(Part):
-    """One friction law, fitted to all tests but the one that it has to predict."""
-
-    law: Text = Field(description="its name: coulomb, asymmetric, static, stribeck, ...")
-    standing: Text = Field("", description="chosen, too simple, not needed or open")
-    parameters: dict[str, Number] = Field({}, description="by name, with the unit in the name")
-    standard_errors: dict[str, Number] = Field({}, description="of the parameters")
-    own: Annotated[tuple[LawNumberResult, ...], NOT_IN_EACH_FILE] = Field(
-        (), description="those of the parameters that this law adds"
-    )
-    rms_rad: Number = Field(None, description="RMS of the residual, rad")
-    criterion: Number = Field(None, description="BIC minus the chosen law's BIC; larger is worse")
-    held_out_rms_rad: Number = Field(None, description="RMS error of the predicted test, rad; null: there is none")
-
-
-class FrictionLawResult(Part):
-    """Which friction law describes the tests."""
-
-    chosen: Text = Field("", description="the simplest law that the tests do not contradict")
-    open: tuple[Text, ...] = Field((), description="other laws that the tests cannot exclude")
-    reason: Text = Field("", description="why, in words")
-    record: tuple[Text, ...] = Field((), description="what to record to decide between the open laws")
-    viscous: Text = Field("", description="what the tests say about viscous friction")
-    held_out: Text | None = Field(None, description="the test that was predicted; null: there is none")
-    effective_samples: Number = Field(None, description="independent samples that the fitted tests are worth")
-    rungs: tuple[LawFit, ...] = Field((), description="the nested models: each law contains the one before it")
 
 
 class FoundLawResult(Part):

@@ -12,7 +12,6 @@ from rig.results.estimates import (
     EstimateResult,
     FittedRecord,
     FoundLawResult,
-    FrictionLawResult,
     FrictionMapResult,
     HystereticResult,
     LawFrameResult,
@@ -20,7 +19,7 @@ from rig.results.estimates import (
     RelayTestResult,
     StaticFrictionResult,
 )
-from rig.results.part import Flag, Number, Part, Sometimes, Text
+from rig.results.part import Flag, JsonObject, Number, Part, Sometimes, Text
 
 
 class MotorLawResult(Part):
@@ -60,6 +59,7 @@ class OlderKeys(Answered):
     law_frame: Sometimes[LawFrameResult] = Field(None, description="older versions: `law_frame` of the answer")
     u95: Sometimes[dict[str, Number]] = Field(None, description="older versions: `u95` of the answer")
     u95_absolute: Sometimes[dict[str, Number]] = Field(None, description="older versions: `u95_absolute` of the answer")
+    friction_law: Sometimes[JsonObject] = Field(None, description="older versions: a friction law, chosen by itself")
 
     @model_validator(mode="after")
     def _answered(self) -> Self:
@@ -79,7 +79,6 @@ class _Found(Part):
     notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
-    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
     friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
 
 

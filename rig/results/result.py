@@ -8,7 +8,6 @@ from pydantic import Field
 
 from rig.results.estimates import (
     BreakawayResult,
-    FrictionLawResult,
     FrictionMapResult,
     HystereticResult,
     RelayTestResult,
@@ -120,7 +119,6 @@ class _Run(Part):
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     models_from: Sometimes[Text] = Field(None, description="another run whose models drove this one")
     breakaway: Sometimes[BreakawayResult] = Field(None, description="the breakaway check, and static friction")
-    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
     friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
     jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")

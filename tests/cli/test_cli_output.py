@@ -203,7 +203,7 @@ def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tm
 import rig.session
 from rig.cli import main
 from rig.identify import identification
-rig.session.write_report = identification._add_motor_law = identification._add_friction_law = lambda *_: None
+rig.session.write_report = identification._add_motor_law = lambda *_: None
 main()
 """
     done = subprocess.run(

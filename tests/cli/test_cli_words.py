@@ -139,7 +139,6 @@ def test_advice_to_record_anew_names_a_key_or_a_command() -> None:
         for place, text in sentences()
         if place.startswith(("rig/identify/", "rig/recording/series.py"))
         and advice.match(text)
-        and not place.startswith(("rig/identify/friction_law.py", "rig/identify/laws/"))
         and "`rig" not in text
         and not named_keys(text)
     ]

@@ -121,7 +121,7 @@ def test_identify_from_the_folder_and_from_the_bare_csv(
     identified = json.loads(again.stdout)
     assert identified.pop("records") == [str(folder)]
     assert identified.pop("picture") is identified.pop("report") is None
-    shared = ("ok", "answer", "estimates", "relays", "friction_law", *MotorLawResult.model_fields)
+    shared = ("ok", "answer", "estimates", "relays", *MotorLawResult.model_fields)
     for key in [key for key in shared if key in outcome]:  # one shape: what both have is the same
         assert identified.pop(key) == outcome[key]
     assert outcome["breakaway"].items() >= identified.pop("breakaway").items()

@@ -1,4 +1,4 @@
-"""Another estimator and another friction law: each is one class and one entry of a list, and nothing else."""
+"""Another estimator and another law of motors: each is one class and one entry of a list, and nothing else."""
 
 from __future__ import annotations
 
@@ -8,39 +8,34 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from evidence import evidence
-from synthetic import Bench, dcr, record, simulate
 
+from campaign_real.kinds import KINDS, case
+from rig.config.campaign import Campaign
 from rig.estimators import ESTIMATORS, EstimatorEntry
 from rig.export import export
-from rig.identify import Identification, identification, identify, laws
+from rig.identify import Identification, identification, identify
+from rig.identify.departures import DEPARTURES
+from rig.identify.departures.gain_by_sign import GainBySign
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
-from rig.identify.laws.law import Array, CandidateLaw, LawNumber, LawParameter, Plain, Range
 from rig.identify.measurements import Measurements
-from rig.model.friction import coulomb
-from rig.model.motor import Motor
-from rig.model.sensitivity import Theta, position
 from rig.notebook import Found
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import read_run
-from rig.recording.recording import Recording, from_columns
-from rig.recording.series import Window
 from rig.report import write_report
 from rig.results import RunResult
-from rig.terminal import show_friction_law
+from rig.terminal import show_motor_law
 
 pytestmark = pytest.mark.long
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-BEND = 0.06  # 1/rad
 
 
 class LargestSpeed(Estimator):
@@ -63,20 +58,11 @@ class LargestSpeed(Estimator):
         return ["largest-speed: quick"]
 
 
-class BentSensor(CandidateLaw):
-    """A sensor that reads y + b y^2."""
+class Lopsided(GainBySign):
+    """An amplifier that gives more one way, under another name."""
 
-    name = "bent sensor"
-    title = "a bent sensor"
-    parameters = (LawParameter("bend_per_rad", 1e-6),)
-    reports = (LawNumber("bend_per_rad", "1/rad", "bend of the sensor"),)
-
-    def position(self, theta: Theta, own: Sequence[float], window: Window) -> Array:
-        y_rad = position(theta, *window.steps, window.t_s)
-        return y_rad + own[0] * y_rad**2
-
-    def ranges(self, plain: Plain) -> list[Range]:
-        return [(-1.0, 1.0)]
+    name = "lopsided"
+    title = "a lopsided amplifier"
 
 
 LINE = EstimatorEntry("largest-speed", "VM", f"{__name__}:LargestSpeed")
@@ -126,7 +112,7 @@ from rig.estimators import ESTIMATORS, EstimatorEntry
 ESTIMATORS.append(EstimatorEntry(*{tuple(LINE)!r}))
 from rig.cli import main
 from rig.identify import identification
-identification._add_motor_law = identification._add_friction_law = lambda *_: None
+identification._add_motor_law = lambda *_: None
 print(json.dumps([CliRunner().invoke(main, words).output for words in {commands!r}]))
 """
     done = subprocess.run(
@@ -152,54 +138,33 @@ def test_every_line_of_the_list_names_its_estimator() -> None:
         assert getattr(import_module(module), name).name == entry.name
 
 
-def bent(bend_per_rad: float, h2_V: float, seed: int) -> Recording:
-    """A relay test read through a bent sensor."""
-    samples = simulate(Motor(0.17, 6.5, coulomb(0.5)), dcr(0.8, h2_V), 1000, Bench(noise_rad=0.003, seed=seed))
-    test = record(samples, True, 200)
-    y_rad = test.y_rad + bend_per_rad * test.y_rad**2
-    return from_columns(Path(f"{h2_V:g} V"), test.t_s, test.u_V, y_rad, test.t_u_s)
-
-
 @pytest.fixture(scope="module")
-def found_bent(bend_per_rad: float) -> Iterator[Identification]:
-    """What is identified of two tests through the bent sensor, with its law in the list."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(laws, "LAWS", [*laws.LAWS, BentSensor()])
-        yield identify([bent(bend_per_rad, 1.0, 1), bent(bend_per_rad, 1.3, 2)], ["sampled-data"])
+def found_lopsided() -> Iterator[Identification]:
+    """What is identified of a motor with another gain each way, with the law in the place of the list's own."""
+    one = case(Campaign(name="another", experiments=1, seed=1), 1, [k for k in KINDS if k.name == "gain_by_sign 3"])
+    own = list(DEPARTURES)
+    DEPARTURES[:] = [Lopsided() if law.name == "gain_by_sign" else law for law in own]
+    yield identify(one.recordings(), ["sampled-data"])
+    DEPARTURES[:] = own
 
 
-@pytest.mark.parametrize("bend_per_rad", [BEND, *evidence(-BEND)], scope="module")
-def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(bend_per_rad: float, found_bent: Identification) -> None:
-    found = found_bent.friction_law
-    assert found is not None
-    assert found.chosen.law == "bent sensor"
-    value, error = found.chosen.parameters["bend_per_rad"], found.chosen.errors["bend_per_rad"]
-    assert abs(value - bend_per_rad) < 4.0 * error
-    written: dict[str, Any] = found.as_result().as_json()
-    assert written["rungs"][-1]["law"] == "bent sensor"
-    assert found.notes()[0].startswith("friction law: a bent sensor")
-    (own,) = written["rungs"][-1]["own"]
-    assert (own["name"], own["unit"], own["meaning"]) == ("bend_per_rad", "1/rad", "bend of the sensor")
-    assert own["value"] == value
-    assert own["ci95"] == pytest.approx([value - 1.96 * error, value + 1.96 * error], rel=1e-4)
-
-
-@pytest.mark.parametrize("bend_per_rad", [BEND], scope="module")
-def test_its_number_is_in_terminal_summary_report_and_export(
-    found_bent: Identification, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_law_in_the_list_is_tried_chosen_and_wherever_laws_are_shown(
+    found_lopsided: Identification, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = found_bent
-    show_friction_law(found.as_result().friction_law, of_plain=False)
-    assert re.search(r"^bend_per_rad +0\.0[56]\d* ±0\.0\d+ +1/rad +bend of the sensor$", capsys.readouterr().out, re.M)
-    assert "bend of the sensor" in Found.of(found).summary()
+    found = found_lopsided
+    assert found.motor_law is not None
+    assert [one.law.name for one in found.motor_law.found] == ["lopsided"]
+    low, high = found.motor_law.found[0].ci95
+    assert low < found.motor_law.found[0].size < high
+    assert any(note.startswith("law: a lopsided amplifier") for note in found.notes)
+    result = found.as_result()
+    show_motor_law(result)
+    assert re.search(r"^lopsided +-?0\.01\d* ±0\.00\d+", capsys.readouterr().out, re.M)
+    assert "lopsided" in Found.of(found).summary()
     run = tmp_path / "run"
     shutil.copytree(GOLDEN / "simulated", run)
-    result = RunResult(estimates=found.as_result().estimates, friction_law=found.as_result().friction_law)
-    (run / "result.json").write_text(json.dumps(result.as_json()))
-    page = write_report(run).read_text()
-    assert re.search(
-        r'<th>a bent sensor</th>.*bend of the sensor <data value="0\.0[56]\d*">0\.0[56]\d*</data> 1/rad', page
-    )
+    (run / "result.json").write_text(json.dumps(RunResult(answer=result.answer, estimates=result.estimates).as_json()))
+    assert "a lopsided amplifier" in write_report(run).read_text()
     export(run, tmp_path / "run.json")
-    exported = json.loads((tmp_path / "run.json").read_text())["result"]["friction_law"]
-    assert exported["rungs"][-1]["own"][0]["name"] == "bend_per_rad"
+    (law,) = json.loads((tmp_path / "run.json").read_text())["result"]["answer"]["law"]
+    assert law["name"] == "lopsided"

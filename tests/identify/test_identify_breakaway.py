@@ -78,6 +78,9 @@ def test_with_noise_the_interval_holds_it(seed: int) -> None:
     for ramp, true in ((found.plus, 0.53), (found.minus, 0.51)):
         assert ramp.low_V <= ramp.static_V <= ramp.high_V
         assert ramp.low_V - 0.01 <= true <= ramp.high_V + 0.01
+    assert found.level_V is not None
+    level_V, error_V = found.level_V
+    assert abs(level_V - 0.52) < 2.0 * error_V < 0.08
 
 
 def test_equal_static_and_moving_friction_never_separate_bias_from_direction() -> None:
@@ -102,6 +105,6 @@ def test_clearly_larger_static_friction_separates_them_under_one_ratio() -> None
 def test_a_ramp_without_motion_tells_nothing_and_says_so() -> None:
     motor = plant()
     found = breakaway(ramped(motor, 0.0, limit_V=0.45), estimate_of(motor), NOISE)
-    assert found.plus is None
+    assert found.plus is None and found.level_V is None
     assert found.as_result().static_plus_V is None
     assert "ramp higher" in found.reason

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic
 from evidence import evidence
+from synthetic import dcr, record, simulate
 
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_test
 from campaign_real.kinds import KINDS, Case, case
@@ -14,12 +18,14 @@ from rig.config.campaign import Campaign
 from rig.identify import sampled_data
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.choice import Columns
-from rig.identify.departures.fit import CORE, Normal, Problem, limits_of, solve, start
+from rig.identify.departures.fit import CORE, Known, Normal, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
 from rig.identify.motor_law import motor_law
 from rig.identify.thinning import thinned
+from rig.model.friction import coulomb, tustin
+from rig.model.motor import Motor
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
 from rig.recording.series import TimeSeries
 
@@ -125,6 +131,54 @@ def test_u95_is_at_least_the_scatter_and_its_lines_add_up() -> None:
         assert lines.u95[name] == pytest.approx(math.sqrt(sum(part**2 for part in own)))
 
 
+@pytest.mark.parametrize(
+    ("fs_V", "stribeck_rad_s", "level_V", "names"),
+    [
+        (0.65, 0.0, (0.65, 0.03), ["static"]),
+        (0.65, 0.0, None, []),  # the relay tests never hold the shaft
+        (0.5, 0.0, (0.53, 0.03), []),
+        (0.65, 0.5, (0.68, 0.03), ["stribeck"]),
+    ],
+)
+def test_breakaway_ramps_show_static_friction_that_is_clearly_above_that_in_motion(
+    fs_V: float, stribeck_rad_s: float, level_V: tuple[float, float] | None, names: list[str]
+) -> None:
+    motor = Motor(0.17, 6.5, tustin(0.5, fs_V, stribeck_rad_s))
+    bench = synthetic.Bench(noise_rad=0.003, lsb_rad=synthetic.LSB_RAD)
+    tests = [record(simulate(motor, dcr(0.8, h2_V), 800, bench), first=200) for h2_V in (1.0, 1.3)]
+    plain = sampled_data.fit(tests)
+    law = motor_law(tests, plain, [None, None], level_V=level_V)
+    assert [one.law.name for one in law.found] == names
+    if names:
+        assert law.estimate is not None
+        low, high = law.found[0].ci95
+        assert low < fs_V - 0.5 < high < 0.3
+    estimate = law.estimate or plain
+    assert [getattr(estimate, name) for name in OF] == pytest.approx([0.17, 6.5, 0.5], rel=0.02)
+    if "static" in names:  # what is at rest alone leaves the motion as it is
+        assert [getattr(estimate, name) for name in OF] == pytest.approx([getattr(plain, n) for n in OF], rel=2e-3)
+
+
+def test_a_slow_drive_shows_static_friction_without_ramps() -> None:
+    """A stair of drives up and down: the shaft stands on steps that would move it without a static level."""
+
+    def stairs(top_V: float) -> Callable[[float, float, float], float]:
+        return lambda t, y, z: top_V * round(4.0 * math.sin(math.pi * t)) / 4.0
+
+    motor = Motor(0.17, 6.5, coulomb(0.3, 0.45))
+    tests = [
+        record(simulate(motor, stairs(top_V), 1200, synthetic.Bench(noise_rad=0.003, lsb_rad=synthetic.LSB_RAD)))
+        for top_V in (0.8, 1.2)
+    ]
+    law = motor_law(tests, sampled_data.fit(tests), [None, None])
+    assert [one.law.name for one in law.found] == ["static"]
+    low, high = law.found[0].ci95
+    assert low < 0.15 < high < 0.3
+    assert law.estimate is not None
+    assert [getattr(law.estimate, name) for name in OF] == pytest.approx([0.17, 6.5, 0.3], rel=0.01)
+    assert all(law.budget.u95[name] < 0.05 * getattr(law.estimate, name) for name in OF)
+
+
 def _fit() -> tuple[Problem, RealMotor, Cut]:
     one = _case("plain")
     tests = [TimeSeries(r.t_s, r.y_rad, r.t_s + one.bench.delay_s, r.u_V) for r in one.records]
@@ -160,6 +214,19 @@ def test_the_gain_of_a_column_is_the_fall_of_the_squares_with_it() -> None:
     with_it = solve(start(richer, fit.motor))
     assert fit.cost - with_it.cost == pytest.approx(gain, rel=0.02, abs=0.02)
     assert with_it.motor.gain_by_sign == pytest.approx(float(size[0]), rel=0.02, abs=1e-6)
+
+
+def test_what_is_known_from_beside_the_tests_is_a_row_of_the_fit() -> None:
+    plain, motor, _ = _fit()
+    level_V = motor.fc_V + 0.2
+    problem = replace(plain, known=Known.of_sum(("fc_V", "static_V"), level_V, 0.02))
+    fit = solve(start(problem, motor))
+    assert fit.motor.fc_V == pytest.approx(solve(start(plain, motor)).motor.fc_V, rel=0.005)
+    columns = Columns(fit, problem.rows(fit.motor, fit.starts))
+    law = next(law for law in DEPARTURES if law.name == "static")
+    gain, size = columns.gain(columns.of(law, {})[0])
+    assert gain == pytest.approx(problem.surprise(fit.motor), rel=0.02)
+    assert size[0] == pytest.approx(level_V - fit.motor.fc_V, rel=0.02)
 
 
 @pytest.mark.parametrize("length_s", [0.2, 0.5, 2.0, math.inf])

@@ -178,13 +178,15 @@ def test_a_known_motor_is_the_estimate_until_rows_say_more(golden: Recording) ->
     assert max(errors(late, TRUTH).values()) < 1.5
 
 
-def test_the_laws_of_a_known_motor_are_fitted_too() -> None:
+@pytest.mark.parametrize(("law", "number"), [("viscous_by_direction", "viscous_by_direction_V_s_rad"), ("static", "")])
+def test_the_laws_of_a_known_motor_are_fitted_too_but_for_static_friction_which_stays(law: str, number: str) -> None:
     true = Motor(0.2, 5.0, coulomb(0.4), 0.02)
-    prior = FramedMotor(RealMotor(0.22, 4.5, 0.45, viscous_by_direction_V_s_rad=1e-3), Frame())
+    prior = FramedMotor(RealMotor(0.22, 4.5, 0.45, **{number or "static_V": 1e-3}), Frame())
     rows = live_rows(simulate(true, dcr(0.6, 0.9), 1500, Bench(noise_rad=0.003)))
     estimate = estimated(rows, LiveSettings(0.01, 0.003, 0.0, 3.0, prior=prior))
-    assert estimate.laws == ("viscous_by_direction",)
-    assert abs(estimate.motor().motor.viscous_by_direction_V_s_rad) < 1e-3
+    assert estimate.laws == (law,)
+    motor = estimate.motor().motor
+    assert abs(getattr(motor, number)) < 1e-3 if number else motor.static_V == 1e-3
     assert max(errors(estimate, {"tau_s": 0.2, "K_rad_s_V": 5.0, "fc_V": 0.4}).values()) < 1.5
 
 

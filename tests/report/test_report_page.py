@@ -381,27 +381,6 @@ def test_words_from_files_are_never_markup_or_mathematics(run: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_nested_friction_laws_are_a_table_with_its_reason(run: Path) -> None:
-    (run / "samples.csv").unlink()
-    rungs = [
-        {"law": "asymmetric", "parameters": {"fc_V": 0.481}, "criterion": 151.2, "standing": "too simple"},
-        {
-            "law": "stribeck",
-            "parameters": {"fc_V": 0.479, "fs_V": 0.612, "stribeck_rad_s": None},
-            "criterion": 0.0,
-            "held_out_rms_rad": 0.00334,
-            "standing": "chosen",
-        },
-    ]
-    assert "+ Stribeck effect" not in page_of(run).words
-    found = {"rungs": rungs, "held_out": "relay-2", "reason": "Stribeck friction: <b>clearly</b>", "record": ["more"]}
-    edit(run / "result.json", lambda r: r.update(friction_law=found))
-    page = page_of(run)
-    for words in ("+ Stribeck effect", "relay 2 predicted", "0.612", "151.2", "3.34", "Stribeck friction: <b>clearly"):
-        assert words in page.words
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path) -> None:
     (run / "samples.csv").unlink()
     found = [{"name": name, "value": 0.052, "unit": "V", "ci95": [0.048, 0.056]} for name in ("stribeck", "dead_band")]
@@ -604,10 +583,6 @@ ESTIMATE = st.dictionaries(
     ),
     NUMBER | st.dictionaries(st.sampled_from(["tau_s", "K_rad_s_V", "fc_V"]), st.lists(NUMBER, max_size=3)),
 )
-LAW_FIT = st.dictionaries(
-    st.sampled_from(["law", "standing", "parameters", "criterion", "held_out_rms_rad"]),
-    NUMBER | st.dictionaries(st.sampled_from(["fc_V", "fs_V"]), NUMBER),
-)
 RESULT = st.fixed_dictionaries(
     {},
     optional={
@@ -619,7 +594,6 @@ RESULT = st.fixed_dictionaries(
         "faults": ANY_JSON,
         "notes": ANY_JSON,
         "breakaway": ANY_JSON,
-        "friction_law": ANY_JSON | st.fixed_dictionaries({"rungs": st.lists(LAW_FIT | ANY_JSON, max_size=3)}),
         "search": ANY_JSON,
     },
 )

@@ -103,6 +103,7 @@ def old_keys() -> dict[str, Any]:
         "u95": {"tau_s": 0.004, "K_rad_s_V": 0.1, "fc_V": 0.01},
         "u95_absolute": {"tau_s": 0.004, "K_rad_s_V": 0.2, "fc_V": 0.02},
         "budget": [{"source": "scatter", "tau_s": 0.004, "K_rad_s_V": 0.1, "fc_V": 0.01}],
+        "friction_law": {"chosen": "stribeck", "rungs": [{"law": "stribeck", "parameters": {"fs_V": 0.6}}]},
         "loop": {"ticks": 100, "period_s": 0.01},
     }
 

@@ -123,12 +123,13 @@ def test_the_numbers_of_a_whole_run_hold(seed: int, number: int, pair: bool, law
 
 
 @pytest.mark.evidence
-def test_laws_that_look_alike_give_a_wide_u95_and_not_none() -> None:
-    """Rounding took more from one of them than the record says of it: u95 was not a number."""
+def test_static_friction_beside_a_stribeck_effect_is_told_by_the_ramps() -> None:
+    """Without the ramps' level both look alike: f_c was known to 10 %. Rounding must leave u95 a number."""
     one = row_of_run(CAMPAIGN.model_copy(update={"seed": 19}), 103, True)
+    assert set(one.found) == {"stribeck", "static"}
     assert one.u95 is not None
-    assert all(0.01 < u95 < 1.0 for u95 in one.u95)
-    assert one.verdict == "doubtful"
+    assert all(0.0 < u95 < 0.025 for u95 in one.u95)
+    assert one.verdict == "ok"
     assert one.inside == (True, True, True)
 
 

@@ -1,7 +1,6 @@
 """`make real-records`: what `rig identify` says of records of real motors, and of made ones, one line for each.
 
-RIG_SHARED_DATA names the folder with `real`, `emps` and `cases`. Each record is identified in a process of its own, as
-the command does it, and its CPU seconds are taken.
+RIG_SHARED_DATA names the folder with `real`, `emps` and `cases`. CPU seconds are those of reading and identifying.
 
     PYTHONPATH=tools python -m real_records [cases|emps|real ...] [--only WORD] [--page]
 """
@@ -9,130 +8,131 @@ the command does it, and its CPU seconds are taken.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
-import resource
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.io import loadmat
 
-from shared.page import today, write
-from shared.table import markdown
+from real_records.siblings import Next, next_record, pairs_that_agree
+from rig.identify import IdentifyError, identify
+from rig.identify.identification import Identification
+from rig.recording.errors import RecordingError
+from rig.recording.log_format import LogColumn, LogFormat
+from rig.recording.reader import read_all
+from rig.results import Answer
+from shared.page import render, today, write
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
-LOG = [
-    "--time",
-    "us",
-    "--drive",
-    "pwm",
-    "--full",
-    "255",
-    "--supply-V",
-    "12",
-    "--position",
-    "counts",
-    "--counts-per-turn",
-    "1440",
-]
-SPEED = ["--time", "us", "--drive", "pwm", "--full", "255", "--supply-V", "12", "--velocity"]
-CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("dead_band_1p3V.csv", (*LOG,)),
-    ("closedloop.csv", ()),
-    ("one_way_levels.csv", ()),
-    ("file_fwd.csv file_rev.csv", ()),
-    ("steps.csv", ()),
-    ("unbalance_2p5V.csv", (*LOG,)),
-    ("unsigned_drive.csv", (*LOG,)),
-    ("lost_counts_fwd2pct.csv", (*LOG,)),
-    ("stamp_of_line_before.csv", ("--time", "us", "--drive", "volts:V", *LOG[-4:])),
-    ("drift_each_1.csv drift_each_2.csv", ()),
-    ("demo-refused", ()),
-    ("vel_lpf5ms.csv", (*SPEED, "vel:rad/s")),
-    ("velfilt.csv", ("--time", "time:s", "--drive", "voltage:V", "--velocity", "rpm:rpm")),
+
+
+def _log(time: str, drive: str, what: str, column: str, counts: float | None = None) -> LogFormat:
+    """A log of PWM of 255 at 12 V, or of volts; ``what`` is position or velocity."""
+    pwm = {"full": 255.0, "supply_V": 12.0} if drive == "pwm" else {"full": None, "supply_V": None}
+    seen = LogColumn.parse(what, column)
+    return LogFormat(
+        LogColumn.parse("time", time),
+        LogColumn.parse("drive", drive),
+        position=seen if what == "position" else None,
+        velocity=seen if what == "velocity" else None,
+        counts_per_turn=counts,
+        full=pwm["full"],
+        supply_V=pwm["supply_V"],
+    )
+
+
+BOARD = _log("us", "pwm", "position", "counts", 1440.0)
+CASES: tuple[tuple[str, LogFormat | None], ...] = (
+    ("dead_band_1p3V.csv", BOARD),
+    ("closedloop.csv", None),
+    ("one_way_levels.csv", None),
+    ("file_fwd.csv file_rev.csv", None),
+    ("steps.csv", None),
+    ("unbalance_2p5V.csv", BOARD),
+    ("unsigned_drive.csv", BOARD),
+    ("lost_counts_fwd2pct.csv", BOARD),
+    ("stamp_of_line_before.csv", _log("us", "volts:V", "position", "counts", 1440.0)),
+    ("drift_each_1.csv drift_each_2.csv", None),
+    ("demo-refused", None),
+    ("vel_lpf5ms.csv", _log("us", "pwm", "velocity", "vel:rad/s")),
+    ("vel_int16.csv", _log("us", "pwm", "velocity", "vel:counts/s", 8192.0)),
+    ("velfilt.csv", _log("time:s", "voltage:V", "velocity", "rpm:rpm")),
 )
 KNOWN = ("tau_s", "K_rad_s_V", "fc_V")
 
 
 class Entry(NamedTuple):
-    """A record: its name, and what `rig identify` is given."""
+    """A record: its name, its motor, its files, and how they are read."""
 
     name: str
-    arguments: tuple[str, ...]
+    motor: str
+    paths: tuple[Path, ...]
+    log: LogFormat | None
 
 
 def entries(kind: str, data: Path, scratch: Path) -> Iterator[Entry]:
     """The records of a folder. EMPS is written as CSV first."""
     if kind == "cases":
-        for names, options in CASES:
-            files = tuple(str(data / kind / name) for name in names.split())
-            if all(Path(file).exists() for file in files):
-                yield Entry(names, (*files, *options))
+        for names, log in CASES:
+            paths = tuple(data / kind / name for name in names.split())
+            if all(path.exists() for path in paths):
+                yield Entry(names, names, paths, log)
     elif kind == "emps":
         for file in sorted((data / kind).glob("*.mat")):
             columns = loadmat(str(file))
             table = np.column_stack([np.asarray(columns[k], dtype=float).ravel() for k in ("t", "vir", "qm")])
             made = scratch / f"{file.stem}.csv"
             np.savetxt(made, table, delimiter=",", header="t_s,u_V,y_rad", comments="", fmt="%.12g")
-            yield Entry(file.stem, (str(made),))
+            yield Entry(file.stem, kind, (made,), None)
     else:
-        sets: dict[str, list[str]] = {}
-        for file in sorted((data / kind).glob("*.csv")):
-            name = file.stem
-            sets.setdefault("tu_A" if name.startswith("tu_A") else name, []).append(str(file))
-        for name, each in sets.items():
-            head = Path(each[0]).read_text().partition("\n")[0].split(",")
-            what, _, unit = head[2].partition("_")
-            flag = f"--{what}"
-            unit = {"deg_s": "deg/s"}.get(unit, unit)
-            yield Entry(name, (*each, "--time", "t_s:s", "--drive", "u_V:V", flag, f"{head[2]}:{unit}"))
+        sets: dict[str, list[Path]] = {}
+        for path in sorted((data / kind).glob("*.csv")):
+            sets.setdefault("tu_A" if path.stem.startswith("tu_A") else path.stem, []).append(path)
+        for name, files in sets.items():
+            column = files[0].read_text().partition("\n")[0].split(",")[2]
+            what, _, unit = column.partition("_")
+            unit = {"deg_s": "deg/s", "rad_s": "rad/s"}.get(unit, unit)
+            log = _log("t_s:s", "u_V:V", what, f"{column}:{unit}")
+            yield Entry(name, name.partition("_")[0], tuple(files), log)
 
 
-def identified(entry: Entry) -> tuple[dict[str, Any] | None, str, float]:
-    """The result as JSON, or None with what the command said; CPU seconds."""
-    rig = Path(sys.executable).with_name("rig")
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(
-        [str(rig), "identify", *entry.arguments, "--json"], capture_output=True, text=True, check=False
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu_s = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+def identified(entry: Entry) -> tuple[Identification | None, str, float]:
+    """What rig identifies, or None with what it says; CPU seconds."""
+    before = time.process_time()
     try:
-        return json.loads(done.stdout), done.stderr, cpu_s
-    except json.JSONDecodeError:
-        return None, (done.stderr or done.stdout).strip(), cpu_s
+        found = identify([recording for path in entry.paths for recording in read_all(path, entry.log)])
+    except (RecordingError, IdentifyError) as error:
+        return None, str(error), time.process_time() - before
+    return found, "", time.process_time() - before
 
 
-def line(name: str, found: dict[str, Any] | None, said: str, cpu_s: float) -> list[str]:
+def line(name: str, found: Identification | None, said: str, cpu_s: float) -> list[str]:
     """One row of the table."""
-    answer = None if found is None else found.get("answer")
+    answer = None if found is None else found.answer
     if answer is None:
         return [name, f"no answer: {said[:90]}", *[""] * (len(KNOWN) + 2), f"{cpu_s:.1f}"]
-    grades = answer.get("grade") or {}
-    cells = [_number(answer, key, grades.get(key)) for key in KNOWN]
-    predicts = answer.get("predicts") or {}
-    share = "-"
-    if predicts:
-        share = f"{predicts['error']:.3f}, {predicts['linear_error']:.3f}"
-    laws = ", ".join(f"{law['name']} {law['value']:.3g}" for law in answer.get("law") or ())
-    return [name, answer["verdict"], *cells, share, laws, f"{cpu_s:.1f}"]
+    cells = [_number(answer, key) for key in KNOWN]
+    share = "-" if answer.predicts is None else f"{answer.predicts.error:.3f}, {answer.predicts.linear_error:.3f}"
+    laws = ", ".join(f"{law.name} {law.value:.3g}" for law in answer.law or ())
+    return [name, answer.verdict, *cells, share, laws, f"{cpu_s:.1f}"]
 
 
-def _number(answer: dict[str, Any], key: str, grade: dict[str, Any] | None) -> str:
-    value = answer.get(key)
+def _number(answer: Answer, key: str) -> str:
+    grade, value = (answer.grade or {}).get(key), answer.value(key)
     if value is None:
         return "-"
-    half = (answer.get("u95") or {}).get(key) if grade is None else grade.get("u95")
-    if grade is not None and grade.get("value") is not None:
-        value = grade["value"]
+    if grade is None:
+        return f"{value:.4g}"
+    half = grade.u95
     width = "?" if half is None or not math.isfinite(half) or not value else f"{100.0 * half / abs(value):.2g} %"
-    return f"{value:.4g} ± {width}" + ("" if grade is None else f" {grade['grade']}")
+    return f"{value:.4g} ± {width} {grade.grade}"
 
 
 HEAD = ("record", "verdict", "tau, s", "K, (rad/s)/V", "f_c, V", "held-out error: rig, linear", "laws", "CPU, s")
@@ -150,7 +150,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not os.environ.get("RIG_SHARED_DATA") or not data.is_dir():
         print("RIG_SHARED_DATA must name the folder with real, emps and cases", file=sys.stderr)
         return 2
-    rows = []
+    rows: list[list[str]] = []
+    by_motor: dict[str, dict[str, Identification]] = {}
     with tempfile.TemporaryDirectory() as scratch:
         for kind in given.kinds:
             for entry in entries(kind, data, Path(scratch)):
@@ -160,14 +161,53 @@ def main(argv: Sequence[str] | None = None) -> int:
                 row = line(entry.name, found, said, cpu_s)
                 rows.append(row)
                 print(" | ".join(row), flush=True)
-                answer = None if found is None else found.get("answer")
-                if given.reasons and answer is not None:
-                    for reason in answer["reasons"]:
-                        print("     -", reason, flush=True)
+                if found is None or found.answer is None:
+                    continue
+                by_motor.setdefault(entry.motor, {})[entry.name] = found
+                for reason in found.answer.reasons if given.reasons else ():
+                    print("     -", reason, flush=True)
+    agreed = [agreement(motor, records) for motor, records in by_motor.items() if len(records) > 1]
+    following = [one for records in by_motor.values() for one in next_records(records)]
+    for summary in [*agreed, *map(list, map(next_cells, following))]:
+        print(" | ".join(summary), flush=True)
     if given.page:
-        text = f"# Records of real motors\n\nMade by `make real-records` on {today()}.\n\n{markdown(HEAD, rows)}\n"
+        cpu = sorted(float(row[-1]) for row in rows)
+        text = render(
+            Path(__file__).with_name("real-records.md.j2"),
+            made=today(),
+            head=HEAD,
+            rows=rows,
+            agreed=agreed,
+            following=[next_cells(one) for one in following],
+            better=sum(one.rig <= 1.05 * one.linear for one in following),
+            better_than_arx=sum(one.rig <= 1.05 * one.arx for one in following),
+            pairs=len(following),
+            cpu_90=f"{cpu[min(len(cpu) - 1, int(0.9 * len(cpu)))]:.0f}" if cpu else "-",
+        )
         write(DOCS / "real-records.md", text)
     return 0
+
+
+def agreement(motor: str, records: Mapping[str, Identification]) -> list[str]:
+    """A row: the motor, how many records it has, how many usable numbers of two of them agree, of how many."""
+    answers = {name: found.answer for name, found in records.items() if found.answer is not None}
+    agree, count = pairs_that_agree(answers)
+    return [motor, str(len(records)), str(agree), str(count)]
+
+
+def next_records(records: Mapping[str, Identification]) -> Iterator[Next]:
+    """Each record of a motor predicted by the one before."""
+    names = list(records)
+    for one, other in pairwise(names):
+        found = next_record(records[one], records[other], (one, other))
+        if found is not None:
+            yield found
+
+
+def next_cells(one: Next) -> list[str]:
+    """A row: both records, and the errors of rig's motor, the linear and the ARX model."""
+    errors = (f"{error:.3f}" if error < 1.0 else "> 1" for error in (one.rig, one.linear, one.arx))
+    return [one.first, one.second, *errors]
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.identify.blocks import Blocks
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
-from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
+from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
@@ -36,8 +37,13 @@ GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
-BLOCK_S, BLOCK_TAUS = 2.0, 3.0  # length of the blocks in which a law must show: the longer of both
+STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
+LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+BENT = 1.3  # growth of the residual in a fit with its noise beyond which it is no noise
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
+LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
+LEAP_ITERATIONS = 4
+CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
@@ -47,7 +53,7 @@ class Asked(NamedTuple):
     entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
     stay      to stay
     predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
-    cuts      share of the error beyond the sensor's noise, in blocks of the tests, that a law must take away
+    cuts      share of the error beyond the sensor's noise, in blocks that were not fitted, that a law must take away
     """
 
     entry: float = 5.0
@@ -97,6 +103,7 @@ class Chooser:
     delay_s     bounds of the delay, s
     sigma_rad   the sensor's noise, rad
     asked       what a law must bring
+    known       what is known of the numbers from beside the tests; None: nothing
     """
 
     candidates: Sequence[Departure]
@@ -105,10 +112,11 @@ class Chooser:
     delay_s: tuple[float, float]
     sigma_rad: float
     asked: Asked = ASKED
+    known: Known | None = None
 
     def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
-        """From a plain motor near the true one."""
-        laws: tuple[Departure, ...] = ()
+        """From a motor near the true one: a plain one, or with laws, which then are the first."""
+        laws = tuple(law for law in self.candidates if any(getattr(motor, name) for name in law.numbers))
         growth: list[tuple[float, float]] = []
         fit: Fit | None = None
         for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
@@ -134,8 +142,9 @@ class Chooser:
             )
         while laws:
             rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
-            least = min(rises, key=lambda law: rises[law])
-            if rises[least] >= self.asked.predicts:
+            # normal equations say nothing of a law that leaps
+            least = min((law for law in laws if not law.leaps), key=lambda law: rises[law], default=None)
+            if least is None or rises[least] >= self.asked.predicts:
                 break
             laws = tuple(law for law in laws if law is not least)
             fit, laws = self._last(
@@ -160,6 +169,8 @@ class Chooser:
     def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
         """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
         for law in laws:
+            if law.leaps:
+                fit = at_best_size(fit, law)
             trials = law.trials(self.bench)
             if not law.shape or len(trials) == 1:
                 continue
@@ -190,7 +201,7 @@ class Chooser:
         return self._at_best_shape(bare, others) if is_faint else bare
 
     def _idle(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> Departure | None:
-        """The law that takes least of the error in blocks of the tests; None if each takes as much as is asked.
+        """The law that takes least of the error in blocks that were not fitted; None if each takes as much as is asked.
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
         sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it. Where it leaves white
@@ -198,21 +209,29 @@ class Chooser:
         """
         if fit.problem.noise.white:
             return None
-        longer = whole.every(max(BLOCK_S, BLOCK_TAUS * fit.motor.tau_s))
-        cut = longer if longer.longest_s > fit.problem.cut.longest_s else fit.problem.cut
-        full = self._in_blocks(fit, laws, fit.motor, cut)
+        blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
+        full = self._held_out_rad(blocks, laws, fit.motor)
         cuts: dict[Departure, float] = {}
         for law in laws:
+            if self._is_shown_beside(fit, law):
+                continue
             others = tuple(one for one in laws if one is not law)
-            bare = self._in_blocks(fit, others, without(fit.motor, law), cut)
+            bare = self._held_out_rad(blocks, others, without(fit.motor, law))
             left, all_of_it = (max(rad**2 - self.sigma_rad**2, 1e-300) for rad in (full, bare))
             cuts[law] = 1.0 - math.sqrt(left / all_of_it)
-        least = min(cuts, key=lambda law: cuts[law])
-        return least if cuts[least] < self.asked.cuts else None
+        least = min(cuts, key=lambda law: cuts[law], default=None)
+        return None if least is None or cuts[least] >= self.asked.cuts else least
 
-    def _in_blocks(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor, cut: Cut) -> float:
-        """RMS residual of these laws in these pieces, rad, fitted to them by least squares."""
-        return solve(start(self.problem(cut, laws, math.inf), motor), TRIAL_ITERATIONS).rms_rad
+    def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
+        """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
+        surprise = fit.problem.surprise
+        rise = (surprise(without(fit.motor, law)) - surprise(fit.motor)) / unit(fit)
+        return rise >= self.price(law, fit, self.asked.stay)
+
+    def _held_out_rad(self, blocks: Blocks, laws: Sequence[Departure], motor: RealMotor) -> float:
+        """RMS error in blocks, rad, each predicted by what the others say of these laws and numbers."""
+        squares = blocks.held_out(self.problem(blocks.cut, laws, math.inf), motor, starts_known=True)
+        return math.sqrt(float(squares.sum()) / blocks.shown.size)
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""
@@ -226,7 +245,7 @@ class Chooser:
         """The problem of these laws on this cut."""
         free = self.core + tuple(name for law in laws for name in (*law.numbers, *law.shape))
         limits = limits_of(free, cut, self.delay_s) | limits_of_laws(laws, self.bench)
-        return Problem(cut, free, limits, self.sigma_rad, robust_rad)
+        return Problem(cut, free, limits, self.sigma_rad, robust_rad, known=self.known)
 
     def _settle(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Add and drop laws until none gains and none is without worth.
@@ -246,7 +265,7 @@ class Chooser:
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
             of, found = end
-            squares = finest.problem.cost(of.residual_rad) / unit(finest)
+            squares = finest.problem.cost(of.residual_rad, of.motor) / unit(finest)
             return squares + sum(self.price(law, of, self.asked.entry) for law in found)
 
         return min(ends, key=worth)
@@ -274,15 +293,17 @@ class Chooser:
 
     def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
-        if len(laws) >= MOST:
-            return []
+        seen = with_own_noise(fit)
+        if len(laws) >= MOST or (fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW):
+            return []  # the sensor's own steps are left, which look like anything
         found = []
-        for promise in self.promises(with_own_noise(fit), laws)[:TRIED]:
+        for promise in self.promises(seen, laws)[:TRIED]:
             law = promise.law
             if law.name in left or promise.gain < self.price(law, fit, self.asked.entry):
                 continue
             motor = fit.motor._replace(**promise.first)
             trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            trial = at_best_size(trial, law) if law.leaps else trial
             worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
             if worth > 0.0 and not self._hardly_shows(fit, trial):
                 found.append((worth, trial, (*laws, law)))
@@ -306,7 +327,12 @@ class Chooser:
                 noise = noise_of(fit.residual_rad, problem.cut.t_s, problem.cut.lengths)
                 if noise.white:
                     break
-                fit = solve(refitted(fit, replace(problem, noise=noise)))
+                seen = refitted(fit, replace(problem, noise=noise))
+                found = solve(seen)
+                if found.rms_rad > BENT * fit.rms_rad:
+                    fit = seen  # what is left is the motor, not noise: a noise that takes it up would bend the numbers
+                    break
+                fit = found
             worst = self._worst(fit, laws)
             if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
                 return fit, laws
@@ -350,11 +376,19 @@ class Chooser:
         return sorted(found, key=lambda promise: -promise.gain)
 
     def _worst(self, fit: Fit, laws: Sequence[Departure]) -> tuple[float, Departure] | None:
-        """The law whose loss would cost least, and that cost, by the linear model; None without laws."""
+        """The law whose loss would cost least, and that cost, by the linear model if it has one; None without laws."""
         if not laws:
             return None
         normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-        return min(((loss(normal, fit, law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+
+        def cost(law: Departure) -> float:
+            if not law.leaps:
+                return loss(normal, fit, law)
+            others = [one for one in laws if one is not law]
+            bare = self.with_laws(fit, others, without(fit.motor, law))
+            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
+
+        return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
 
 def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[float, float]]:
@@ -372,18 +406,44 @@ def with_own_noise(fit: Fit) -> Fit:
     cut = fit.problem.cut
     noise = noise_of(fit.residual_rad, cut.t_s, cut.lengths)
     problem = replace(fit.problem, robust_rad=math.inf, noise=noise)
-    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad))
+    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad, fit.motor))
 
 
 def _gain(fit: Fit, richer: Fit) -> float:
     """Twice the gain in log likelihood, with the noise of the richer fit's residual."""
     seen = with_own_noise(richer)
-    return (seen.problem.cost(fit.residual_rad) - seen.cost) / unit(seen)
+    return (seen.problem.cost(fit.residual_rad, fit.motor) - seen.cost) / unit(seen)
 
 
 def without(motor: RealMotor, law: Departure) -> RealMotor:
     """The motor without a law."""
     return motor._replace(**dict.fromkeys((*law.numbers, *law.shape), 0.0))
+
+
+def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
+    """Fits of the rest at sizes of a law that leaps, its own first, each with its size (docs/theory.md 8.4)."""
+    [name] = law.numbers
+    size, most = getattr(fit.motor, name), fit.problem.limits[name][1]
+    others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
+    found = [(size, fit)]
+    for share in LEAPS:
+        if 0.0 < share * size <= most:
+            one = solve(refitted(fit, others, fit.motor._replace(**{name: share * size})), LEAP_ITERATIONS)
+            found.append((share * size, replace(one, problem=fit.problem)))
+    return found
+
+
+def at_best_size(fit: Fit, law: Departure) -> Fit:
+    """The best fit of ``by_size``."""
+    return min((one for _, one in by_size(fit, law)), key=lambda one: one.cost)
+
+
+def as_likely(fit: Fit, law: Departure) -> tuple[float, float]:
+    """Between which sizes those of a law that leaps are as likely as that of the fit, at 95 %."""
+    found = sorted((size, (one.cost - fit.cost) / unit(fit) < CHANCE) for size, one in by_size(fit, law))
+    near = [k for k, (_, likely) in enumerate(found) if likely]
+    low = found[near[0] - 1][0] if near[0] > 0 else 0.0
+    return low, found[min(near[-1] + 1, len(found) - 1)][0]
 
 
 def loss(normal: Normal, fit: Fit, law: Departure) -> float:
@@ -393,9 +453,11 @@ def loss(normal: Normal, fit: Fit, law: Departure) -> float:
     shape = [free.index(name) for name in law.shape]
     rest = [k for k in range(len(free)) if k not in own and k not in shape]
     size = np.array([getattr(fit.motor, name) for name in law.numbers])
-    matrix = normal.matrix
-    cross = np.linalg.lstsq(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, own)], rcond=1e-14)[0]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal.matrix), 1e-300))
+    matrix = normal.matrix * np.outer(scale, scale)
+    cross = np.linalg.lstsq(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, own)], rcond=1e-12)[0]
     left = matrix[np.ix_(own, own)] - matrix[np.ix_(own, rest)] @ cross
+    size = size / scale[own]
     return float(size @ left @ size)
 
 
@@ -408,11 +470,11 @@ class Columns:
     def __init__(self, fit: Fit, rows: Rows, smooth: Sequence[Departure] = ()) -> None:
         self._fit, self._rows = fit, rows
         self.base = Normal.of(rows, fit.problem.cut)
-        self._known: dict[str, Array] = {}
+        self._smooth: dict[str, Array] = {}
         if smooth:
             names = [name for law in smooth for name in law.numbers]
             found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
-            self._known = dict(zip(names, self._white(found.by_number).T, strict=True))
+            self._smooth = dict(zip(names, self._white(found.by_number, names).T, strict=True))
 
     def of_all(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[Array, float]]:
         """``of`` for each of the trials; those of a wave over the angle in one go."""
@@ -421,7 +483,7 @@ class Columns:
             return
         fit = self._fit
         found = fit.problem.cut.derivatives(fit.motor, fit.starts, (), [trial[ORDER] for trial in trials])
-        white = self._white(found.by_number)
+        white = self._white(found.by_number, law.numbers * len(trials))
         yield from ((white[:, 2 * k : 2 * k + 2], 1.0) for k in range(len(trials)))
 
     def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
@@ -431,14 +493,16 @@ class Columns:
         value is 0.
         """
         fit = self._fit
-        if all(name in self._known for name in law.numbers):
-            return np.column_stack([self._known[name] for name in law.numbers]), 1.0
+        if all(name in self._smooth for name in law.numbers):
+            return np.column_stack([self._smooth[name] for name in law.numbers]), 1.0
         cut, motor = fit.problem.cut, fit.motor._replace(**trial)
         if any(name in trial for name in law.numbers):
             change = cut.readings(motor, fit.starts) - cut.readings(fit.motor, fit.starts)
-            return self._white(change[:, None]), 0.0
+            known = fit.problem.known
+            beside = np.zeros(0) if known is None else known.off(motor) - known.off(fit.motor)
+            return np.concatenate((self._weighed(change[:, None]), beside[:, None])), 0.0
         found = cut.derivatives(motor, fit.starts, [index(name) for name in law.numbers])
-        return self._white(found.by_number), 1.0
+        return self._white(found.by_number, law.numbers), 1.0
 
     def gain(self, added: Array) -> tuple[float, Array]:
         """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes."""
@@ -456,7 +520,13 @@ class Columns:
         both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
         return Normal.of(both, self._fit.problem.cut)
 
-    def _white(self, columns: Array) -> Array:
+    def _white(self, columns: Array, names: Sequence[str]) -> Array:
+        """Derivatives by these numbers, whitened; behind them those of what is known from beside the tests."""
+        known = self._fit.problem.known
+        white = self._weighed(columns)
+        return white if known is None else np.concatenate((white, known.by(names)))
+
+    def _weighed(self, columns: Array) -> Array:
         problem = self._fit.problem
         if math.isinf(problem.robust_rad):
             return problem.whitened(columns)

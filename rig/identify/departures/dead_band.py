@@ -10,7 +10,10 @@ EVEN = 8  # sizes, evenly up to the largest
 
 
 class DeadBand(Departure):
-    """Dead band: a bridge that passes nothing below a small drive, and loses that much above it."""
+    """Dead band: a bridge that passes nothing below a small drive, and loses that much above it.
+
+    Where the drive always goes along with the motion, a dead band is friction, and nothing can tell them apart.
+    """
 
     name = "dead_band"
     title = "dead band of the drive"
@@ -19,6 +22,10 @@ class DeadBand(Departure):
     numbers = ("dead_band_V",)
     one_sided = True
     told_by = "a relay test with drives against the motion: h1 nearly as large as h2"
+
+    def fits(self, bench: Bench) -> bool:
+        """Where the drive rests, or pushes against the motion."""
+        return not bench.goes_along
 
     def range_of(self, bench: Bench) -> float:
         """0.1 V: a duty of 1 % at 12 V; at most half the largest drive."""

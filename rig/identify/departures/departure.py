@@ -28,6 +28,7 @@ class Bench:
     linearity_rad       largest error of the sensor's linearity, rad, by its data sheet
     path_per_row_rad    mean way from one sample to the next, rad
     small_drives_V      sizes of the drives below a tenth of the largest, V; at most six
+    goes_along          whether the drive always pushes the way that the shaft turns, and never rests
     """
 
     K_rad_s_V: float
@@ -38,6 +39,7 @@ class Bench:
     linearity_rad: float
     path_per_row_rad: float
     small_drives_V: tuple[float, ...] = ()
+    goes_along: bool = False
 
     @property
     def half_drive_V(self) -> float:
@@ -56,6 +58,7 @@ class Departure(ABC):
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
     one_sided        whether its numbers are never below 0
     over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
+    leaps            whether the motion leaps where its one number grows: no derivative shows its size
     both_ways        whether only a shaft that turns both ways can show it
     told_by          what to record to tell it from laws that look alike
     """
@@ -68,6 +71,7 @@ class Departure(ABC):
     shape: tuple[str, ...] = ()
     one_sided: bool = False
     over_position: bool = False
+    leaps: bool = False
     both_ways: bool = False
     told_by: str = "a relay test of another amplitude"
 

@@ -25,16 +25,17 @@ DAMPING = 1e-3
 VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived,
 ENOUGH_SHARE = 2e-6  # or this share of it, where that is more: of a model that leaves far more than noise
+CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of some numbers of a motor before a fit.
+    """What is known of some numbers of a motor before a fit, or from beside it.
 
-    names   fields of ``RealMotor``
+    names   fields of ``RealMotor``; those that a fit has not free stay as they are
     mean    (k,) of ``POSITIVE`` the logarithm
-    root    (k, k): root.T @ root is the inverse of their covariance
+    root    (m, k): root.T @ root is the inverse of their covariance
     """
 
     names: tuple[str, ...]
@@ -46,8 +47,23 @@ class Known:
         """From a covariance, (k, k), that has an inverse."""
         return cls(tuple(names), np.array(mean), np.linalg.inv(np.linalg.cholesky(covariance)))
 
+    @classmethod
+    def of_sum(cls, names: Sequence[str], value_V: float, error_V: float) -> Known:
+        """From the sum of these voltages, and its standard error."""
+        mean = np.zeros(len(names))
+        mean[0] = value_V
+        return cls(tuple(names), mean, np.full((1, len(names)), 1.0 / error_V))
+
+    def by(self, names: Sequence[str]) -> Array:
+        """Derivatives of ``off`` by these fields, (m, len(names)), by the logarithms of ``POSITIVE``."""
+        found = np.zeros((self.root.shape[0], len(names)))
+        for k, name in enumerate(names):
+            if name in self.names:
+                found[:, k] = self.root[:, self.names.index(name)]
+        return found
+
     def off(self, motor: RealMotor) -> Array:
-        """How far the motor is from it, (k,), in independent standard deviations."""
+        """How far the motor is from it, (m,), in independent standard deviations."""
         values = [getattr(motor, name) for name in self.names]
         scaled = [math.log(v) if name in POSITIVE else v for name, v in zip(self.names, values, strict=True)]
         return np.asarray(self.root @ (np.array(scaled) - self.mean))
@@ -63,7 +79,7 @@ class Problem:
     sigma_rad  standard deviation of the white noise, rad
     robust_rad residuals beyond it count by their size, not by its square (soft L1); inf: least squares
     noise      coloured noise; without robust_rad only. Rows without weight stand at the end of a piece
-    known      what is known of free numbers beforehand; None: nothing
+    known      what is known of numbers beforehand, or from beside the tests; None: nothing
     """
 
     cut: Cut
@@ -81,13 +97,14 @@ class Problem:
             return white
         return np.asarray(white * (self.cut.weight if rows.ndim == 1 else self.cut.weight[:, None]))
 
-    def cost(self, residual: Array) -> float:
-        """Sum of squares of the whitened residual, large ones by their size."""
+    def cost(self, residual: Array, motor: RealMotor) -> float:
+        """Sum of squares of the whitened residual, large ones by their size; with the ``surprise`` of the motor."""
+        surprise = self.surprise(motor)
         if math.isinf(self.robust_rad):
             white = self.whitened(residual)
-            return float(white @ white)
+            return float(white @ white) + surprise
         share = (residual / self.robust_rad) ** 2
-        return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0))
+        return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0)) + surprise
 
     def surprise(self, motor: RealMotor) -> float:
         """Sum of squares of how far the motor is from what is known beforehand, in standard deviations."""
@@ -105,12 +122,12 @@ class Problem:
         residual = found.y_rad - self.cut.y_rad
         by_number = found.by_number * [getattr(motor, name) if name in POSITIVE else 1.0 for name in self.free]
         if math.isinf(self.robust_rad):
-            return self._with_known(
-                Rows(residual, self.whitened(residual), self.whitened(by_number), self._by_start(found.by_start)), motor
-            )
-        weight = (1.0 + (residual / self.robust_rad) ** 2) ** -0.25 / self.sigma_rad
-        by = weight[:, None]
-        return Rows(residual, weight * residual, by * by_number, by * found.by_start)
+            own = Rows(residual, self.whitened(residual), self.whitened(by_number), self._by_start(found.by_start))
+        else:
+            weight = (1.0 + (residual / self.robust_rad) ** 2) ** -0.25 / self.sigma_rad
+            by = weight[:, None]
+            own = Rows(residual, weight * residual, by * by_number, by * found.by_start)
+        return self._with_known(own, motor)
 
     def _by_start(self, by_start: Array) -> Array:
         white = self.whitened(by_start)
@@ -121,13 +138,12 @@ class Problem:
     def _with_known(self, rows: Rows, motor: RealMotor) -> Rows:
         if self.known is None:
             return rows
-        by_number = np.zeros((len(self.known.names), len(self.free)))
-        by_number[:, [self.free.index(name) for name in self.known.names]] = self.known.root
+        off = self.known.off(motor)
         return Rows(
             rows.residual_rad,
-            np.concatenate((rows.residual, self.known.off(motor))),
-            np.concatenate((rows.by_number, by_number)),
-            np.concatenate((rows.by_start, np.zeros((len(self.known.names), 2)))),
+            np.concatenate((rows.residual, off)),
+            np.concatenate((rows.by_number, self.known.by(self.free))),
+            np.concatenate((rows.by_start, np.zeros((off.size, 2)))),
         )
 
     def moved(self, motor: RealMotor, change: Array) -> RealMotor:
@@ -203,15 +219,14 @@ def start(problem: Problem, motor: RealMotor) -> Fit:
     """The motor with starts as the record shows them, not yet fitted."""
     starts = problem.cut.guessed()
     residual = problem.cut.readings(motor, starts) - problem.cut.y_rad
-    return Fit(problem, motor, starts, residual, problem.cost(residual) + problem.surprise(motor), False)
+    return Fit(problem, motor, starts, residual, problem.cost(residual, motor), False)
 
 
 def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None = None) -> Fit:
     """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same."""
     given = replace(fit, problem=problem or fit.problem, motor=motor or fit.motor)
     residual = given.problem.cut.readings(given.motor, given.starts) - given.problem.cut.y_rad
-    cost = given.problem.cost(residual) + given.problem.surprise(given.motor)
-    return replace(given, residual_rad=residual, cost=cost, arrived=False)
+    return replace(given, residual_rad=residual, cost=given.problem.cost(residual, given.motor), arrived=False)
 
 
 def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
@@ -230,7 +245,7 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
             motor = problem.moved(fit.motor, change)
             trial = fit.starts + starts
             residual = problem.cut.readings(motor, trial) - problem.cut.y_rad
-            cost = problem.cost(residual) + problem.surprise(motor)
+            cost = problem.cost(residual, motor)
             if cost < fit.cost:  # false for nan
                 better = Fit(problem, motor, trial, residual, cost, False)
                 break
@@ -279,6 +294,9 @@ class Normal:
         matrix = raw - np.einsum("pki,pkj->ij", border, solved[:, :, :-1])
         gradient = raw_gradient - np.einsum("pki,pk->i", border, solved[:, :, -1])
         squares = float(r @ r - np.einsum("pk,pk", pull, solved[:, :, -1]))
+        if np.any(np.diag(raw) > CANCELS * np.diag(matrix)):  # what differences of squares leave is rounding
+            left, pulled = sums_of_pieces(rows, begins)
+            matrix, gradient = left.sum(axis=0), pulled.sum(axis=0)
         scale = np.einsum("pii->pi", own).copy()
         # a shaft at rest shows no velocity: without this its start would go anywhere
         scale[:, 0] = np.maximum(scale[:, 0], scale[:, 1] * (VELOCITY_SHOWN * cut.durations_s) ** 2)
@@ -301,6 +319,20 @@ class Normal:
         if free.size:
             change[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=1e-14)[0]
         return change, -(solved[:, :, -1] + solved[:, :, :-1] @ change)
+
+
+def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Normal equations (p, m, m) and (p, m) of each piece, its start taken out, by the first row of each piece."""
+    ends = np.append(begins[1:], rows.residual.size)
+    matrix, gradient = [], []
+    for begin, end in zip(begins, ends, strict=True):
+        own = np.linalg.qr(rows.by_start[begin:end])[0]
+        both = np.column_stack((rows.by_number[begin:end], rows.residual[begin:end]))
+        left = both - own @ (own.T @ both)
+        squares = left.T @ left
+        matrix.append(squares[:-1, :-1])
+        gradient.append(squares[:-1, -1])
+    return np.array(matrix), np.array(gradient)
 
 
 def _regular(own: Array) -> Array:

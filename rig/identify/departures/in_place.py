@@ -1,14 +1,14 @@
 """Laws that would explain the record nearly as well in place of one that was found, and what tau, K, fc are then.
 
 The linear model shows most of them. It fails where the motion is not linear in a law: a dead band of the drive and a
-Stribeck effect of slow speeds. So where the record hardly shows a law, the best of the others are fitted
-(docs/theory.md 12.8).
+Stribeck effect of slow speeds; and where it moves tau, K or friction far. So where the record hardly shows a law, the
+best of the others are fitted, and so is each that would move them far (docs/theory.md 12.8).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,9 @@ from rig.identify.departures.fit import Fit, solve, unit
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
 
 Array = NDArray[np.float64]
+
+FAR = 0.1  # of tau, K or friction: what the linear model would move it by, beyond which a fit is asked
+RIVAL = 20.0  # rise of Schwarz's criterion up to which a law in place of another counts at all
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +55,19 @@ def in_place(
     """
     found: dict[tuple[str, str], InPlace] = {}
     for law in laws:
-        linear = (_replaced(nuisances, law, one) for one in nuisances.each)
-        for new in [*filter(None, linear), *_fitted(nuisances.fit, law, laws, chooser, bare[law.name])]:
+        for new in filter(None, (_replaced(nuisances, law, one) for one in nuisances.each if not law.leaps)):
             best = found.get((law.name, new.other.name))
             if best is None or new.rise < best.rise:
+                found[law.name, new.other.name] = new
+        size = np.array([abs(getattr(nuisances.fit.motor, name)) for name in OF])
+        far = {
+            one.other.name
+            for one in found.values()
+            if one.law is law and one.rise < RIVAL and np.any(np.abs(one.moves) > FAR * size)
+        }
+        for new in _fitted(nuisances.fit, law, laws, chooser, bare[law.name], far):
+            best = found.get((law.name, new.other.name))
+            if best is None or new.rise < best.rise or new.other.name in far:
                 found[law.name, new.other.name] = new
     return list(found.values())
 
@@ -65,14 +77,20 @@ def gained(fit: Fit, bare: Fit) -> float:
     return (bare.cost - fit.cost) / unit(fit)
 
 
-def _fitted(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
-    """Laws in place of one that the record hardly shows, those that promise most, each fitted."""
-    if gained(fit, bare) > FAINT:
+def _fitted(
+    fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, bare: Fit, far: Collection[str]
+) -> list[InPlace]:
+    """Laws in place of another, each fitted: those named in ``far``; and of one that the record hardly shows the best.
+
+    Those that promise most are the best.
+    """
+    most = TRIED if gained(fit, bare) <= FAINT else 0
+    if not most and not far:
         return []
     found = []
     others = [one for one in laws if one is not law]
     promises = [one for one in chooser.promises(bare, others) if one.law is not law]
-    for promise in promises[:TRIED]:
+    for promise in [one for k, one in enumerate(promises) if k < most or one.law.name in far]:
         one = promise.law
         motor = bare.motor._replace(**promise.first)
         trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS)

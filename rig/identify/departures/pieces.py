@@ -32,6 +32,7 @@ NEAR_ROWS = 4  # rows on either side that show a piece's start
 SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
 PLAIN = tuple(index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))  # in the order of ``Theta``
+TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
 
 
@@ -199,6 +200,7 @@ class Cut:
             linearity_rad,
             float(np.mean(np.concatenate([np.abs(np.diff(window.y_rad)) for window in self.windows]))),
             self._small_drives(),
+            all(_goes_along(window) for window in self.windows),
         )
 
     def _small_drives(self) -> tuple[float, ...]:
@@ -282,6 +284,15 @@ def _centred(windows: Sequence[Window], frames: Sequence[Frame]) -> tuple[Frame,
     mean_s = float(np.average(since_s, weights=[window.duration_s for window in windows]))
     later_s = mean_s - 0.5 * frames[0].duration_s
     return tuple(frame._replace(start_s=frame.start_s + later_s) for frame in frames)
+
+
+def _goes_along(window: Window) -> bool:
+    """Whether the drive, from its first push on, always pushes the one way that the shaft turns."""
+    way = 1.0 if window.y_rad[-1] > window.y_rad[0] else -1.0
+    u_V, y_rad = way * window.steps.u_V, way * window.y_rad
+    pushes = np.flatnonzero(u_V)
+    back_rad = float(np.max(np.maximum.accumulate(y_rad) - y_rad))
+    return bool(pushes.size and np.all(u_V[pushes[0] :] > 0.0) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
 
 
 def is_plain(motor: RealMotor) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.departure import Bench, Departure
-from rig.identify.departures.fit import DELAY, POSITIVE, Fit, Rows, unit
+from rig.identify.departures.fit import DELAY, POSITIVE, Fit, sums_of_pieces, unit
 
 Array = NDArray[np.float64]
 Share = NDArray[np.int64]
@@ -111,17 +111,3 @@ class Evidence:
         squares -= slope * scale @ np.linalg.solve(scaled, slope * scale)
         volume = np.linalg.slogdet(scaled)[1] - 2.0 * np.sum(np.log(scale)) - np.sum(np.log(known))
         return float(squares + volume)
-
-
-def sums_of_pieces(rows: Rows, begins: Share) -> tuple[Array, Array]:
-    """Normal equations (p, m, m) and (p, m) of each piece, its start taken out, by the first row of each piece."""
-    ends = np.append(begins[1:], rows.residual.size)
-    matrix, gradient = [], []
-    for begin, end in zip(begins, ends, strict=True):
-        own = np.linalg.qr(rows.by_start[begin:end])[0]
-        both = np.column_stack((rows.by_number[begin:end], rows.residual[begin:end]))
-        left = both - own @ (own.T @ both)
-        squares = left.T @ left
-        matrix.append(squares[:-1, :-1])
-        gradient.append(squares[:-1, -1])
-    return np.array(matrix), np.array(gradient)

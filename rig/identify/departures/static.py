@@ -18,6 +18,7 @@ class Static(Departure):
     unit = "V"
     numbers = ("static_V",)
     one_sided = True
+    leaps = True
     told_by = "slow breakaway ramps both ways (`rig relay` with breakaway)"
 
     def range_of(self, bench: Bench) -> float:
