@@ -12,8 +12,8 @@ import numpy as np
 
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import are_one_motor, disagreement, estimates_of_each
-from rig.identify.blocks import HeldOut
 from rig.identify.breakaway import StaticFriction, breakaway
+from rig.identify.departures.blocks import HeldOut
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_map import FrictionMap, friction_map

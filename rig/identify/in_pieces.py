@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import stdtrit
 
-from rig.identify.blocks import Blocks
+from rig.identify.departures.blocks import Blocks
 from rig.identify.departures.departure import LARGEST_FORCE
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
 from rig.identify.departures.fit import start as begin

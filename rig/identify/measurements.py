@@ -9,8 +9,7 @@ import numpy as np
 
 from rig.identify.cycles import NoRelayError, find_cycle
 from rig.identify.mean_cycle import Cycle
-from rig.identify.preprocessing import from_recording
-from rig.identify.reading_filter import unfiltered
+from rig.identify.preprocessing import from_recording, unfiltered
 from rig.identify.records import FURTHER, left_out, sound_rows
 from rig.identify.stated_errors import StatedErrors
 from rig.model.supply import SupplyReading

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
+from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -127,3 +127,11 @@ def _times_error_s(recording: Recording) -> float:
     """Largest error of the times by meta.json, s; the default for a CSV file and for a run of an older version."""
     error_s = recording.meta.times_error_s
     return TIMES_ERROR_S if error_s is None or error_s < 0.0 else error_s
+
+
+def unfiltered(test: TimeSeries, lag_s: float) -> TimeSeries:
+    """The series as its shaft moved, behind a filter of this time constant, s, >= 0. The first row is as it was."""
+    if not lag_s > 0.0:
+        return test
+    y, apart_s = test.y_rad, np.diff(test.t_s)
+    return replace(test, y_rad=np.append(y[0], y[1:] + np.diff(y) / np.expm1(apart_s / lag_s)))

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from rig.identify.estimate import Estimate
 from rig.identify.in_pieces import plain_residual_rad
+from rig.identify.preprocessing import unfiltered
 from rig.recording.series import TimeSeries
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a filter is looked for
@@ -41,14 +41,6 @@ def reading_filter_s(tests: Sequence[TimeSeries], plain: Estimate) -> float:
         lambda lag_s: _without(tests, plain, lag_s), bounds=(low, high), method="bounded", options={"maxiter": 10}
     )
     return float(fine.x) if fine.fun < CUTS * without else 0.0
-
-
-def unfiltered(test: TimeSeries, lag_s: float) -> TimeSeries:
-    """The series as its shaft moved, behind a filter of this time constant, s, >= 0. The first row is as it was."""
-    if not lag_s > 0.0:
-        return test
-    y, apart_s = test.y_rad, np.diff(test.t_s)
-    return replace(test, y_rad=np.append(y[0], y[1:] + np.diff(y) / np.expm1(apart_s / lag_s)))
 
 
 def _without(tests: Sequence[TimeSeries], plain: Estimate, lag_s: float) -> float:

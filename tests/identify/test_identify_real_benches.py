@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rig.identify import identify
-from rig.identify.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures import DEPARTURES
+from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.blocks import Blocks
+from rig.identify.departures.blocks import Blocks
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
 from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit

@@ -322,7 +322,7 @@ class Normal:
 
 
 def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Normal equations (p, m, m) and (p, m) of each piece, its start taken out, by the first row of each piece."""
+    """Normal equations (p, m, m) and (p, m) of each piece, its start taken out; ``begins``: first rows, row numbers."""
     ends = np.append(begins[1:], rows.residual.size)
     matrix, gradient = [], []
     for begin, end in zip(begins, ends, strict=True):
