@@ -394,7 +394,7 @@ def motor_law(
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
-        if choice.laws and not further and len(set(names)) > 1:
+        if not further and len(set(names)) > 1:
             each = begun.whole.each(names)
             if begun.chooser.better_each(choice, each):
                 begun = replace(begun, whole=each, chooser=begun.chooser.with_drift_each())

@@ -33,7 +33,7 @@ from shared.page import render, today, write
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
 
 
-def _log(time: str, drive: str, what: str, column: str, counts: float | None = None) -> LogFormat:
+def log_of(time: str, drive: str, what: str, column: str, counts: float | None = None) -> LogFormat:
     """A log of PWM of 255 at 12 V, or of volts; ``what`` is position or velocity."""
     pwm = {"full": 255.0, "supply_V": 12.0} if drive == "pwm" else {"full": None, "supply_V": None}
     seen = LogColumn.parse(what, column)
@@ -48,7 +48,7 @@ def _log(time: str, drive: str, what: str, column: str, counts: float | None = N
     )
 
 
-BOARD = _log("us", "pwm", "position", "counts", 1440.0)
+BOARD = log_of("us", "pwm", "position", "counts", 1440.0)
 CASES: tuple[tuple[str, LogFormat | None], ...] = (
     ("dead_band_1p3V.csv", BOARD),
     ("closedloop.csv", None),
@@ -58,12 +58,12 @@ CASES: tuple[tuple[str, LogFormat | None], ...] = (
     ("unbalance_2p5V.csv", BOARD),
     ("unsigned_drive.csv", BOARD),
     ("lost_counts_fwd2pct.csv", BOARD),
-    ("stamp_of_line_before.csv", _log("us", "volts:V", "position", "counts", 1440.0)),
+    ("stamp_of_line_before.csv", log_of("us", "volts:V", "position", "counts", 1440.0)),
     ("drift_each_1.csv drift_each_2.csv", None),
     ("demo-refused", None),
-    ("vel_lpf5ms.csv", _log("us", "pwm", "velocity", "vel:rad/s")),
-    ("vel_int16.csv", _log("us", "pwm", "velocity", "vel:counts/s", 8192.0)),
-    ("velfilt.csv", _log("time:s", "voltage:V", "velocity", "rpm:rpm")),
+    ("vel_lpf5ms.csv", log_of("us", "pwm", "velocity", "vel:rad/s")),
+    ("vel_int16.csv", log_of("us", "pwm", "velocity", "vel:counts/s", 8192.0)),
+    ("velfilt.csv", log_of("time:s", "voltage:V", "velocity", "rpm:rpm")),
 )
 KNOWN = ("tau_s", "K_rad_s_V", "fc_V")
 
@@ -99,7 +99,7 @@ def entries(kind: str, data: Path, scratch: Path) -> Iterator[Entry]:
             column = files[0].read_text().partition("\n")[0].split(",")[2]
             what, _, unit = column.partition("_")
             unit = {"deg_s": "deg/s", "rad_s": "rad/s"}.get(unit, unit)
-            log = _log("t_s:s", "u_V:V", what, f"{column}:{unit}")
+            log = log_of("t_s:s", "u_V:V", what, f"{column}:{unit}")
             yield Entry(name, name.partition("_")[0], tuple(files), log)
 
 

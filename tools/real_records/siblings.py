@@ -2,8 +2,8 @@
 
 Numbers count where they are usable: graded exact, good or rough. Two of them agree where they differ by no more than
 the root sum of squares of their u95. A motor predicts another record in blocks of 2 s, or of three time constants, from
-their first 0.1 s on; what is left is measured against 'it stays as it was' (`rig.identify.departures.blocks`). Beside it
-stand a linear output-error model and an ARX model of second order, fitted to the same first record.
+their first 0.1 s on; what is left is measured against 'it stays as it was': `rig.identify.departures.blocks`. Beside
+it stand a linear output-error model and an ARX model of second order, fitted to the same first record.
 """
 
 from __future__ import annotations

@@ -39,6 +39,7 @@ AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
 BENT = 1.3  # growth of the residual in a fit with its noise beyond which it is no noise
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
@@ -183,12 +184,16 @@ class Chooser:
         return fit
 
     def _leaner(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]] | None:
-        """The fit without a law that another shape of the others makes up for; None if none does.
+        """The fit without a law that another shape of the others makes up for, or that is next to nothing; or None.
 
-        The speed of a Stribeck effect has more than one minimum. In the wrong one a drag is worth its number.
+        The speed of a Stribeck effect has more than one minimum. In the wrong one a drag is worth its number. And in a
+        record with hardly any noise, rounding is worth a law of a thousandth of what benches have.
         """
         for law in laws:
             bare = self.bare(fit, laws, law)
+            size = math.hypot(*(getattr(fit.motor, name) for name in law.numbers))
+            if size < NOTHING_OF_RANGE * law.range_of(self.bench):
+                return bare, tuple(one for one in laws if one is not law)
             if (bare.cost - fit.cost) / unit(fit) < self.price(law, fit, self.asked.stay):
                 return bare, tuple(one for one in laws if one is not law)
         return None

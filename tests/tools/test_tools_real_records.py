@@ -1,0 +1,143 @@
+"""Logs as people have them, and records of real motors; both lie in a folder beside the project, RIG_SHARED_DATA."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evidence import evidence
+
+from real_records import __main__ as command
+from real_records.siblings import next_record, pairs_that_agree
+from rig.identify import identify
+from rig.identify.identification import Identification
+from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.recording.recording import from_columns
+from rig.results import Answer, GradedNumber
+
+DATA = Path(os.environ.get("RIG_SHARED_DATA") or "nowhere")
+WITH_DATA = pytest.mark.skipif(
+    not DATA.is_dir(), reason="RIG_SHARED_DATA names no folder: the logs are not part of rig"
+)
+TRUE = (0.05, 20.0, 0.6)
+SLOW = (0.12, 4.2, 0.9)
+
+pytestmark = pytest.mark.long
+
+
+@WITH_DATA
+@pytest.mark.laws
+@pytest.mark.parametrize(
+    ("name", "verdict", "numbers", "said"),
+    [
+        ("dead_band_1p3V.csv", "ok", TRUE, "dead band of the drive 1.3"),
+        ("closedloop.csv", "ok", SLOW, ""),
+        ("one_way_levels.csv", "doubtful", TRUE, "one way only"),
+        ("file_fwd.csv file_rev.csv", "ok", TRUE, "dead band"),
+        ("steps.csv", "ok", SLOW, ""),
+        ("unsigned_drive.csv", "refused", None, "the drive is never negative"),
+        ("stamp_of_line_before.csv", "doubtful", None, "--time-row -1"),
+        ("demo-refused", "ok", (0.17, 6.5, 0.48), ""),
+        ("vel_lpf5ms.csv", "ok", TRUE, "low-passed by 5"),
+        ("velfilt.csv", "ok", SLOW, "low-passed by 4"),
+        *evidence(
+            ("unbalance_2p5V.csv", "doubtful", TRUE, "a load nearly balances the drive"),
+            ("lost_counts_fwd2pct.csv", "ok", TRUE, "loses counts one way"),
+            ("drift_each_1.csv drift_each_2.csv", "ok", (0.155, 5.32, 0.4097), "in the course of each recording"),
+            ("vel_int16.csv", "ok", TRUE, "wrapped"),
+        ),
+    ],
+)
+def test_a_log_that_went_wrong_is_right(
+    name: str, verdict: str, numbers: tuple[float, ...] | None, said: str, tmp_path: Path
+) -> None:
+    (entry,) = [one for one in command.entries("cases", DATA, tmp_path) if one.name == name]
+    found, _, _ = command.identified(entry)
+    assert found is not None and found.answer is not None
+    words = [*found.answer.reasons, *found.notes]
+    assert found.answer.verdict == verdict, words
+    assert any(said in word for word in words) or not said
+    if numbers is not None:
+        for key, true in zip(("tau_s", "K_rad_s_V", "fc_V"), numbers, strict=True):
+            value = found.answer.value(key)
+            assert value == pytest.approx(true, rel=0.015), key
+    if verdict == "ok":
+        assert {law.name for law in found.answer.law or ()} <= {
+            "dead_band",
+            "drift_each",
+            "static",
+            "viscous_by_direction",
+        }
+
+
+@WITH_DATA
+@pytest.mark.laws
+def test_a_log_whose_drive_is_beyond_full_or_whose_clock_stands_is_refused(tmp_path: Path) -> None:
+    logs = {
+        "pwm_above_full.csv": (command.BOARD, "--full says 255"),
+        "i5_clock15ms.csv": (command.log_of("t:ms", "pwm", "position", "counts", 1440.0), "15.6"),
+    }
+    for name, (log, said) in logs.items():
+        found, words, _ = command.identified(command.Entry(name, name, (DATA / "cases" / name,), log))
+        assert found is None and said in words
+
+
+@WITH_DATA
+@pytest.mark.laws
+def test_records_of_real_motors_have_their_published_numbers(tmp_path: Path) -> None:
+    entries = {one.name: one for kind in ("real", "emps") for one in command.entries(kind, DATA, tmp_path)}
+    found, _, _ = command.identified(entries["nb_prbs"])
+    assert found is not None and found.answer is not None and found.answer.grade is not None
+    tau, gain = (found.answer.grade[name] for name in ("tau_s", "K_rad_s_V"))
+    assert tau.value is not None and gain.value is not None
+    assert tau.value == pytest.approx(0.465, abs=tau.u95) and gain.value == pytest.approx(30.1, abs=gain.u95)
+    loaded, _, _ = command.identified(entries["bam_square100"])  # a servo with a pendulum of about 5 V
+    assert loaded is not None and loaded.answer is not None
+    assert loaded.answer.verdict == "doubtful"
+    assert "force_over_position" in [law.name for law in loaded.answer.law or ()]
+    pulses, _, _ = command.identified(entries["DATA_EMPS_PULSES"])
+    assert pulses is not None and pulses.answer is not None and pulses.answer.predicts is not None
+    assert "viscous_by_direction" in [law.name for law in pulses.answer.law or ()]
+    assert (pulses.answer.predicts.error or 1.0) < 0.5 * (pulses.answer.predicts.linear_error or 0.0)
+
+
+def _record(seed: int, motor: RealMotor) -> Identification:
+    random = np.random.default_rng(seed)
+    t_s = np.linspace(0.0, 12.0, 1200, endpoint=False)
+    u_V = np.repeat(random.choice([-6.0, -4.0, 4.0, 6.0], 40), 30)
+    y_rad = response(motor, Frame(duration_s=12.0), (t_s, u_V), t_s, Pieces.one())
+    y_rad = y_rad + random.normal(0.0, 0.003, y_rad.size)
+    return identify([from_columns(Path(f"{seed}.csv"), t_s, u_V, y_rad)])
+
+
+def test_the_next_record_is_predicted_to_noise_by_the_motor_that_made_both_and_worse_by_the_linear_ones() -> None:
+    motor = RealMotor(0.1, 5.0, 1.5)
+    found = next_record(_record(1, motor), _record(2, motor), ("a", "b"))
+    assert found is not None and (found.first, found.second) == ("a", "b")
+    assert found.rig < 0.02 < min(found.linear, found.arx)
+    without = next_record(_record(1, motor._replace(fc_V=0.0)), _record(2, motor._replace(fc_V=0.0)), ("a", "b"))
+    assert without is not None and without.linear < 0.02  # no friction: the linear model is the true one
+    changed = next_record(_record(1, motor), _record(2, motor._replace(K_rad_s_V=10.0)), ("a", "b"))
+    assert changed is not None and changed.rig > 0.3
+
+
+def test_numbers_of_two_records_agree_within_both_intervals_and_unusable_ones_do_not_count() -> None:
+    plain = _record(1, RealMotor(0.1, 5.0, 1.5)).answer
+    assert plain is not None
+
+    def answer(tau_s: float | None, u95: float) -> Answer:
+        graded = GradedNumber(value=tau_s, u95=u95, grade="good" if tau_s else "not known")
+        return plain.model_copy(update={"grade": {"tau_s": graded}})
+
+    records = {"a": answer(0.10, 0.01), "b": answer(0.12, 0.02), "c": answer(0.20, 0.01), "d": answer(None, 0.5)}
+    assert pairs_that_agree(records) == (1, 3)
+
+
+def test_without_the_folder_it_says_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("RIG_SHARED_DATA", raising=False)
+    assert command.main([]) == 2
+    assert "RIG_SHARED_DATA" in capsys.readouterr().err
