@@ -16,6 +16,7 @@ _AT_WORK: Final = 1  # number of the step in which the law is; 0: in none
 _CPU_NS: Final = 2  # CPU time of the loop's thread when that step began
 _LOOKS: Final = 3  # of the loop at what asks for a stop: each tick one
 _DRIVES: Final = 4  # 1: a drive may be on
+_IDLE: Final = 5  # 1: the loop waits for its tick, or has a drive to give out: for no reply of the device
 _TAKEN: Final = 8  # 1: the link is the keeper's; this and the next on a cache line of their own
 _ASKED: Final = 9  # number of the step that the keeper has asked to end
 _SEEN_S: Final = 0.002  # by far enough for a write to be seen by another processor
@@ -54,6 +55,10 @@ class LawLease:
         """Tell whether a drive may be on from now on."""
         self._words[_DRIVES] = is_on
 
+    def tell_idle(self, *, is_idle: bool) -> None:
+        """Tell whether the loop waits for nothing but its tick from now on."""
+        self._words[_IDLE] = is_idle
+
     @property
     def is_asked(self) -> bool:
         """Whether the keeper has asked the step in which the law is to end, and not an earlier one."""
@@ -80,6 +85,11 @@ class LawLease:
     def drives(self) -> bool:
         """Whether a drive may be on."""
         return self._words[_DRIVES] != 0
+
+    @property
+    def idle(self) -> bool:
+        """Whether the loop waits for nothing but its tick."""
+        return self._words[_IDLE] != 0
 
     def ask(self, step: int) -> None:
         """Ask that step to end; a signal has to follow."""

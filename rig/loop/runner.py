@@ -162,6 +162,7 @@ class Loop:
 
     def _stop_confirmed(self) -> bool:
         try:
+            self._stop.tell_idle(is_idle=False)  # whatever ended the ticks: it waits for the device now
             stopped = self._driver.safe_stop()
         except Exception as error:  # noqa: BLE001 - a broken driver must not hide why the run ended
             stopped = False
@@ -254,8 +255,11 @@ class Loop:
         late_us, io_us = (woke_s - due_s) * 1e6, (read_s - woke_s) * 1e6
         self.statistics.tick(late_us, io_us)
         try:
-            u_V, flags = self.guard.allow(sample, law.step(sample))
+            asked_V = law.step(sample)
+            self._stop.tell_idle(is_idle=True)
+            u_V, flags = self.guard.allow(sample, asked_V)
             decided_s = now_s()
+            self._stop.tell_idle(is_idle=False)
             self._write(u_V)
         except BaseException as error:
             if isinstance(error, Fault) and error.code in _ENDS_LAW:
@@ -294,9 +298,11 @@ class Loop:
     def _await_tick(self) -> tuple[float, float]:
         """Sleep until the next tick is due. Returns when it was due and when the sleep ended, s."""
         due_s = self._t0_s + self._tick * self._period_s
+        self._stop.tell_idle(is_idle=True)
         woke_s = self._clock.sleep_until(due_s)
         while woke_s < due_s and self._stop.reason is None:
             woke_s = self._clock.sleep_until(due_s)  # a signal ended the sleep, but not one that stops the run
+        self._stop.tell_idle(is_idle=False)
         self.check_stop()
         self._suspend_watch.check()
         return due_s, woke_s

@@ -48,6 +48,11 @@ class StopRequest:
         if self.flag is not None:
             self.flag.tell_drive(is_on=is_on)
 
+    def tell_idle(self, *, is_idle: bool) -> None:
+        """Tell a keeper whether the loop waits for nothing but its tick: then it may soon be called stuck."""
+        if self.lease is not None:
+            self.lease.tell_idle(is_idle=is_idle)
+
     def take_signals(self) -> None:
         """Take the signals back from others' code in this process, which may have taken or blocked them, also in C."""
         for number in self.held:

@@ -322,6 +322,10 @@ def test_a_loop_that_stands_still_between_two_steps_is_ended_where_a_drive_may_b
     one.state = "S"
     one.lease.look()
     assert still_s < ended_still_after_s(one, 10.0) < still_s + 0.2
+    one.lease.look()
+    one.lease.tell_idle(is_idle=True)
+    assert times().lease_s < ended_still_after_s(one, 10.0) < times().lease_s + 0.2, "it waits for no reply"
+    one.lease.tell_idle(is_idle=False)
     one.lease.begin(0)
     assert math.isnan(ended_still_after_s(one, 10.0)), "the law is at work: it has a lease of its own"
 

@@ -322,6 +322,14 @@ _LEASE = bound(
     frame=1,
     tick=2,
 )
+_KILLED = bound(
+    "the same, and half the lease again until the killed process of the loop is gone",
+    watchdog=1.5,
+    period=2,
+    exchange=2,
+    frame=1,
+    tick=2,
+)
 _UNHURRIED = {"law_cpu_s": 0.4}  # so that it is the signal that ends the law
 
 
@@ -338,7 +346,7 @@ def _law_row(name: str, way: str, code: str, status: int, *signals: signal.Signa
         name,
         f"a law of the user's own, `{way}`{' and signals' if signals else ''}",
         act,
-        SEEN if code == "INTERRUPTED" else _LEASE,
+        SEEN if code == "INTERRUPTED" else _KILLED if way == hanging_laws.THREAD else _LEASE,
         {"": (code,)},
         (status,),
         only=_LAW_DEVICES,
@@ -354,6 +362,7 @@ _LAW_ROWS = (
     _law_row("law hangs in C", "in C", "LAW_TIME", -9),
     _law_row("law sleeps in C", "locked", "LAW_TIME", -9),
     _law_row("law swallows every exception", "swallows", "LAW_TIME", -9),
+    _law_row("a thread of the law holds Python", hanging_laws.THREAD, "LAW_TIME", -9),
     *(
         _law_row(f"law hangs, {number.name}", "spins", "INTERRUPTED", 1, number)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
