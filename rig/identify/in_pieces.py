@@ -36,6 +36,7 @@ MOST_ROWS = 4000
 SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
 LONGEST_TAU_S = 3.0
 STRETCHES_S = (0.04, 0.12)
+FEWEST_STRETCHES = 12  # of a series: twice the numbers of the balance
 AT_REST = 0.05  # of the largest speed: friction at rest balances anything
 POOR = 0.25  # error in blocks from which on the plain motor's numbers mean nothing, and a load is tried with it
 LOADED = 0.75  # error with the load over that without it, at most
@@ -120,14 +121,15 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
 def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:
     """The motor whose voltages balance best on stretches of the tests: u = (v + tau a) / K + friction + bias + force.
 
-    length_s     of a stretch, s; at least five rows: its speed and acceleration are those of a parabola
+    length_s     of a stretch, s; shorter where a series would have fewer than twelve; at least five rows: its speed and
+                 acceleration are those of a parabola
     free         the numbers that it may have: ``FORCE`` and bias_V among them or not
     Linear least squares of the inverse model (Gautier and Khalil, IEEE Int. Conf. Robotics and Automation, 1988): it
     needs no start, and it is one. Its numbers carry what noise does to an acceleration.
     """
     columns, drives = [], []
     for window, frame in zip(cut.windows, cut.frames, strict=True):
-        rows = max(5, round(length_s / window.period_s))
+        rows = max(5, min(round(length_s / window.period_s), window.t_s.size // FEWEST_STRETCHES))
         for first in range(0, window.t_s.size - rows + 1, rows):
             t_s, y_rad = window.t_s[first : first + rows], window.y_rad[first : first + rows]
             curve, speed, y = np.polyfit(t_s - float(t_s.mean()), y_rad, 2).tolist()
@@ -137,7 +139,7 @@ def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> 
             columns.append((speed, 2.0 * curve, np.sign(speed), 1.0, np.sin(q), np.cos(q) - mean_cosine(frame)))
     table, u_V = np.array(columns), np.array(drives)
     speeds, largest_V = np.abs(table[:, 0]), max(float(np.abs(u_V).max()), 1e-9)
-    moves = speeds > AT_REST * float(speeds.max())
+    moves = speeds >= AT_REST * float(speeds.max())
     names = ("by_speed", "by_curve", "fc_V", "bias_V", *FORCE)
     used = [k for k, name in enumerate(names) if k < 3 or name in free]
     least = np.array([1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf, -np.inf])[used]
