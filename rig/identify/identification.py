@@ -209,9 +209,12 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
     each = estimates_of_each(data.sources) if len(recordings) > 1 and reads_tests else []
-    objections = [*stamps, *_said(disagreement(each)), *data.supplies]
-    if objections:
-        found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
+    objections = [*_said(disagreement(each)), *data.supplies]
+    if stamps or objections:
+        found.estimates = {
+            method: replace(e.judged("doubtful", *stamps, *objections), reasons=(*stamps, *e.reasons, *objections))
+            for method, e in found.estimates.items()
+        }
     static = _add_breakaway(recordings, without, found)
     if asked.choose_law:
         _add_motor_law(data, found, each, static, any(map(_was_known, recordings)))
