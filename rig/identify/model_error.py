@@ -74,18 +74,15 @@ def model_error(fit: Fit, blocks: Cut, predicts: float) -> ModelError:
 
 
 def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
-    """(3,) half widths that the pieces show beyond the scatter of as many rows as count, and how many count as one.
-
-    Student's t has as many degrees as pieces tell of the number (Satterthwaite, Biometrics Bulletin 2, 1946).
-    """
+    """(3,) half widths that the pieces show beyond the scatter of as many rows as count, and how many count as one."""
     inverse = _inverse(matrix.sum(axis=0))
     moves = -(gradient @ inverse)[:, at]
     moves = moves - moves.mean(axis=0)
     count = moves.shape[0]
     squares = (moves**2).sum(axis=0) * count / max(count - gradient.shape[1] / 2.0, 1.0)
     naive = np.maximum(np.diag(inverse)[at] * noise, 1e-300)
-    tells = np.einsum("ij,pjk,ki->pi", inverse, matrix, inverse)[:, at]  # what each piece tells of each number
-    effective = np.clip(tells.sum(axis=0) ** 2 / np.maximum((tells**2).sum(axis=0), 1e-300) - 1.0, 1.0, None)
+    fourth = np.maximum((moves**4).sum(axis=0), 1e-300)
+    effective = np.clip((moves**2).sum(axis=0) ** 2 / fourth - 1.0, 1.0, None)
     bar = np.array([chdtri(one, CHANCE) / one for one in effective])
     half = np.array([float(stdtrit(one, 0.975)) for one in effective]) * np.sqrt(squares)
     differ = squares > bar * naive
