@@ -60,7 +60,7 @@ def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at
     """Its drives are 17 and 21 mV beside large ones, and its dead band 20 mV: with none friction is 11 % off."""
     one = row(CAMPAIGN.model_copy(update={"seed": 13}), 387, True)
     assert one.kinds == ("dead_band 0.02", "static 0.05")
-    assert one.found == ("viscous_by_direction",)
+    assert one.found == ()
     assert one.verdict == "doubtful"
     assert "dead band of the drive, which these tests do not exclude" in one.reasons
 
