@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 FEWEST_ROWS = 20  # of a series that can be fitted
 SHORTEST_WINDOW = 60  # samples
 GRID_REACHES = (4.0, 16.0, 64.0)  # steps of the quantisation that are looked at together, one after the other
+MOST_PARTS = 8  # steps of the quantisation that the smallest step of a record may be
 LATENCY_PERIODS, LATENCY_S = 10.0, 0.2  # longest time from a sample to its row's drive: the longer of both
 
 # A serial link and a driver take this long at any sampling rate. Used if the recording is at least 100 times as long.
@@ -250,13 +251,17 @@ class TimeSeries:
         steps = steps[steps > 1e-9]
         if steps.size < 3:
             return float(steps.min()) if steps.size else 0.0
-        lsb = float(np.median(steps[steps < 1.5 * steps.min()]))
-        for reach in GRID_REACHES:  # a file rounds its positions: a wide step shows the smallest one better
-            near = steps[steps < reach * lsb]
-            count = np.round(near / lsb)
-            lsb = float(near @ count / (count @ count))
-        ratio = steps / lsb
-        return lsb if float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9 else 0.0
+        least = float(np.median(steps[steps < 1.5 * steps.min()]))
+        for parts in range(1, MOST_PARTS + 1):  # a fast shaft never shows a single step
+            lsb = least / parts
+            for reach in GRID_REACHES:  # a file rounds its positions: a wide step shows the smallest one better
+                near = steps[steps < max(reach, 2.0 * parts) * lsb]
+                count = np.round(near / lsb)
+                lsb = float(near @ count / (count @ count))
+            ratio = steps / lsb
+            if float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9:
+                return lsb
+        return 0.0
 
     def noise_rad(self) -> float:
         """Standard deviation of white noise on the position, rad; at least that of the quantisation.

@@ -118,6 +118,8 @@ def test_positions_that_a_file_rounds_still_show_the_steps_of_their_sensor() -> 
     t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0))
     written = np.array([float(f"{y:.6g}") for y in y_rad])
     assert TimeSeries(t_s, written, None, u_V).resolution_rad() == pytest.approx(STEP_RAD, rel=1e-3)
+    fast_s, fast_V, fast_rad = recorded(MOTOR, (3.0, 5.0, 7.0), ways=(1.0,))  # never moves by a single step
+    assert TimeSeries(fast_s, fast_rad, None, fast_V).resolution_rad() == pytest.approx(STEP_RAD, rel=1e-3)
     rough = y_rad + np.random.default_rng(1).normal(0.0, STEP_RAD, y_rad.size)
     assert TimeSeries(t_s, rough, None, u_V).resolution_rad() == 0.0
 
