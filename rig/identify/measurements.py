@@ -19,6 +19,8 @@ from rig.recording.series import FEWEST_ROWS, TimeSeries
 from rig.recording.stage import Stage, StageKind, kind_of
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
+MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
+
 
 @dataclass
 class Measurements:
@@ -90,9 +92,12 @@ class Measurements:
         moved = {id(test): unfiltered(test, lag_s) for test in self.tests}
         self.tests = [moved[id(test)] for test in self.tests]
         self.sources = [(name, [moved.get(id(series), series) for series in each]) for name, each in self.sources]
-        self.notes.append(
-            f"the reading is low-passed by {1e3 * lag_s:.3g} ms, as a smoothed velocity is: undone before the fit"
-        )
+        if lag_s < MEAN_OF_ROW * max(test.period_s for test in self.tests):
+            self.notes.append("the readings lag by half a row, as velocities that are summed do: undone before the fit")
+        else:
+            self.notes.append(
+                f"the reading is low-passed by {1e3 * lag_s:.3g} ms, as a smoothed velocity is: undone before the fit"
+            )
 
     def take_searches(self) -> bool:
         """Read the gain searches as tests, too, before the others; whether there were any.

@@ -252,7 +252,8 @@ class TimeSeries:
         if steps.size < 3:
             return float(steps.min()) if steps.size else 0.0
         least = float(np.median(steps[steps < 1.5 * steps.min()]))
-        for parts in range(1, MOST_PARTS + 1):  # a fast shaft never shows a single step
+        # a fast shaft never shows a single step; a few positions fit some grid by chance
+        for parts in range(1, MOST_PARTS + 1 if steps.size >= FEWEST_ROWS else 2):
             lsb = least / parts
             for reach in GRID_REACHES:  # a file rounds its positions: a wide step shows the smallest one better
                 near = steps[steps < max(reach, 2.0 * parts) * lsb]

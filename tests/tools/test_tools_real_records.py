@@ -46,7 +46,7 @@ pytestmark = pytest.mark.long
             ("unbalance_2p5V.csv", "doubtful", TRUE, "a load nearly balances the drive"),
             ("lost_counts_fwd2pct.csv", "ok", TRUE, "loses counts one way"),
             ("drift_each_1.csv drift_each_2.csv", "ok", (0.155, 5.32, 0.4097), "in the course of each recording"),
-            ("vel_int16.csv", "ok", TRUE, "wrapped"),
+            ("vel_int16.csv", "ok", TRUE, "half a row"),
         ),
     ],
 )
