@@ -247,7 +247,7 @@ def test_a_filter_in_the_reading_is_named_and_undone() -> None:
 def test_a_record_shorter_than_a_stretch_still_has_its_voltages_balanced() -> None:
     """115 rows of 1 ms, with a load and with play: a plain motor leaves far more than noise."""
     quick = RealMotor(0.01, 50.0, 0.6, force_sin_V=3.0, backlash_rad=0.05)
-    t_s = np.arange(115) * 0.001
-    u_V = np.random.default_rng(1).choice((-7.0, -5.0, -3.0, 3.0, 5.0, 7.0), 8).repeat(15)[:115]
+    t_s = np.linspace(0.0, 0.115, 115, endpoint=False)
+    u_V = np.random.default_rng(1).choice([-7.0, -5.0, -3.0, 3.0, 5.0, 7.0], 8).repeat(15)[:115]
     y_rad = response(quick, Frame(duration_s=float(t_s[-1])), (t_s + 3e-4, u_V), t_s, Pieces.one())
     assert answered((t_s, u_V, 1e-4 * np.round(y_rad / 1e-4))).verdict != "ok"
