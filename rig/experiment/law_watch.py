@@ -51,8 +51,8 @@ def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
     lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
     still_s = lease_s + _STILL_S + _MOST_WAITS * e.daq.timeout_s
     if virtual:
-        return LawTimes(math.inf, _VIRTUAL_LEASE_S, words, still_s)
-    return LawTimes(bound_s, lease_s, words, still_s)
+        return LawTimes(math.inf, _VIRTUAL_LEASE_S, words, still_s, still_s)  # at a slow pace a tick may last seconds
+    return LawTimes(bound_s, lease_s, words, still_s, lease_s + e.period_s)  # a period is how long a good loop sleeps
 
 
 class WatchedLaw(Timed):

@@ -208,8 +208,8 @@ class Watch:
     def _stands_still(self) -> bool:
         """Whether the loop has slept for too long between two steps, with a drive that may be on.
 
-        Where it waits for no reply, it has as long as a law that sleeps: a thread of the law holds Python. A loop whose
-        device only its own driver can stop may yet do that: there somebody has to ask for it.
+        Where it waits for no reply, it has a period more than a law that sleeps: a thread of the law holds Python. A
+        loop whose device only its own driver can stop may yet do that: there somebody has to ask for it.
         """
         loop, lease, now_s = self._loop, self._lease, time.monotonic()
         if lease.looks != self._looks or lease.at_work or not lease.drives:
@@ -218,7 +218,7 @@ class Watch:
             state, ran_s = loop.thread()
             self.still = self.still or Charge(0, ran_s)
             self.still.look(state, ran_s)
-            return self.still.asleep_s > (loop.times.lease_s if lease.idle else loop.times.still_s)
+            return self.still.asleep_s > (loop.times.idle_s if lease.idle else loop.times.still_s)
         return False
 
 

@@ -18,12 +18,14 @@ class LawTimes(NamedTuple):
     lease_s  time that it is at work or asleep, until the keeper takes the link; in virtual time since a signal or Stop
     words    what bounds the CPU time, for people
     still_s  time that the loop may stand still between two steps while a drive may be on
+    idle_s   the same while it waits for nothing but its tick
     """
 
     cpu_s: float
     lease_s: float
     words: str
     still_s: float = math.inf
+    idle_s: float = math.inf
 
 
 def asks() -> int:

@@ -126,6 +126,15 @@ def test_the_lease_is_as_long_as_a_watchdog_waits_or_twice_the_cpu_time() -> Non
     assert times(law_cpu_s=0.4).lease_s == 0.8
 
 
+def test_a_slow_loop_may_sleep_for_its_period_however_short_the_lease() -> None:
+    """With a watchdog of 20 ms and a law of 1 ms the lease is a fifth of the period: no thread holds Python there."""
+    config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
+    slow = load({**config, "period_s": 0.1, "daq": {**config["daq"], "watchdog_s": 0.02}, "loop": {"law_cpu_s": 0.001}})
+    assert law_times(slow, virtual=False).lease_s < slow.period_s < law_times(slow, virtual=False).idle_s
+    virtual = law_times(slow, virtual=True)
+    assert virtual.idle_s == virtual.still_s
+
+
 # ---------------------------------------------------------------------- who may speak on the link
 
 
@@ -325,7 +334,7 @@ def test_a_loop_that_stands_still_between_two_steps_is_ended_where_a_drive_may_b
     assert still_s < ended_still_after_s(one, 10.0) < still_s + 0.2
     one.lease.look()
     one.lease.tell_idle(is_idle=True)
-    assert times().lease_s < ended_still_after_s(one, 10.0) < times().lease_s + 0.2, "it waits for no reply"
+    assert times().idle_s < ended_still_after_s(one, 10.0) < times().idle_s + 0.2, "it waits for no reply"
     one.lease.tell_idle(is_idle=False)
     one.lease.begin(0)
     assert math.isnan(ended_still_after_s(one, 10.0)), "the law is at work: it has a lease of its own"

@@ -325,7 +325,7 @@ _LEASE = bound(
 _KILLED = bound(
     "the same, and half the lease again until the killed process of the loop is gone",
     watchdog=1.5,
-    period=2,
+    period=3,
     exchange=2,
     frame=1,
     tick=2,
