@@ -73,9 +73,10 @@ def _no_drawing() -> Iterator[None]:
 @contextlib.contextmanager
 def _no_figures() -> Iterator[None]:
     """In its block a report says of each figure that there is none: to make them all takes longer than a run, too."""
-    page = importlib.import_module("rig.report.page")
+    pages = [importlib.import_module(name) for name in ("rig.report.page", "rig.report.identified", "rig.compare.page")]
     with _no_drawing(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "drawn", lambda make: page.Figure(None, "not in this test"))
+        for page in pages:  # loaded now, or one that is loaded in the block keeps this for later tests
+            patch.setattr(page, "drawn", lambda make: pages[0].Figure(None, "not in this test"))
         yield
 
 
