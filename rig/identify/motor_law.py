@@ -421,7 +421,7 @@ def motor_law(
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
-    holds = _holds(whole)
+    holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
@@ -480,19 +480,19 @@ def _at_bounds(fit: Fit, laws: Sequence[Departure]) -> Iterator[str]:
             yield f"{title} is at its bound, {value:.3g} {unit_of}: the record asks for more than any bench has"
 
 
-def _holds(whole: Cut) -> HoldsResult:
+def _holds(whole: Cut, *, turns_both: bool) -> HoldsResult:
     """What the tests hold."""
     y_rad = np.concatenate([window.y_rad for window in whole.windows])
     u_V = np.abs(np.concatenate([window.steps.u_V for window in whole.windows]))
     speeds = np.concatenate([_speeds(window) for window in whole.windows])
     size = np.abs(speeds)
     moving = size[size > AT_REST * float(size.max(initial=0.0))]
-    forth, back = (bool(np.quantile(way * speeds, 0.98) > 0.1 * float(size.max())) for way in (1.0, -1.0))
+    way = "forward" if float(np.mean(speeds)) > 0.0 else "backward"
     return HoldsResult(
         drive_V=(float(u_V[u_V > 0.0].min(initial=math.inf)), float(u_V.max())) if u_V.any() else (0.0, 0.0),
         speed_rad_s=(float(np.quantile(moving, 0.02)), float(np.quantile(moving, 0.98))) if moving.size else None,
         travel_rad=(float(y_rad.min()), float(y_rad.max())),
-        ways="both" if forth and back else "forward" if forth else "backward",
+        ways="both" if turns_both else way,
     )
 
 

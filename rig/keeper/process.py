@@ -241,15 +241,13 @@ def main(arguments: list[str]) -> int:
         return 0
     if ended == "still":  # first, or it could go on and speak on the link
         os.kill(loop.pid, signal.SIGKILL)
-        _await_death(loop)
     # if the loop died nobody holds the lease: its last drive would stay on where the device has no watchdog
     confirmed = _stop(stopper)
-    if ended == "taken":
-        if loop.lives:
-            os.kill(loop.pid, signal.SIGKILL)
-        if not confirmed:
-            _await_death(loop)
-            confirmed = _stop(stopper)
+    if ended == "taken" and loop.lives:
+        os.kill(loop.pid, signal.SIGKILL)
+    if ended == "still" or (ended == "taken" and not confirmed):
+        _await_death(loop)  # its end may take longer than the stop; what it was just writing may have come after that
+        confirmed = _stop(stopper)
     if link is not None:
         os.close(link)  # the next run may have the port
     charge = watch.still if ended == "still" else watch.charge
