@@ -50,7 +50,7 @@ BACKLASH, LINEARITY, DRIFT = (RealMotor._fields.index(n) for n in ("backlash_rad
 
 # No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does.
 RUNAWAY_RAD_S = 1e5
-STEPS_OF_ROW = 10_000  # at most, on the average over rows and edges
+STEPS_OF_ROW = 1_000  # at most, on the average over rows and edges
 
 # Which of the derivatives cost a function of their own: over position, over the cogging, over speed.
 Used = tuple[bool, bool, bool]
