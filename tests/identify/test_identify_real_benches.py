@@ -108,6 +108,9 @@ def test_a_dead_band_is_part_of_f_c_where_the_drive_always_goes_along_and_the_an
     along = recorded(motor, (3.0, 5.0, 7.0), ways=(1.0,))
     found = found_in(along)
     assert found.answer is not None and found.answer.fc_V == pytest.approx(0.8, rel=0.02)
+    assert (
+        found.answer.law == ()
+    )  # at 44 rad/s the rounding of its steps repeats as a cogging of 12 waves a radian would
     assert any("dead band" in note for note in found.notes)
     resting, against = recorded(motor, (0.0, 3.0, 5.0), ways=(1.0,)), recorded(motor, (3.0, 5.0))
     cuts = [Cut.whole([TimeSeries(t_s, y, None, u_V)], 0.01) for t_s, u_V, y in (along, resting, against)]
