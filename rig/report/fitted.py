@@ -97,10 +97,11 @@ def residuals(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
     if fit is None or fit.residual_rad.size < FEWEST_RESIDUALS:
         raise AbsentError("The residual series could not be computed from this recording.")
     spread = float(np.std(1e3 * fit.residual_rad))
+    rms = f"{spread:.3g}" if spread < 100.0 else f"{spread:.0f}"
     return render(
         residual_figure(fit), run.backend,
         f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
-        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, "
+        f"Residual of the {method.replace('-', ' ')} estimate (RMS {rms} mrad about its mean, "
         f"{fit.residual_rad.size} samples). If the model explains the data, the residual is white noise: a bell-shaped "
         "histogram, and about 5 % of lags outside the band.",
     )  # fmt: skip
