@@ -26,7 +26,7 @@ _LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
 _MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
 _MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
 _LEAST_TURNS: Final = 2.0
-_LEAST_CYCLE_COUNTS: Final = 34.0  # of a potentiometer: the second test's are 0.7 of them less 15 %, and need 20
+_LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
 
 
 class AnswerError(RigError):
@@ -239,9 +239,8 @@ def text(answers: Answers, file: str) -> str:
     calibrated_rad = round(hard_rad + 0.5 * _MARGIN_RAD, 2)
     middle = (board.counts_max + 1) // 2
     counts = round(min(calibrated_rad / _POTENTIOMETER_RAD * board.counts_max, 0.48 * board.counts_max))
-    seen_rad = 0.0  # an encoder is asked for enough counts
-    if answers.sensor == "potentiometer":
-        seen_rad = math.ceil(100.0 * _LEAST_CYCLE_COUNTS * calibrated_rad / counts) / 100.0
+    count_rad = calibrated_rad / counts if answers.sensor == "potentiometer" else 2.0 * math.pi / answers.counts
+    seen_rad = math.ceil(100.0 * _LEAST_CYCLE_COUNTS * count_rad) / 100.0
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
     new = ready.text(board.example)
     for key, value in (
