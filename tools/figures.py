@@ -26,7 +26,7 @@ from rig.report.style import Picture
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs" / "figures"
 SIMULATED = str(ROOT / "config" / "simulated.yaml")
-PAGE_PX = (1000, 1180)  # of the report: its headline and the table of estimates
+PAGE_PX = (1000, 1130)  # of the report: its headline and the table of estimates
 CHECK_ROW = (0.17, 6.5, 0.5, 0.8, 1.0)  # tau, K, fc, h1, h2 of docs/theory.md 3.4
 
 
