@@ -506,15 +506,15 @@ def _map_figure(result: Result) -> Picture:
     for axes in panels[1]:
         axes.set_xlabel("a = h1 / h2")
     for axes in panels[:, 0]:
-        axes.set_ylabel("b = fc / h2")
+        axes.set_ylabel("b = f_c / h2")
     return finish(
         figure,
         "Maps over h1/h2 and fc/h2: number of solutions, largest eigenvalue, periods to settle, share of starts.",
-        "Over a = h1/h2 (logarithmic) and b = fc/h2, which stand for all gains and motors: how many sets of positive "
-        "durations there are (none above the red line, h2 = fc); the largest eigenvalue of the half period; how many "
+        "Over a = h1/h2 (logarithmic) and b = f_c/h2, which stand for all gains and motors: how many sets of positive "
+        "durations there are (none above the red line, h2 = f_c); the largest eigenvalue of the half period; how many "
         f"periods it takes until a small distance is {100.0 * SETTLED:g} % of itself, as a power of ten; the share "
         "of random initial "
-        "states from which the loop came to the cycle. Dashes: h1 = h2 + fc.",
+        "states from which the loop came to the cycle. Dashes: h1 = h2 + f_c.",
     )
 
 
