@@ -68,7 +68,12 @@ def answer_lines(
 
 
 def graded_words(answer: Answer) -> str:
-    """How good each number is, as ``tau is good, K is rough, f_c is not known``; empty where nobody looked."""
+    """How good each number is, as ``tau is good, K is rough, f_c is not known``; empty where nobody looked.
+
+    Of an answer that is ok: how far off they are at most.
+    """
+    if answer.verdict == "ok":
+        return "tau, K and f_c are at most 5 % off"
     grade = answer.grade or {}
     return ", ".join(f"{name} is {grade[key].grade}" for key, name, _ in PARAMETERS if key in grade)
 
