@@ -123,7 +123,7 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[tuple[int, int]] = []
-    monkeypatch.setattr("rig.panel.bench.os.kill", lambda *given: sent.append(given))
+    monkeypatch.setattr("rig.live.stop_flag.os.kill", lambda *given: sent.append(given))
     bench = Bench(None, tmp_path)
     (folder := tmp_path / "20260101T000000Z-run-goes").mkdir()
     with StopFlag() as flag:
