@@ -290,10 +290,18 @@ def _loop_of(settings: Mapping[str, Any]) -> Loop:
 
 
 def _go_before_the_loop(priority: int) -> None:
-    """A law that spins at the loop's priority leaves a core to nobody below it."""
-    if priority > 0:
-        with contextlib.suppress(OSError):  # then the loop does not have its priority either
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))
+    """A law that spins at the loop's priority leaves its core to nobody at or below it.
+
+    Raises SystemExit where there is no other core, and nothing above: this process would never have a turn.
+    """
+    for mine in (priority + 1, priority) if priority > 0 else ():
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(mine))
+        except OSError:  # beyond this user's limit, or 99; the loop does not have it either
+            continue
+        if mine == priority and len(os.sched_getaffinity(0)) == 1:
+            raise SystemExit(f"rig: no process can go before the law: loop.priority: {max(priority - 1, 1)}")
+        return
 
 
 def _stopper(folder: Path, link: int | None) -> Driver | None:

@@ -351,6 +351,38 @@ def test_a_loop_that_the_keeper_could_not_replace_is_ended_only_if_somebody_asks
     assert ended_still_after_s(one, 10.0) > times().still_s
 
 
+@pytest.mark.parametrize(
+    ("priority", "limit", "cores", "has"),
+    [
+        (60, 99, 1, 61),
+        (60, 60, 2, 60),
+        (60, 0, 1, 0),
+        (99, 99, 2, 99),
+        (0, 99, 1, 0),
+        (60, 60, 1, None),
+        (99, 99, 1, None),
+    ],
+)
+def test_the_keeper_goes_before_a_law_that_spins_or_has_a_core_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, priority: int, limit: int, cores: int, has: int | None
+) -> None:
+    granted = [0]
+
+    def schedule(pid: int, policy: int, wanted: Any) -> None:
+        if wanted > limit:
+            raise PermissionError(1, "Operation not permitted")
+        granted.append(wanted)
+
+    system = {"SCHED_FIFO": os.SCHED_FIFO, "sched_param": int, "sched_setscheduler": schedule}
+    monkeypatch.setattr(law_keeper, "os", SimpleNamespace(**system, sched_getaffinity=lambda _: range(cores)))
+    if has is None:
+        with pytest.raises(SystemExit, match="no process can go before the law"):
+            law_keeper._go_before_the_loop(priority)
+    else:
+        law_keeper._go_before_the_loop(priority)
+        assert granted[-1] == has
+
+
 # ---------------------------------------------------------------------- the keeper's process
 
 
