@@ -44,7 +44,7 @@ def test_a_log_is_predicted_with_laws_and_delay_and_drawn(tmp_path: Path, log: P
     done = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", picture)
     assert done.exit_code == 0, done.output
     assert "log.csv: fit 100.0 %" in done.output
-    assert "a drive of 1.5 V, and it holds up to 1 V" in done.output
+    assert "a drive of 1.5 V, and the answer holds up to 1 V" in done.output
     assert picture.is_file()
     again = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", picture)
     assert again.exit_code == 2 and "is there already" in again.output
