@@ -97,15 +97,17 @@ class Blocks:
         motor          the fit to all blocks
         starts_known   as ``off_rad``
         """
-        pieces = np.arange(self.count)
         found = np.zeros(self.count)
         folds = min(FOLDS, self.count)
         for fold in range(folds):
-            held = pieces % folds == fold
-            weight = np.where(held[self.cut.piece], 0.0, 1.0)
-            given = replace(problem, cut=replace(self.cut, weight=weight), robust_rad=math.inf, noise=WHITE)
-            trained = solve(begin(given, motor), FOLD_ITERATIONS)
-            found[held] = self.squares(self.off_rad(trained.motor, problem, starts_known=starts_known))[held]
+            held = np.arange(self.count) % folds == fold
+            if not held.all():
+                given = replace(problem, cut=self.cut.only(~held), robust_rad=math.inf, noise=WHITE)
+                trained = solve(begin(given, motor), FOLD_ITERATIONS).motor
+            else:
+                trained = motor
+            unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
+            found[held] = unseen.squares(unseen.off_rad(trained, problem, starts_known=starts_known))
         return found
 
 
