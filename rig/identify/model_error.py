@@ -62,7 +62,7 @@ def model_error(fit: Fit, blocks: Cut, predicts: float) -> ModelError:
     if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):
         return ModelError()
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-    of_pieces, effect = _pieces(matrix, gradient, unit(fit), at)
+    of_pieces, effect = beyond_noise(matrix, gradient, unit(fit), at)
     lines = (of_pieces, _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
     found = [
         Entry(source, *(half * size).tolist())
@@ -74,8 +74,15 @@ def model_error(fit: Fit, blocks: Cut, predicts: float) -> ModelError:
     return ModelError(tuple(found), effect)
 
 
-def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
-    """(3,) half widths that the pieces show beyond the scatter of as many rows as count, and how many count as one."""
+def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
+    """(k,) half widths that pieces show beyond the scatter of as many rows as count, and how many rows count as one.
+
+    matrix, gradient   (p, m, m) and (p, m): normal equations of each piece
+    noise              variance of its rows
+    at                 (k,) which numbers
+    Degrees of freedom are those of normal pieces as unequal as these are, by what each says of a number and by how far
+    it moves it, whichever are fewer.
+    """
     inverse = _inverse(matrix.sum(axis=0))
     moves = -(gradient @ inverse)[:, at]
     moves = moves - moves.mean(axis=0)
@@ -94,7 +101,7 @@ def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> 
 
 
 def _as_many(squares: Array) -> Array:
-    """(3,) by how many of equal size the (p, 3) ``squares`` count (Satterthwaite, Biometrics Bulletin 2, 1946)."""
+    """(k,) by how many of equal size the (p, k) ``squares`` count (Satterthwaite, Biometrics Bulletin 2, 1946)."""
     return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
 
 

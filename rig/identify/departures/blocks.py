@@ -111,6 +111,19 @@ class Blocks:
         return found
 
 
+def share_cut(full: Array, bare: Array, noise: Array) -> float:
+    """The share of the error in blocks that laws take away, at most 1; below 0 they add to it.
+
+    full, bare   (p,) sums of squares of each block with and without them, beyond the sensor's noise, rad^2
+    noise        (p,) what the sensor's noise is of each, rad^2, > 0
+    It is the smaller one of two: of all blocks together, which a single large one may decide, and of their geometric
+    mean, which the small ones may. A law of the motor cuts both.
+    """
+    of_all = math.sqrt(max(float(full.sum()), 1e-300) / max(float(bare.sum()), 1e-300))
+    of_each = math.exp(0.5 * float(np.mean(np.log((full + noise) / (bare + noise)))))
+    return 1.0 - max(of_all, of_each)
+
+
 class HeldOut(NamedTuple):
     """What a motor predicts, and a linear model in the same folds.
 

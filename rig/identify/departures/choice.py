@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.blocks import Blocks
+from rig.identify.departures.blocks import Blocks, share_cut
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
 from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
@@ -220,16 +220,11 @@ class Chooser:
                 known[laws] = np.maximum(blocks.held_out(problem, motor, starts_known=True) - noise, 0.0)
             return known[laws]
 
-        def cut(full: Array, bare: Array) -> float:
-            of_all = math.sqrt(max(float(full.sum()), 1e-300) / max(float(bare.sum()), 1e-300))
-            of_each = math.exp(0.5 * float(np.mean(np.log((full + noise) / (bare + noise)))))
-            return 1.0 - max(of_all, of_each)
-
         first = fit, laws
         while laws and not fit.problem.noise.white:
             full = left(laws, fit.motor)
             cuts = {
-                law: cut(full, left(tuple(one for one in laws if one is not law), without(fit.motor, law)))
+                law: share_cut(full, left(tuple(o for o in laws if o is not law), without(fit.motor, law)), noise)
                 for law in laws
                 if not self._is_shown_beside(fit, law)
             }
@@ -240,9 +235,10 @@ class Chooser:
             fit, laws = self._last(
                 refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
             )
-        if laws != first[1] and cut(left(first[1], first[0].motor), left(laws, fit.motor)) >= self.asked.cuts:
+        if laws == first[1]:
             return first
-        return fit, laws
+        together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), noise)
+        return first if together >= self.asked.cuts else (fit, laws)
 
     def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
         """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
