@@ -21,6 +21,7 @@ release = VERSION
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click"]
 exclude_patterns = ["examples", "figures", "loopback"]
 html_theme = "furo"
+html_show_copyright = False
 html_title = f"rig {release}"
 html_extra_path = ["gallery"] if (HERE / "gallery").exists() else []
 myst_heading_anchors = 4

@@ -23,7 +23,8 @@ from rig.recording.reader import read_result, read_run
 from rig.recording.recording import Recording
 from rig.recording.stage import StageKind
 from rig.report import write_report
-from rig.results import HoldsResult, RunResult, known
+from rig.results import HoldsResult, RunResult
+from rig.results.answer_words import beyond_drive
 from rig.results.tuned import TunedResult
 from rig.tune.known import motor_of
 from rig.tune.margins import Margins
@@ -39,7 +40,6 @@ TOP_SHARE = 0.9  # of limits.max_speed_rad_s: beyond the limit itself the run wo
 SMALLER, TIMES = 0.6, 5  # a step of the speed that nobody asked for may be so much smaller, so often, to fit the travel
 TURN_RAD = math.pi  # half the travel of a shaft without limits
 LEAST_NOISE_RAD = 1e-5  # a sensor without noise and steps has at least this
-BEYOND = 1.05  # of the largest drive that the motor was measured with: more is said
 
 
 @dataclass(frozen=True)
@@ -116,17 +116,9 @@ class TunedRun:
         """All of it; ``bench``: the trial that a bench recorded."""
         law = {"name": TUNED, "options": self.options()}
         found = result_of(self.tuned, self.prediction, bench, self.folder.resolve().name, law)
-        return found.model_copy(update={"beyond": self._beyond()})
-
-    def _beyond(self) -> str | None:
-        """Where the predicted trial drives harder than the run did, as a sentence; None where it does not."""
-        if self.holds is None or self.holds.drive_V is None:
-            return None
-        most_V = known(self.holds.drive_V[1])
         largest_V = max(float(np.abs(one.u_V).max()) for one in self.prediction.records)
-        if not largest_V > BEYOND * most_V:
-            return None
-        return f"the trial drives with up to {largest_V:.3g} V, and the motor was measured with up to {most_V:.3g} V"
+        beyond = beyond_drive(self.holds, largest_V)
+        return found.model_copy(update={"beyond": f"the trial has {beyond}" if beyond else None})
 
 
 def tune_run(

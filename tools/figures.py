@@ -26,7 +26,7 @@ from rig.report.style import Picture
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs" / "figures"
 SIMULATED = str(ROOT / "config" / "simulated.yaml")
-PAGE_PX = (1000, 975)  # of the report: its headline and the table of estimates
+PAGE_PX = (1000, 1130)  # of the report: its headline and the table of estimates
 CHECK_ROW = (0.17, 6.5, 0.5, 0.8, 1.0)  # tau, K, fc, h1, h2 of docs/theory.md 3.4
 
 
@@ -41,9 +41,9 @@ def photograph(page: Path, to: Path) -> None:
 
 
 def report(to: Path) -> None:
-    """The top of the report of `rig run config/simulated.yaml`."""
+    """The top of the report of `make demo`."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "rig", "run", str(ROOT / "config" / "simulated.yaml")]
+        command = [sys.executable, "-m", "rig", "run", str(ROOT / "config" / "demo.yaml")]
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         photograph(next(Path(folder).glob("runs/*/report.html")), to)
 
@@ -84,9 +84,9 @@ def limit_cycle_figure() -> Picture:
     curves = course(cycle)
     drive = -h1 * np.sign(curves["y"]) - h2 * np.sign(curves["z"])
     drive[0] = h1 + h2  # z is zero there
-    figure = new_figure(4.6)
+    figure = new_figure(5.0)
     rows = figure.subplots(4, 1, sharex=True)
-    names = ("velocity v, rad/s", "position y, rad", "integral z, rad s", "drive u, V")
+    names = ("velocity v,\nrad/s", "position y,\nrad", "integral z,\nrad s", "drive u,\nV")
     for axes, name, values in zip(rows, names, (curves["v"], curves["y"], curves["z"], drive), strict=True):
         axes.plot(curves["t"], values, color=FIRST, drawstyle="steps-post" if values is drive else "default")
         axes.set_ylabel(name)
@@ -95,7 +95,7 @@ def limit_cycle_figure() -> Picture:
     rows[-1].set_xlabel("time, s")
     rows[-1].set_xlim(0.0, cycle.period_s)
     for relay, when in zip(("RA", "RB", "RC"), np.cumsum(cycle.durations_s), strict=True):
-        rows[0].annotate(relay, (float(when), 0.0), (3, 4), textcoords="offset points", fontsize=8)
+        rows[0].annotate(relay, (float(when), 0.0), (3, -4), textcoords="offset points", fontsize=8, va="top")
     words = f"tau = {tau} s, K = {K} (rad/s)/V, f_c = {fc} V, h1 = {h1} V, h2 = {h2} V"
     return finish(figure, "One period of the limit cycle.", words)
 

@@ -67,7 +67,7 @@ def rehearse(
     from rig import experiment as script
 
     with faults():
-        finish(perform(partial(script.run, experiment, out), as_json), as_json)
+        finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)
 
 
 def _show_motor(e: config.Experiment) -> None:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import stdtr, stdtrit
-from scipy.stats import chi2
+from scipy.special import chdtrc, stdtr, stdtrit
 
 Array = NDArray[np.float64]
 
@@ -38,7 +37,7 @@ class Agreement:
     @property
     def alone(self) -> Array:
         """(n,) probability that one of the same motor is off the others at least so much."""
-        return np.asarray(chi2.sf(self.square, self.off.shape[1]), dtype=np.float64)
+        return np.asarray(chdtrc(self.off.shape[1], self.square), dtype=np.float64)
 
 
 def agreement(values: Array, covariance: Array) -> Agreement:
@@ -63,7 +62,7 @@ def agreement(values: Array, covariance: Array) -> Agreement:
         off[k] = spread @ pull[own]
         error[k] = np.sqrt(np.diag(spread))
         square[k] = pull[own] @ off[k]
-    return Agreement(float(chi2.sf(values.ravel() @ pull, p * (n - 1))), off, error, square)
+    return Agreement(float(chdtrc(p * (n - 1), values.ravel() @ pull)), off, error, square)
 
 
 def odd_ones(values: Array, covariance: Array, level: float) -> list[int] | None:

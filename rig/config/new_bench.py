@@ -26,6 +26,7 @@ _LEAST_COUNTS: Final = 400.0  # of an encoder, for a turn of the measured shaft
 _MOTION_RAD: Final = 0.025  # breakaway.motion_rad of the examples
 _MOTION_COUNTS: Final = 4.0  # of an encoder, that it is at least
 _LEAST_TURNS: Final = 2.0
+_LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
 
 
 class AnswerError(RigError):
@@ -238,6 +239,8 @@ def text(answers: Answers, file: str) -> str:
     calibrated_rad = round(hard_rad + 0.5 * _MARGIN_RAD, 2)
     middle = (board.counts_max + 1) // 2
     counts = round(min(calibrated_rad / _POTENTIOMETER_RAD * board.counts_max, 0.48 * board.counts_max))
+    count_rad = calibrated_rad / counts if answers.sensor == "potentiometer" else 2.0 * math.pi / answers.counts
+    seen_rad = math.ceil(100.0 * _LEAST_CYCLE_COUNTS * count_rad) / 100.0
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
     new = ready.text(board.example)
     for key, value in (
@@ -252,7 +255,7 @@ def text(answers: Answers, file: str) -> str:
         ("soft_rad", f"[{-soft_rad:g}, {soft_rad:g}]"),
         ("hard_rad", f"[{-hard_rad:g}, {hard_rad:g}]"),
         ("max_speed_rad_s", f"{math.floor(45.0 * size) / 10.0:g}"),
-        ("target", f"{{amplitude_rad: {0.45 * size:.2f}, period_s: 1.6}}"),
+        ("target", f"{{amplitude_rad: {max(0.45 * size, seen_rad):.2f}, period_s: 1.6}}"),
         ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
     ):
         new = _with(new, key, value)

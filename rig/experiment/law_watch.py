@@ -25,6 +25,7 @@ from typing import Final
 from rig.backends.clock import MonotonicClock
 from rig.config import Experiment
 from rig.control.law import Stopped, Timed, is_of_own_law
+from rig.copies import keep_from_copies, no_longer_own
 from rig.faults import Fault
 from rig.keeper.terms import END, READY, LawTimes, asks, too_long_words
 from rig.live.law_lease import SIZE, LawLease
@@ -148,6 +149,7 @@ class Keeper:
             heard, self._signals = os.pipe()
             stack.callback(os.close, heard)
             os.set_blocking(self._signals, False)
+            keep_from_copies(self._signals)
             descriptors = (memory, heard) if link is None else (memory, heard, link)
             try:
                 self._process = subprocess.Popen(
@@ -205,6 +207,7 @@ class Keeper:
 
     def let_go(self) -> None:
         """Free what was shared with it."""
+        no_longer_own(self._signals)
         os.close(self._signals)
         self.lease.close()
 

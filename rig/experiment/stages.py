@@ -50,6 +50,7 @@ from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
+from rig.results.answer_words import beyond_drive
 from rig.session import FADE_S, Session, beside_data_sheet
 from rig.signals import BenchDelay
 
@@ -654,6 +655,11 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
         session.found.notes.append(
             f"tracking with {method} asked for {largest_u_V:.2f} V; it got drive.max_V, {max_V:.2f} V, and fell behind"
         )
+    found = session.found.identification
+    answer = None if found is None else found.answer
+    beyond = "" if answer is None else beyond_drive(answer.holds, min(largest_u_V, max_V))
+    if beyond:
+        session.found.notes.append(f"tracking with {method} had {beyond}: it says less of the model there")
     if isinstance(model, Motor):
         session.found.tracking[method] = TrackingResult()
         return

@@ -16,6 +16,7 @@ from rig.package import VERSION
 from rig.recording.text_file import content_of
 from rig.recording.writer import SAMPLES
 from rig.results import Answer, EstimateResult, JsonObject
+from rig.results.answer_words import validity
 
 # (unit, meaning) of every number that an export may write, in the order of the equation.
 NUMBERS: Final[dict[str, tuple[str, str]]] = {
@@ -69,6 +70,7 @@ class Provenance:
     method          the estimator
     verdict         of the estimate: ok or doubtful
     reasons         why it is doubtful, in words
+    holds           drives, speeds and ways that it was measured over, and what it predicts, in words
     """
 
     run: str
@@ -78,6 +80,7 @@ class Provenance:
     method: str
     verdict: str
     reasons: tuple[str, ...]
+    holds: tuple[str, ...]
 
     def lines(self) -> list[str]:
         """In words, for the head of a file."""
@@ -88,7 +91,7 @@ class Provenance:
             f"Bench: {self.bench or 'not known'}{' (emulated)' if self.emulated else ''}.",
             f"Estimate: {self.method}, verdict {self.verdict}.",
         ]
-        return [*lines, *(f"- {one}" for one in self.reasons)]
+        return [*lines, *(f"- {one}" for one in self.reasons), *(f"It {one}." for one in self.holds)]
 
 
 @dataclass(frozen=True)
@@ -204,6 +207,7 @@ class IdentifiedMotor:
             "method": source.method,
             "verdict": source.verdict,
             "reasons": list(source.reasons),
+            "holds": list(source.holds),
             "numbers": {one.name: one.as_json() for one in self.numbers},
             "laws": [
                 {"name": law.name, "value": law.value, "unit": law.unit, "ci95": law.ci95 and list(law.ci95)}
@@ -242,6 +246,7 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
         answer.method,
         answer.verdict,
         answer.reasons,
+        tuple(validity(answer)),
     )
     delay_s = max(answer.delay_s or 0.0, 0.0)
     numbers = tuple(_numbers(framed, delay_s, answer))

@@ -334,6 +334,7 @@ class Beginning:
             (*core, DELAY) if free_delay else core,
             delay_s,
             max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
+            min(test.resolution_rad() for test in tests),
             known=None if level_V is None else Known.of_sum(AT_REST_V, *level_V),
         )
         return cls(whole, motor, cycle_s, travel_rad, chooser)

@@ -122,7 +122,9 @@ def beside(value: float, other: float) -> str:
 
 def in_percent(share: float) -> str:
     """A share as ``12 %``; what is more than the whole is said in words: its number means nothing."""
-    return f"{100.0 * share:.2g} %" if share <= 1.0 else "more than 100 %"
+    if not share <= 1.0:
+        return "more than 100 %"
+    return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.2g} %"
 
 
 def known_to(name: str, share: float) -> str:

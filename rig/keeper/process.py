@@ -80,6 +80,12 @@ class Loop:
         """Whether it is still this process's parent."""
         return os.getppid() == self.pid
 
+    def kill(self) -> None:
+        """End it, unless it has just ended by itself: its number may then be another process's, or nobody's."""
+        with contextlib.suppress(ProcessLookupError):
+            if self.lives:
+                os.kill(self.pid, signal.SIGKILL)
+
     def now_s(self) -> float | None:
         """Time of the run, s; None in virtual time."""
         return None if self.zero_s is None else time.monotonic() - self.zero_s
@@ -240,11 +246,11 @@ def main(arguments: list[str]) -> int:
     if ended == "in order":
         return 0
     if ended == "still":  # first, or it could go on and speak on the link
-        os.kill(loop.pid, signal.SIGKILL)
+        loop.kill()
     # if the loop died nobody holds the lease: its last drive would stay on where the device has no watchdog
     confirmed = _stop(stopper)
-    if ended == "taken" and loop.lives:
-        os.kill(loop.pid, signal.SIGKILL)
+    if ended == "taken":
+        loop.kill()
     if ended == "still" or (ended == "taken" and not confirmed):
         _await_death(loop)  # its end may take longer than the stop; what it was just writing may have come after that
         confirmed = _stop(stopper)
@@ -284,10 +290,18 @@ def _loop_of(settings: Mapping[str, Any]) -> Loop:
 
 
 def _go_before_the_loop(priority: int) -> None:
-    """A law that spins at the loop's priority leaves a core to nobody below it."""
-    if priority > 0:
-        with contextlib.suppress(OSError):  # then the loop does not have its priority either
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(min(priority + 1, 99)))
+    """A law that spins at the loop's priority leaves its core to nobody at or below it.
+
+    Raises SystemExit where there is no other core, and nothing above: this process would never have a turn.
+    """
+    for mine in (priority + 1, priority) if priority > 0 else ():
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(mine))
+        except OSError:  # beyond this user's limit, or 99; the loop does not have it either
+            continue
+        if mine == priority and len(os.sched_getaffinity(0)) == 1:
+            raise SystemExit(f"rig: no process can go before the law: loop.priority: {max(priority - 1, 1)}")
+        return
 
 
 def _stopper(folder: Path, link: int | None) -> Driver | None:
@@ -355,8 +369,9 @@ def _conclude(loop: Loop, fault: Fault, stopped: list[dict[str, Any]]) -> None:
     from rig.recording.folder import write_result
     from rig.results import FaultReport, RunResult
 
-    sys.stderr.write(f"rig: {fault}\n     {fault.cure}\n     recorded so far: {loop.folder}\n")
-    sys.stderr.flush()
+    with contextlib.suppress(OSError):  # the terminal is gone, as after SIGHUP: the files say the same
+        sys.stderr.write(f"rig: {fault}\n     {fault.cure}\n     recorded so far: {loop.folder}\n")
+        sys.stderr.flush()
     _add_events(loop, [*stopped, {"t_s": loop.now_s(), "kind": "fault", **fault.as_dict()}])
     result = RunResult(
         backend=loop.backend,

@@ -17,6 +17,7 @@ from rig.recording.writer import EVENTS
 _NEWEST: Final = 50  # by name: a run has its flag soon after its folder
 _OTHERS: Final = 200  # that one look is at
 _LAST_BYTES: Final = 4096  # of the events, with the end of a run
+_DIED: Final = b'"kind": "loop_died"'  # as the recorder writes it; in a text its quotes would have a backslash
 
 
 class Running(NamedTuple):
@@ -93,12 +94,17 @@ class Seen:
 
 
 def _has_ended(folder: Path) -> bool:
-    """Whether the events have the run's end. Its process may live a moment longer."""
+    """Whether the events have the run's end, or that its process died.
+
+    Its process may live a moment longer. One that lived in a container had another's number here, which lives on.
+    """
     try:
         with os.fdopen(open_plain(folder / EVENTS), "rb") as file:
             file.seek(max(file.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
-            last = file.read(_LAST_BYTES).rstrip().rpartition(b"\n")[2]
-        event = strict_json.parse(last.decode("utf-8"))
+            last = file.read(_LAST_BYTES)
+        if _DIED in last:  # a keeper writes on after it
+            return True
+        event = strict_json.parse(last.rstrip().rpartition(b"\n")[2].decode("utf-8"))
     except (OSError, ValueError):
         return False
     return isinstance(event, dict) and event.get("kind") == "end"

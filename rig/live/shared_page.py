@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from rig.copies import keep_from_copies, no_longer_own
 from rig.plain_file import open_plain
 from rig.recording.layout import allocate
 
@@ -52,6 +53,7 @@ class MappedPage:
                 os.unlink(first, dir_fd=self._folder)
             self._leave_folder()
             raise
+        keep_from_copies(self._descriptor, self._map)
 
     def __getitem__(self, at: int) -> int:
         """The byte at this place: a read of memory."""
@@ -78,6 +80,7 @@ class MappedPage:
         if _RENAMES_OPEN_FILES:
             self._delete(status)
         self._map.close()
+        no_longer_own(self._descriptor)
         os.close(self._descriptor)
         if not _RENAMES_OPEN_FILES:
             self._delete(status)
@@ -122,6 +125,11 @@ class OthersPage:
     def is_owned(self) -> bool:
         """Whether the process that made the page lives; False, too, on a system that cannot tell."""
         return _is_locked(self._descriptor)
+
+    @property
+    def is_of_this_user(self) -> bool:
+        """Whether the file is this user's; True on a system that cannot tell."""
+        return not hasattr(os, "geteuid") or os.fstat(self._descriptor).st_uid == os.geteuid()
 
     def read(self, at: int, size: int) -> bytes:
         """The bytes from this place on."""

@@ -8,6 +8,7 @@ recorded leaves it there.
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import re
@@ -49,12 +50,20 @@ class Runner:
     zero_s    time of the monotonic clock at the run's time 0, s; nan in virtual time, and before the loop is made
     period_s  of the loop, s; nan before the loop is made
     drives    whether a drive may be on; False: not yet, or the device has confirmed 0 V; None: it does not say
+    is_own    whether the page is this user's; in another's, ``pid`` may be the number of any process
     """
 
     pid: int
     zero_s: float
     period_s: float
     drives: bool | None = None
+    is_own: bool = True
+
+    def terminate(self) -> None:
+        """Send it SIGTERM, which is a Stop. Raises OSError, also for one that is not this user's."""
+        if not self.is_own:
+            raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+        os.kill(self.pid, signal.SIGTERM)
 
 
 class StopFlag:
@@ -165,7 +174,7 @@ def request_stop(folder: Path, by: str = "panel") -> Runner:
                 page.write(_ASKED_AT, b"\1")  # last: from here on the loop sees it
     except (OSError, ValueError) as error:
         try:
-            os.kill(runner.pid, signal.SIGTERM)
+            runner.terminate()
         except OSError:
             raise StopError(
                 f"{folder / NAME} cannot be written ({error}), and process {runner.pid} takes no signal of this user: "
@@ -251,7 +260,8 @@ def _runner(page: OthersPage) -> Runner | None:
     magic, version, pid, zero_s, period_s = _HEAD.unpack(page.read(0, _HEAD.size))
     if (magic, version) != (_MAGIC, _VERSION) or pid <= 1:
         return None
-    return Runner(pid, zero_s, period_s, {_OFF: False, _ON: True}.get(page.read(_DRIVE_AT, 1)))
+    drives = {_OFF: False, _ON: True}.get(page.read(_DRIVE_AT, 1))
+    return Runner(pid, zero_s, period_s, drives, page.is_of_this_user)
 
 
 def _clear(runs: Path) -> None:

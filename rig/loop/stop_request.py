@@ -9,13 +9,18 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Final
 
 from rig.control.law import Stopped, is_of_own_law
 from rig.faults import Fault
 from rig.live.law_lease import LawLease
 from rig.live.stop_flag import StopFlag
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
+STOP_SIGNALS: Final[tuple[signal.Signals, ...]] = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")  # Ctrl-\ and Ctrl-Z would leave a drive on
+    if hasattr(signal, name)
+)
 
 Gone = Callable[[], str]
 
@@ -79,7 +84,7 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals(flag: StopFlag | None = None, gone: Gone | None = None) -> Iterator[StopRequest]:
-    """Within the block SIGINT, SIGTERM and SIGHUP set the request instead of ending the process.
+    """Within the block each of ``STOP_SIGNALS`` sets the request, and neither ends nor stops the process.
 
     flag, gone  as of ``StopRequest``
     """

@@ -9,9 +9,7 @@ import asyncio
 import contextlib
 import hashlib
 import itertools
-import os
 import secrets
-import signal
 import threading
 import time
 from dataclasses import dataclass
@@ -271,7 +269,7 @@ class Bench:
             if not self._seen.goes_on(one):
                 return False
             try:
-                os.kill(one.runner.pid, signal.SIGTERM)
+                one.runner.terminate()
             except OSError as error:
                 raise StopError(
                     f"{one.folder} has no stop flag any more, and process {one.runner.pid} takes no signal of this "

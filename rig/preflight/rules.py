@@ -296,13 +296,14 @@ def _target(e: Experiment) -> Iterator[Problem]:
             f"at least {shortest_s:g} seconds, or a shorter period_s",
         )
     smallest_rad = target.amplitude_rad * min(1.0, e.relay.second_ratio)
+    within_rad = smallest_rad * (1.0 - target.tolerance)
     least_rad = _SMALLEST_CYCLE_COUNTS * count_rad(e)
-    if smallest_rad < least_rad:
+    if within_rad < least_rad:
         yield wrong(
             "relay.target.amplitude_rad",
-            f"the smaller test's {smallest_rad:.3g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor "
-            f"({least_rad:.3g} rad)",
-            "raise the amplitude",
+            f"the smaller test's {smallest_rad:.3g} rad - {target.tolerance:.0%} tolerance = {within_rad:.3g} rad is "
+            f"less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad), which is delay hunting",
+            f"at least {target.amplitude_rad * least_rad / within_rad:.3g} rad",
         )
     if not limits_are_ordered(e):
         return

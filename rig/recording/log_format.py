@@ -22,13 +22,27 @@ UNITS: Final[dict[str, dict[str, float | None]]] = {
         "counts/s": None,
     },
 }
-# First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "rpm".
+# First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "Winkel [deg]".
+# fmt: off
 USUAL_NAMES: Final = {
-    "time": {"t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds"},
-    "drive": {"u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor"},
-    "position": {"y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg"},
-    "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
+    "time": {
+        "t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds", "zeit", "temps",
+        "tiempo", "tempo",
+    },
+    "drive": {
+        "u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor", "spannung",
+        "stellgröße", "tension", "tensión", "voltaje", "tensione",
+    },
+    "position": {
+        "y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg",
+        "winkel", "lage", "posición", "posicion", "ángulo", "angulo", "posizione", "angolo",
+    },
+    "velocity": {
+        "v", "vel", "velocity", "speed", "omega", "rpm", "w", "drehzahl", "geschwindigkeit", "vitesse", "velocidad",
+        "velocità",
+    },
 }
+# fmt: on
 # Words of a column's name, or of a row of units, that say its unit, in small letters.
 NAMES_UNIT: Final = {
     "time": {

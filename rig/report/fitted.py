@@ -97,10 +97,11 @@ def residuals(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
     if fit is None or fit.residual_rad.size < FEWEST_RESIDUALS:
         raise AbsentError("The residual series could not be computed from this recording.")
     spread = float(np.std(1e3 * fit.residual_rad))
+    rms = f"{spread:.3g}" if spread < 100.0 else f"{spread:.0f}"
     return render(
         residual_figure(fit), run.backend,
         f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
-        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, "
+        f"Residual of the {method.replace('-', ' ')} estimate (RMS {rms} mrad about its mean, "
         f"{fit.residual_rad.size} samples). If the model explains the data, the residual is white noise: a bell-shaped "
         "histogram, and about 5 % of lags outside the band.",
     )  # fmt: skip
@@ -143,6 +144,8 @@ def residual_figure(fit: Estimate) -> Figure:
     correlation.vlines(lags, 0.0, values, color=colour(method), lw=1.4)
     correlation.set_xlabel("lag, samples")
     correlation.set_title("autocorrelation")
+    highest = max(band, float(np.abs(values).max(initial=0.0)))
+    correlation.set_ylim(-1.1 * highest, 1.5 * highest)  # above the bars there is room for the note
     note(correlation, f"{100 * outside:.0f} % of lags outside the 95 % band", loc="upper right")
     return figure
 
@@ -195,10 +198,11 @@ def budget(run: ReportedRun) -> Picture:
         label.set_fontweight("bold" if row.is_sum else "normal")
     return render(
         figure, run.backend, "Uncertainty budget of tau, K and friction.",
-        "How far tau, K and friction may be off, with 95 % confidence, and what that comes from. Dark: all that counts "
-        "in the bench's own volts and radians (u95). Below it its parts: the noise, and each law that the tests do not "
-        "exclude, with as much as it is likely. Red: the same in true volts and radians (u95_absolute), and what that "
-        "adds. Parts add up as squares." + ("" if asked is None else f" Dotted: {asked:.3g} %, the most for an ok."),
+        "How far tau, K and friction may be off, with 95 % confidence, and what that comes from. First bar: all that "
+        "counts in the bench's own volts and radians (u95). Below it its parts: the noise, and each law that the tests "
+        "do not exclude, with as much as it is likely. Second bold line: the same in true volts and radians "
+        "(u95_absolute), and what that adds. Parts add up as squares."
+        + ("" if asked is None else f" Dotted: {asked:.3g} %, the most for an ok."),
     )  # fmt: skip
 
 

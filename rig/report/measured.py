@@ -295,7 +295,8 @@ def breakaway(run: ReportedRun) -> Picture:
     right.set_ylabel("moved so far in this direction, mrad")
     right.set_title("displacement over drive")
     if right.get_legend_handles_labels()[0]:
-        right.legend(loc="upper left")
+        # the dashed lines and their intervals run through it
+        right.legend(loc="upper left", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
     else:
         note(right, "the run ended before a stroke")
     noise = 1e3 * known(found.noise_rad)

@@ -32,9 +32,9 @@ from rig.report.style import (
     style,
 )
 from rig.results import Answer, known
+from rig.results.answer_words import beyond_drive
 
 PNG_DPI = 130
-BEYOND = 1.05  # of the largest drive: so much more is no other range
 TURNS_BACK = 0.1  # of the motion one way: from here on the shaft turns both ways
 MOST = 3  # tests in one picture: beside each other, more are too narrow to read
 
@@ -103,14 +103,12 @@ def beyond(answer: Answer, recording: Recording) -> str:
     holds = answer.holds
     if holds is None:
         return ""
-    said = []
-    largest_V = float(np.abs(recording.u_V).max())
-    if holds.drive_V is not None and largest_V > BEYOND * known(holds.drive_V[1]):
-        said.append(f"a drive of {largest_V:.3g} V, and it holds up to {known(holds.drive_V[1]):.3g} V")
+    drive = beyond_drive(holds, float(np.abs(recording.u_V).max()))
+    said = [drive] if drive else []
     forth, back = (float(np.max(way - np.minimum.accumulate(way))) for way in (recording.y_rad, -recording.y_rad))
     least = TURNS_BACK * max(forth, back)
     if (holds.ways == "forward" and back > least) or (holds.ways == "backward" and forth > least):
-        said.append(f"motion both ways, and it holds {holds.ways} alone")
+        said.append(f"motion both ways, and the answer holds {holds.ways} alone")
     return f"beyond what the answer was measured over: {'; '.join(said)}" if said else ""
 
 

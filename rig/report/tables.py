@@ -209,7 +209,8 @@ def knows_shaft(run: ReportedRun) -> bool:
 def tracking_heads(run: ReportedRun) -> list[str]:
     """Heads of the columns of ``tracking``."""
     true = ["true RMS error, mrad", "true largest error, mrad"] if knows_shaft(run) else []
-    return ["model", "RMS error, mrad", "largest error, mrad", *true, "remark"]
+    remark = ["remark"] if any(row.remark for row in tracking(run)) else []
+    return ["model", "RMS error, mrad", "largest error, mrad", *true, *remark]
 
 
 def _made_up_for(outcome: TrackingResult) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from rig.estimators import LEADING
+from rig.identify.departures import DEPARTURES
 from rig.report.source import ReportedRun
 from rig.report.style import stage_kind
 from rig.results import BreakawayResult, EstimateResult, known
@@ -176,7 +177,8 @@ def headline(run: ReportedRun) -> Headline:
             next_steps.append(Step("Cure the fault above first."))
         sentences.extend(_plain_words(quantities, run))
         if run.laws:
-            laws = ", ".join(law.name.replace("_", " ") for law in run.laws)
+            titles = {law.name: law.title for law in DEPARTURES}
+            laws = ", ".join(titles.get(law.name, law.name.replace("_", " ")) for law in run.laws)
             sentences.append(f"The motor has more than tau, K and friction: {laws}. The values include that.")
         graded = graded_words(answer)
         sentences.extend(f"{line[0].upper()}{line[1:]}." for line in ([graded] if graded else []))

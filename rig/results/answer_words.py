@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from rig.results.answer import Answer
+from rig.results.answer import Answer, HoldsResult
 from rig.results.estimates import FoundLawResult, known
 from rig.results.meta import TrueMotor
 
 PARAMETERS = (("tau_s", "tau", "s"), ("K_rad_s_V", "K", "(rad/s)/V"), ("fc_V", "f_c", "V"))
 VERDICTS = {"ok": "ok: at most 5 % off"}
 NOT_KNOWN = "not known"
+BEYOND = 1.05  # of the largest drive that the motor was measured with: so much more is no other range
 MOST_REASONS = 2  # the others are among the details
 
 
@@ -67,7 +68,12 @@ def answer_lines(
 
 
 def graded_words(answer: Answer) -> str:
-    """How good each number is, as ``tau is good, K is rough, f_c is not known``; empty where nobody looked."""
+    """How good each number is, as ``tau is good, K is rough, f_c is not known``; empty where nobody looked.
+
+    Of an answer that is ok: how far off they are at most.
+    """
+    if answer.verdict == "ok":
+        return "tau, K and f_c are at most 5 % off"
     grade = answer.grade or {}
     return ", ".join(f"{name} is {grade[key].grade}" for key, name, _ in PARAMETERS if key in grade)
 
@@ -85,6 +91,13 @@ def validity(answer: Answer) -> Iterator[str]:
         linear = known(predicts.linear_error)
         beside = f" (a linear model: {_seen(linear)})" if math.isfinite(linear) else ""
         yield f"predicts {_seen(known(predicts.error))} of motion that it has not seen{beside}"
+
+
+def beyond_drive(holds: HoldsResult | None, largest_V: float) -> str:
+    """That a drive goes beyond those that the motor was measured with, in words; empty where it does not."""
+    if holds is None or holds.drive_V is None or not largest_V > BEYOND * known(holds.drive_V[1]):
+        return ""
+    return f"a drive of {largest_V:.3g} V, and the answer holds up to {known(holds.drive_V[1]):.3g} V"
 
 
 def _seen(error: float) -> str:

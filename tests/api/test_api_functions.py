@@ -90,7 +90,9 @@ def test_an_answer_predicts_a_record_that_it_has_not_seen(found: rig.Found) -> N
     assert said.residual_rad == pytest.approx(later.y_rad - said.y_rad)
     assert said.plot().axes
     assert "beyond" not in repr(said)
-    assert "a drive of 11 V, and it holds up to" in found.predict(later.t_s, 10.0 * later.u_V, later.y_rad).beyond
+    assert (
+        "a drive of 11 V, and the answer holds up to" in found.predict(later.t_s, 10.0 * later.u_V, later.y_rad).beyond
+    )
     with pytest.raises(TypeError, match="t, u and y"):
         found.predict(later.t_s, later.u_V)
     with pytest.raises(ValueError, match="2 records"):

@@ -112,6 +112,18 @@ def test_a_board_that_is_not_there_and_one_without_a_number_are_told_apart(ports
     assert ports.opened == []
 
 
+@pytest.mark.parametrize(
+    "number", ["A1\u00e9", "\u4e2d\u6587", "A\tB", "A\x1b[31m", "x" * 127, "\u200b", "x" * 126, ' a"1: ']
+)
+def test_a_number_that_no_config_takes_is_none(ports: Ports, number: str) -> None:
+    """Else `rig init` wrote it, and `rig check` refused it."""
+    ports.plug(ttyACM0=number)
+    found = module.usb_port(ports.path("ttyACM0")).serial_number
+    assert (found is not None) == (number in ("x" * 126, ' a"1: '))
+    with unopened(bench_at(ports.path("ttyACM0"), found)):
+        pass
+
+
 def test_a_config_without_a_number_takes_any_board_and_check_advises(ports: Ports) -> None:
     port = ports.path("ttyACM0")
 

@@ -351,6 +351,38 @@ def test_a_loop_that_the_keeper_could_not_replace_is_ended_only_if_somebody_asks
     assert ended_still_after_s(one, 10.0) > times().still_s
 
 
+@pytest.mark.parametrize(
+    ("priority", "limit", "cores", "has"),
+    [
+        (60, 99, 1, 61),
+        (60, 60, 2, 60),
+        (60, 0, 1, 0),
+        (99, 99, 2, 99),
+        (0, 99, 1, 0),
+        (60, 60, 1, None),
+        (99, 99, 1, None),
+    ],
+)
+def test_the_keeper_goes_before_a_law_that_spins_or_has_a_core_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, priority: int, limit: int, cores: int, has: int | None
+) -> None:
+    granted = [0]
+
+    def schedule(pid: int, policy: int, wanted: Any) -> None:
+        if wanted > limit:
+            raise PermissionError(1, "Operation not permitted")
+        granted.append(wanted)
+
+    system = {"SCHED_FIFO": os.SCHED_FIFO, "sched_param": int, "sched_setscheduler": schedule}
+    monkeypatch.setattr(law_keeper, "os", SimpleNamespace(**system, sched_getaffinity=lambda _: range(cores)))
+    if has is None:
+        with pytest.raises(SystemExit, match="no process can go before the law"):
+            law_keeper._go_before_the_loop(priority)
+    else:
+        law_keeper._go_before_the_loop(priority)
+        assert granted[-1] == has
+
+
 # ---------------------------------------------------------------------- the keeper's process
 
 
@@ -419,6 +451,17 @@ def test_a_thread_of_a_law_that_holds_python_between_two_steps_does_not_keep_a_s
     assert host.returncode == -signal.SIGKILL and "LAW_TIME" in said and "SIGTERM" in said
     [folder] = (tmp_path / "runs").iterdir()
     wait_until(lambda: '"fault"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
+
+
+def test_a_terminal_that_is_gone_keeps_nothing_out_of_the_folder(tmp_path: Path) -> None:
+    host = hanging(tmp_path, "in C")
+    assert host.stderr is not None
+    host.stderr.close()
+    host.send_signal(signal.SIGHUP)
+    assert host.wait(HUNG_S) == -signal.SIGKILL
+    [folder] = (tmp_path / "runs").iterdir()
+    wait_until(lambda: '"fault"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
+    wait_until((folder / "result.json").exists)
 
 
 def test_a_stop_of_a_panel_ends_a_law_that_does_not_return(tmp_path: Path) -> None:
@@ -515,6 +558,44 @@ class Forks:
         if self.copy is None:
             self.copy = os.fork()
         return 0.3
+
+
+class EndsACopy:
+    """A law that forks, and says which open file its copy has in the place of the one for the loop's signals."""
+
+    def __init__(self) -> None:
+        self.keeper: law_watch.Keeper | None = None
+        self.copys = ""
+
+    def step(self, sample: Sample) -> float:
+        assert self.keeper is not None
+        if not self.copys:
+            told, tells = os.pipe()
+            pid = os.fork()
+            if pid == 0:
+                os.write(tells, bytes(Path(f"/proc/self/fd/{self.keeper.signals}").readlink()))
+                os._exit(0)
+            self.copys = os.read(told, 100).decode()
+            os.waitpid(pid, 0)
+            os.close(told)
+            os.close(tells)
+        return 0.3
+
+
+def test_a_signal_of_a_copy_that_a_law_has_forked_is_not_the_loops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a pool of processes that ends its workers. Taken for a Stop, it costs a slow law its process."""
+    law = EndsACopy()
+
+    class Kept(law_watch.Keeper):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            law.keeper = self
+
+    monkeypatch.setattr(law_watch, "Keeper", Kept)
+    assert rig.run(rig.ready("simulated"), law=law, duration_s=0.1, out=tmp_path).failure == ""
+    assert law.copys == os.devnull
 
 
 def test_a_copy_of_the_process_that_a_law_has_forked_drives_nothing() -> None:

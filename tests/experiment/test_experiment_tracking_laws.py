@@ -19,7 +19,7 @@ from rig.identify.motor_law import FoundLaw
 from rig.model.real_motor import FramedMotor
 from rig.recording.recording import Recording
 from rig.replay import replay
-from rig.results import known
+from rig.results import HoldsResult, known
 from tracking_table import BENCHES, SEEDS, bench, compare
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
@@ -114,16 +114,20 @@ def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
     assert with_laws["true_rms_rad"] < 0.5 * known(without.true_rms_rad)
 
 
-def test_a_law_that_no_drive_makes_up_for_is_named(sagging: tuple[Path, Path, Identification], tmp_path: Path) -> None:
+def test_a_law_that_no_drive_makes_up_for_and_a_drive_beyond_the_answers_are_named(
+    sagging: tuple[Path, Path, Identification], tmp_path: Path
+) -> None:
     path, run, models = sagging
     assert models.motor_law is not None
     law = next(law for law in DEPARTURES if law.name == "drift")
     drift = FoundLaw(law, 0.02, (0.01, 0.03), 30.0, {"drift": 0.02})
-    changed = replace(models, motor_law=replace(models.motor_law, found=(*models.motor_law.found, drift)))
+    holds = HoldsResult(drive_V=(0.1, 0.3))
+    changed = replace(models, motor_law=replace(models.motor_law, found=(*models.motor_law.found, drift), holds=holds))
     outcome = experiment.run_tracking(config.load(path), changed, run, tmp_path)
     tracked = outcome.result.tracking[LEADING]
     assert tracked.law == ("sag",) and tracked.law_left_out == ("drift",)
     assert any("no drive makes up for drift" in note for note in outcome.result.notes)
+    assert any(f"{LEADING} had a drive of" in note and "holds up to 0.3 V" in note for note in outcome.result.notes)
     assert replay(outcome.folder).is_same
 
 

@@ -272,17 +272,25 @@ def test_what_cannot_be_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_model_that_was_refused_is_not_exported_and_a_doubtful_one_says_why(tmp_path: Path) -> None:
+def test_a_model_that_was_refused_is_not_exported_and_a_doubtful_one_says_why_and_where_it_holds(
+    tmp_path: Path,
+) -> None:
     doubtful = run_with(tmp_path, verdict="doubtful")
+    result = json.loads((doubtful / "result.json").read_text(encoding="utf-8"))
+    holds = {"drive_V": [0.5, 0.9], "speed_rad_s": [0.2, 2.4], "ways": "both"}
+    result["answer"] = {**result["estimates"]["sampled-data"], "method": "sampled-data", "law": [], "holds": holds}
+    (doubtful / "result.json").write_text(json.dumps(result), encoding="utf-8")
     for tool in TOOLS:  # its reason tries to end the comments that it stands in
         export_model(doubtful, tool, tmp_path / tool)  # it makes the folder
     assert module(tmp_path / "control" / "motor_control.py").MODEL["reasons"] == ["why */ it is --> so"]
+    assert "It holds between 0.5 and 0.9 V, 0.2 and 2.4 rad/s, both ways." in (
+        tmp_path / "c" / "rig_motor.h"
+    ).read_text(encoding="utf-8")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "mujoco" / "motor.xml")).njnt == 1
     command = ["cc", "-fsyntax-only", "-std=c99", str(tmp_path / "c" / "rig_controller.c")]
     assert subprocess.run(command, check=False).returncode == 0
 
-    result = json.loads((doubtful / "result.json").read_text(encoding="utf-8"))
-    result["estimates"]["sampled-data"]["verdict"] = "refused"
+    result["answer"]["verdict"] = result["estimates"]["sampled-data"]["verdict"] = "refused"
     (doubtful / "result.json").write_text(json.dumps(result), encoding="utf-8")
     said = rig("export", doubtful, "--to", "mujoco", "--into", tmp_path)
     assert (said.exit_code, len(said.stderr.splitlines())) == (2, 2)

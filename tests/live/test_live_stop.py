@@ -246,6 +246,26 @@ def test_a_flag_that_cannot_be_written_is_a_signal_to_its_process(
             request_stop(tmp_path)
 
 
+def test_the_number_in_a_page_of_another_user_is_sent_no_signal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a folder that others write in, too: it may be the number of any process of this user."""
+    sent: list[int] = []
+    own = os.geteuid()
+    with StopFlag() as flag:
+        flag.begin(tmp_path)
+        monkeypatch.setattr(os, "geteuid", lambda: own + 1)
+        monkeypatch.setattr(os, "kill", lambda pid, number: sent.append(pid))
+
+        def read_only(page: shared_page.OthersPage, at: int, data: bytes) -> None:
+            raise PermissionError(13, "Permission denied")
+
+        monkeypatch.setattr(shared_page.OthersPage, "write", read_only)
+        with pytest.raises(StopError, match="takes no signal of this user"):
+            request_stop(tmp_path)
+    assert sent == []
+
+
 @pytest.mark.parametrize("make", [lambda p: p.write_bytes(bytes(4096)), lambda p: p.write_bytes(b"x"), os.mkfifo,
                                   lambda p: p.symlink_to("/dev/zero"), lambda p: p.mkdir()])  # fmt: skip
 def test_what_only_looks_like_a_flag_is_no_run_and_takes_no_time(

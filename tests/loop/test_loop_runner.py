@@ -98,7 +98,7 @@ def test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost() 
     assert [k for k, row in enumerate(bench.record.rows) if row["u_V"] == 0.1] == [3, 6]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP])
 def test_signals_end_in_a_safe_stop_and_handlers_come_back(number: signal.Signals) -> None:
     bench = simulated_bench()
     before = signal.getsignal(number)

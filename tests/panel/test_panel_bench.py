@@ -123,7 +123,7 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[tuple[int, int]] = []
-    monkeypatch.setattr("rig.panel.bench.os.kill", lambda *given: sent.append(given))
+    monkeypatch.setattr("rig.live.stop_flag.os.kill", lambda *given: sent.append(given))
     bench = Bench(None, tmp_path)
     (folder := tmp_path / "20260101T000000Z-run-goes").mkdir()
     with StopFlag() as flag:
@@ -141,6 +141,23 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
     assert bench.stop() == StopAnswer((), (), ""), "its process lives a moment longer than the run"
     bench.look()
     assert bench.running == [] and len(sent) == 1
+
+
+@pytest.mark.parametrize("after", ["", '{"t_s": 3.1, "kind": "stop", "by": "keeper"}\n{"t_s": 3.1, "kind": "fault"}\n'])
+def test_a_run_that_died_goes_on_in_no_process_that_has_its_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: str
+) -> None:
+    """As of a run in a container: its number is that of a strange process here."""
+    sent: list[int] = []
+    monkeypatch.setattr("rig.live.stop_flag.os.kill", lambda pid, number: sent.append(pid))
+    bench = Bench(None, tmp_path)
+    (folder := tmp_path / "20260101T000000Z-run-dies").mkdir()
+    with StopFlag() as flag:
+        flag.begin(folder)
+        bench.look()
+    (folder / "events.jsonl").write_text('{"t_s": 3.0, "kind": "loop_died"}\n' + after)
+    bench.look()
+    assert bench.running == [] and bench.stop() == StopAnswer((), (), "") and sent == []
 
 
 def test_what_another_panel_starts_is_known_here_stopped_here_and_cleaned_up_there(tmp_path: Path) -> None:

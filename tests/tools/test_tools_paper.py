@@ -118,7 +118,7 @@ class TestTheorem21:
     """Only one set of positive solutions, over a = h1 / h2 and b = fc / h2; the large map is `make paper`'s."""
 
     @pytest.mark.parametrize("b", [0.0, 0.5, 0.95])
-    @pytest.mark.parametrize("a", [0.05, 0.8, 1.3, 3.0])
+    @pytest.mark.parametrize("a", [0.05, 0.8, 1.3, 3.0, 50.0])
     def test_one_set_of_durations_by_a_scan_and_from_random_starts(self, a: float, b: float) -> None:
         assert switching.by_scan(a, b) == (1, 1)
         search = switching.from_random_starts(a, b, 3, np.random.default_rng(5))

@@ -48,7 +48,7 @@ def expected_gains(campaign: Campaign, number: int, kinds: tuple[Kind, ...]) -> 
         chooser = begun.chooser
         motors = [begun.motor]
         if others:
-            chooser = type(chooser)(others, chooser.bench, chooser.core, chooser.delay_s, chooser.sigma_rad, ANY)
+            chooser = type(chooser)(others, chooser.bench, chooser.core, chooser.delay_s, chooser.sigma_rad, asked=ANY)
             motors.append(chooser.choose(begun.whole, begun.motor, begun.cycle_s).fit.motor)
         problem = chooser.problem(begun.whole, others, math.inf)
         ends = [solve(start(problem, motor)).residual_rad for motor in motors]

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 FIRST, SECOND = "#0072B2", "#D55E00"  # the paper's two pairs of gains
 CYCLES = (FIRST, SECOND)
 EXACT, SINE, PEER = INK, "#009E73", "#E69F00"
-PARAMETERS = (("τ", "#0072B2", "o"), ("K", "#D55E00", "s"), ("fc", "#009E73", "D"))
+PARAMETERS = (("τ", "#0072B2", "o"), ("K", "#D55E00", "s"), ("f_c", "#009E73", "D"))
 STAGES = ("#eef3f8", "#ffffff", "#f8f1e6")
 PAPER = "#7b2a8c"
 

@@ -417,7 +417,7 @@ def _courses(result: Result) -> Picture:
         panels[0, column].set_title(f"h1 = {f.gains.h1_V:g} V,  h2 = {f.gains.h2_V:g} V")
         panels[4, column].set_xlabel("time since the drive stepped up, s")
         panels[4, column].set_xlim(0.0, 2.0 * f.cycle.period_s)
-    names = ("y, rad", "v, rad/s", "z, rad s", "u, V\n(RB, RC)", "−fc sgn v, V\n(RA)")
+    names = ("y, rad", "v, rad/s", "z, rad s", "u, V\n(RB, RC)", "−f_c sgn v, V\n(RA)")
     for axes, text in zip(panels[:, 0], names, strict=True):
         axes.set_ylabel(text)
     figure.align_ylabels(panels[:, 0])

@@ -353,7 +353,7 @@ def _recursion_figure(result: Result) -> Picture:
         for axes in panels:
             axes.plot(np.arange(1, trace.size + 1), trace, color=ink, label=name)
     whole, end = panels
-    whole.set_ylabel("estimate of fc, V")
+    whole.set_ylabel("estimate of f_c, V")
     whole.set_ylim(0.0, 0.56)
     whole.legend(loc="lower right")
     end.set_xlim(0.7 * surviving.LEAST_SQUARES_SAMPLES, surviving.LEAST_SQUARES_SAMPLES)
@@ -376,7 +376,7 @@ def _starts_figure(result: Result) -> Picture:
         name = f"from ({1e3 * starts[0]:g}, {1e3 * starts[1]:g}) mrad"
         axes.plot(np.arange(1, trace.size + 1), trace, color=ink, label=name)
     axes.set_xlabel("sample")
-    axes.set_ylabel("estimate of fc, V")
+    axes.set_ylabel("estimate of f_c, V")
     axes.set_ylim(-1.0, 1.6)
     axes.legend(loc="lower right")
     return finish(

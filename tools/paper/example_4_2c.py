@@ -377,7 +377,7 @@ def _paths(result: Result) -> Picture:
         axes.set_xlabel("iteration")
         axes.axhline(EXACT, color="#c9ced6", lw=0.8, ls="--")
     panels[0].set_ylabel("largest relative error")
-    panels[1].legend(loc="upper right", title="start (τ, K, fc)")
+    panels[1].legend(loc="upper right", title="start (τ, K, f_c)")
     return finish(
         figure,
         "Largest relative error of the parameters at each iteration, from four starts.",

@@ -447,13 +447,13 @@ def _law_figure(result: Result) -> Picture:
 def _sweep_figure(result: Result) -> Picture:
     figure = new_figure(2.8)
     axes = figure.subplots()
-    looks = (("τ_eff", "#0072B2", "o"), ("K_eff", "#D55E00", "s"), ("fc", "#009E73", "D"))
+    looks = (("τ_eff", "#0072B2", "o"), ("K_eff", "#D55E00", "s"), ("f_c", "#009E73", "D"))
     for k, (name, ink, mark) in enumerate(looks):
         axes.plot(result.step_V, 100.0 * result.errors[:, k], mark + "-", ms=4.0, color=ink, label=name)
     axes.plot(result.step_V, 100.0 * result.ratio_errors, "k--", lw=1.2, label="τ/K")
     axes.axvline(FS_V - FC_V, color="#b9bfc7", lw=1.0, ls=":")
     zero(axes)
-    axes.set_xlabel("Stribeck step fs − fc, V")
+    axes.set_xlabel("Stribeck step f_s − f_c, V")
     axes.set_ylabel("error, %")
     axes.legend(loc="upper left", ncols=4)
     return finish(

@@ -25,6 +25,8 @@ from rig.report.style import Picture
 from shared.table import Cell, Table, significant
 
 A_RANGE = (0.05, 3.0)  # h1 / h2
+A_FARTHEST = 300.0  # of the scan beyond the map
+A_SOLVED = 1000.0  # h1 / (h2 - fc) up to which the conditions are above rounding: t1 falls as its square
 A_TICKS = (0.05, 0.1, 0.3, 1.0, 3.0)
 B_MOST = 0.96  # largest fc / h2 of those below 1
 B_BEYOND = (1.0, 1.1)  # where Property 3.1 allows no cycle
@@ -112,6 +114,7 @@ class Result:
     """The map.
 
     places     in rows of constant b
+    far        beyond the map, up to ``A_FARTHEST``
     visits     likewise, on a coarser grid
     searches   arrivals that each random search waited for
     scaling    largest relative difference of the dimensionless numbers between motors
@@ -121,6 +124,7 @@ class Result:
     a: Array
     b: Array
     places: tuple[tuple[Place, ...], ...]
+    far: tuple[Place, ...]
     visits: tuple[tuple[Visit, ...], ...]
     searches: int
     scaling: float
@@ -147,7 +151,7 @@ class Result:
 
 
 def compute(side: int = 15, searches: int = 10, visits: int = 7, starts: int = 8) -> Result:
-    """The map of ``side`` by about as many pairs, the loop itself on a grid of ``visits`` by ``visits``.
+    """The map of ``side`` by about as many pairs, as many beyond it, the loop itself on a grid of ``visits`` squared.
 
     searches   random starts of the equations that must end in a solution at each pair
     starts     random initial states of the loop at each
@@ -156,9 +160,12 @@ def compute(side: int = 15, searches: int = 10, visits: int = 7, starts: int = 8
     a = np.geomspace(*A_RANGE, side)
     b = np.concatenate((np.linspace(0.0, B_MOST, side), B_BEYOND))
     places = tuple(tuple(_place(x, y, searches, rng) for x in a.tolist()) for y in b.tolist())
+    a_far, b_far = np.geomspace(A_RANGE[1], A_FARTHEST, side + 1)[1:], np.linspace(0.0, B_MOST, side)
+    pairs = [(x, y) for y in b_far.tolist() for x in a_far.tolist() if x / (1.0 - y) <= A_SOLVED]
+    far = tuple(_place(x, y, searches, rng) for x, y in pairs)
     a_visited, b_visited = np.geomspace(*A_RANGE, visits), np.linspace(0.0, 0.9, visits)
     seen = tuple(tuple(_visit(x, y, starts, rng) for x in a_visited.tolist()) for y in b_visited.tolist())
-    return Result(a, b, places, seen, searches, _scaling(a[:: max(1, side // 4)]), _trapped())
+    return Result(a, b, places, far, seen, searches, _scaling(a[:: max(1, side // 4)]), _trapped())
 
 
 def _place(a: float, b: float, searches: int, rng: np.random.Generator) -> Place:
@@ -244,7 +251,7 @@ def _trapped() -> str:
 
 def unique(result: Result) -> Claim:
     """Theorem 2.1: one set of positive solutions wherever h2 > fc, by the scan and from random starts alike."""
-    return Claim(all(place.unique for place in result.below))
+    return Claim(all(place.unique for place in (*result.below, *result.far)))
 
 
 def none_beyond(result: Result) -> Claim:
@@ -273,9 +280,10 @@ def section(result: Result) -> Section:
     fastest = min(below, key=lambda place: place.radius)
     slowest = max(below, key=lambda place: place.radius)
     solved, tried = (sum(getattr(place.search, count) for place in below) for count in ("arrived", "tried"))
-    apart = max(place.difference for place in below)
+    apart = max(place.difference for place in (*below, *result.far))
     one = unique(result)
-    exceptions = [place for place in below if not place.unique]
+    exceptions = [place for place in (*below, *result.far) if not place.unique]
+    exceptions_below = [place for place in below if not place.unique]
     blocks = (
         Paragraph(
             "Theorem 2.1 has three equations for t<sub>1</sub>, t<sub>2</sub>, t<sub>3</sub> and says that they have "
@@ -303,9 +311,11 @@ def section(result: Result) -> Section:
         Remark(
             one.agreement,
             f"{one.says('Only one set of positive solutions', 'Not one set of positive solutions')} at "
-            f"{len(below) - len(exceptions)} of {len(below)} pairs of a and b with h<sub>2</sub> &gt; f<sub>c</sub>, "
-            f"a from {A_RANGE[0]:g} to {A_RANGE[1]:g} and b from {result.b[0]:g} to {B_MOST:g}"
-            f"{_exception_words(exceptions)}. The program's own solver differs from it by at most "
+            f"{len(below) - len(exceptions_below)} of {len(below)} pairs of a and b with h<sub>2</sub> &gt; "
+            f"f<sub>c</sub>, a from {A_RANGE[0]:g} to {A_RANGE[1]:g} and b from {result.b[0]:g} to {B_MOST:g}, and at "
+            f"{sum(place.unique for place in result.far)} of {len(result.far)} beyond, to a = {A_FARTHEST:g}, where "
+            f"h<sub>1</sub>/(h<sub>2</sub> − f<sub>c</sub>) is at most {A_SOLVED:g} (with more, t<sub>1</sub> is lost "
+            f"in rounding){_exception_words(exceptions)}. The program's own solver differs from it by at most "
             f"{significant(apart, 1)}, and no relay switches additionally there. This is a computation, not a proof.",
         ),
         Remark(
@@ -413,8 +423,9 @@ def _comparisons(result: Result) -> tuple[Comparison, ...]:
             "Theorem 2.1",
             "only one set of positive solutions",
             "as stated",
-            f"one at {sum(place.unique for place in below)} of {len(below)} pairs with h<sub>2</sub> &gt; "
-            f"f<sub>c</sub>; none at {sum(place.none for place in result.beyond)} of {len(result.beyond)} with "
+            f"one at {sum(place.unique for place in (*below, *result.far))} of {len(below) + len(result.far)} pairs "
+            f"with h<sub>2</sub> &gt; f<sub>c</sub>, to h<sub>1</sub>/h<sub>2</sub> = {A_FARTHEST:g}; none "
+            f"at {sum(place.none for place in result.beyond)} of {len(result.beyond)} with "
             "h<sub>2</sub> ≤ f<sub>c</sub>",
             Claim(unique(result).holds and none_beyond(result).holds).agreement,
             "by a scan and from random starts; not a proof",
@@ -495,15 +506,15 @@ def _map_figure(result: Result) -> Picture:
     for axes in panels[1]:
         axes.set_xlabel("a = h1 / h2")
     for axes in panels[:, 0]:
-        axes.set_ylabel("b = fc / h2")
+        axes.set_ylabel("b = f_c / h2")
     return finish(
         figure,
         "Maps over h1/h2 and fc/h2: number of solutions, largest eigenvalue, periods to settle, share of starts.",
-        "Over a = h1/h2 (logarithmic) and b = fc/h2, which stand for all gains and motors: how many sets of positive "
-        "durations there are (none above the red line, h2 = fc); the largest eigenvalue of the half period; how many "
+        "Over a = h1/h2 (logarithmic) and b = f_c/h2, which stand for all gains and motors: how many sets of positive "
+        "durations there are (none above the red line, h2 = f_c); the largest eigenvalue of the half period; how many "
         f"periods it takes until a small distance is {100.0 * SETTLED:g} % of itself, as a power of ten; the share "
         "of random initial "
-        "states from which the loop came to the cycle. Dashes: h1 = h2 + fc.",
+        "states from which the loop came to the cycle. Dashes: h1 = h2 + f_c.",
     )
 
 

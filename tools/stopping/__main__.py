@@ -114,8 +114,9 @@ def main() -> int:
 
 def page(told: Told, percent: float, command: str, made: str, new: int, shown: Shown | None = None) -> str:
     """The page as Markdown; ``shown``: what each law of the departing motors could show."""
+    title = TITLE if told[PLAIN] or told[KNOWN] else f"{TITLE}, identified afterwards"
     lines = [
-        TITLE if any(told[group] for group in (PLAIN, KNOWN, AFTERWARDS)) else DEPARTING_TITLE,
+        title if any(told[group] for group in (PLAIN, KNOWN, AFTERWARDS)) else DEPARTING_TITLE,
         "",
         f"Made by `{command}`: {made} for {new} motors.",
         "Motors of the campaign's grid (10 ms, 3 mrad of noise, 10 bits; within ±0.55 rad, 4.9 rad/s and 3 V),",

@@ -16,6 +16,7 @@ import sys
 from typing import Final
 
 from rig.backends.links.holder import process_in_words
+from rig.copies import keep_from_copies, no_longer_own
 from rig.faults import Fault
 
 HERE: Final = "here"  # stands for every address of this machine
@@ -56,11 +57,13 @@ class HeldEndpoint:
             if error.errno != errno.EADDRINUSE:
                 raise
             raise Fault("SECOND_MASTER", f"{self._where}: {_holder(name)}") from error
+        keep_from_copies(one.fileno())
         one.listen()  # nobody accepts: whoever connects is told by the kernel who listens
 
     def close(self) -> None:
         """Let go. May be called twice."""
         for one in self._held.values():
+            no_longer_own(one.fileno())
             one.close()
         self._held.clear()
 

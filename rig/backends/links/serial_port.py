@@ -11,6 +11,7 @@ import time
 
 from rig.backends.links.holder import holder_of_file
 from rig.backends.links.usb_port import check_board
+from rig.copies import keep_from_copies, no_longer_own
 from rig.faults import Fault
 
 _READ_BYTES = 512
@@ -54,6 +55,7 @@ class SerialPort:
             self._serial.close()
             raise
         self._keep_others_out(keeps=True)
+        keep_from_copies(self._fd)
         try:
             self._serial.set_low_latency_mode(True)
             self.low_latency = True
@@ -102,6 +104,7 @@ class SerialPort:
         """Give the port back. May be called twice."""
         if self._fd >= 0:
             self._keep_others_out(keeps=False)
+            no_longer_own(self._fd)
         self._fd = -1  # the number may soon be another file's
         self._serial.close()
 

@@ -7,6 +7,7 @@ import socket
 import time
 
 from rig.backends.links.held_endpoint import HeldEndpoint
+from rig.copies import keep_from_copies, no_longer_own
 from rig.faults import Fault
 
 _READ_BYTES = 1024
@@ -28,6 +29,7 @@ class TcpTransport:
         except OSError as error:
             self._held.close()
             raise Fault("LINK_OPEN", f"tcp://{self._name}: {error.strerror or error}") from error
+        keep_from_copies(self._socket.fileno())
         try:
             self._held.hold(str(self._socket.getpeername()[0]))  # its name may have got another address since
         except (OSError, Fault) as error:
@@ -68,5 +70,6 @@ class TcpTransport:
 
     def close(self) -> None:
         """Close the connection. May be called twice."""
+        no_longer_own(self._socket.fileno())
         self._socket.close()
         self._held.close()

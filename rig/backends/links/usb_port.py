@@ -16,6 +16,7 @@ _ROOT = Path("/")
 _BY_ID = Path("/dev/serial/by-id")
 _USB_NAMES = ("/dev/ttyUSB*", "/dev/ttyACM*", "/dev/serial/by-id/usb-*", "/dev/tty.usb*")
 _NO_NUMBERS = ("", "1")  # 0001: what each CP210x has as it comes
+_LONGEST_NUMBER = 126  # that a string of USB holds
 
 
 class UsbPort(NamedTuple):
@@ -109,9 +110,10 @@ def port_of(serial_number: str) -> str:
 
 
 def _number_of(port: Any) -> str | None:
-    """The serial number of one of pyserial's ports, if it is one."""
+    """The serial number of one of pyserial's ports, if it is one, and a config takes it: ``daq.usb_serial``."""
     number = str(getattr(port, "serial_number", None) or "").strip()
-    return number if number.lstrip("0") not in _NO_NUMBERS else None
+    fits = number.isascii() and number.isprintable() and len(number) <= _LONGEST_NUMBER
+    return number if fits and number.lstrip("0") not in _NO_NUMBERS else None
 
 
 def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter", root: Path = _ROOT) -> None:

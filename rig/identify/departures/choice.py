@@ -37,6 +37,8 @@ GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
+# of a step: the error of rounding is half a step at most, a start's comes on top; normal noise of its size leaves 98 %
+WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
 NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
@@ -104,6 +106,7 @@ class Chooser:
     core        plain numbers that are fitted
     delay_s     bounds of the delay, s
     sigma_rad   the sensor's noise, rad
+    step_rad    its step, rad; 0: none is known
     asked       what a law must bring
     known       what is known of the numbers from beside the tests; None: nothing
     """
@@ -113,6 +116,7 @@ class Chooser:
     core: tuple[str, ...]
     delay_s: tuple[float, float]
     sigma_rad: float
+    step_rad: float = 0.0
     asked: Asked = ASKED
     known: Known | None = None
 
@@ -295,6 +299,10 @@ class Chooser:
                 return fit, laws
             fit, laws = steps[0]
 
+    def _is_rounding(self, fit: Fit) -> bool:
+        """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
+        return float(np.mean(np.abs(fit.residual_rad) <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
+
     def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Without laws that are not worth their numbers."""
         while True:
@@ -307,7 +315,8 @@ class Chooser:
     def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
         seen = with_own_noise(fit)
-        if len(laws) >= MOST or (fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW):
+        steps_show = fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW
+        if len(laws) >= MOST or steps_show or self._is_rounding(fit):
             return []  # the sensor's own steps are left, which look like anything
         found = []
         for promise in self.promises(seen, laws)[:TRIED]:

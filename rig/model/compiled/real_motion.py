@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rig.model.compiled.kernel import kernel
 from rig.model.real_step import (
     NO_FADING,
+    STEP_OF_TAU,
     Frame,
     Numbers,
     RealMotor,
@@ -50,7 +51,8 @@ BACKLASH, LINEARITY, DRIFT = (RealMotor._fields.index(n) for n in ("backlash_rad
 
 # No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does.
 RUNAWAY_RAD_S = 1e5
-STEPS_OF_ROW = 10_000  # at most, on the average over rows and edges
+# steps at most, on the average over rows and edges: by the way that it turns in one, and by its time constants in one
+STEPS_OF_ROW, STEPS_OF_TAUS = 200, 1_000
 
 # Which of the derivatives cost a function of their own: over position, over the cogging, over speed.
 Used = tuple[bool, bool, bool]
@@ -439,7 +441,8 @@ def readings(
     _staged_slopes(motor, u_V[0], d.room[STAGED])
     _copy_staged(d.room)
     w, begun = staged_V, min(t_s[0], edge_s[0] + motor.delay_s)
-    left = STEPS_OF_ROW * (n + edges)
+    of_taus = 2.0 * (t_s[n - 1] - t_s[0]) / (STEP_OF_TAU * motor.tau_s)
+    left = STEPS_OF_ROW * (n + edges) + min(of_taus, STEPS_OF_TAUS * (n + edges))
     for piece in range(first.size):
         k = first[piece]
         last = first[piece + 1] if piece + 1 < first.size else n
