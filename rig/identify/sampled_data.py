@@ -37,7 +37,6 @@ from rig.recording.stage import StageKind
 Array = NDArray[np.float64]
 
 METHOD = "sampled-data"
-MOST_COMPARED = 500  # rows of a test at which starts are compared: they differ by far more than noise
 POLISHED = 3  # number of starts that are iterated
 FIRST_CYCLES = 2.5  # length of the first part of the recording, in cycles: the starts are compared there
 NEAR_PERIODS = 4.0  # periods between two delays to start from
@@ -217,24 +216,22 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
 
 @dataclass(frozen=True)
 class _Scores:
-    """What starts are compared by, at some of the rows. Of each window: velocity and position at its first row.
+    """What starts are compared by. Of each window: its velocity and position at the first row, and its line's rest.
 
-    t_s     of each window its rows' times, s
+    times   of each window less their mean, s
     rest    (n,) positions of all windows, each without its line, rad
     """
 
     windows: Sequence[Window]
     states: Sequence[tuple[float, float]]
-    t_s: Sequence[Array]
+    times: Sequence[Array]
     rest: Array
 
     @classmethod
     def of(cls, windows: Sequence[Window]) -> _Scores:
-        every = [slice(None, None, math.ceil(window.t_s.size / MOST_COMPARED)) for window in windows]
-        t_s = [window.t_s[rows] for window, rows in zip(windows, every, strict=True)]
-        y_rad = [window.y_rad[rows] for window, rows in zip(windows, every, strict=True)]
-        rest = np.concatenate([_without_line(t, y) for t, y in zip(t_s, y_rad, strict=True)])
-        return cls(windows, [initial_state(window) for window in windows], t_s, rest)
+        times = [window.t_s - window.t_s.mean() for window in windows]
+        rest = [_without_line(x, window.y_rad) for x, window in zip(times, windows, strict=True)]
+        return cls(windows, [initial_state(window) for window in windows], times, np.concatenate(rest))
 
     def of_start(self, start: Start, delay_s: float) -> tuple[float, float]:
         """Sum of squares of a start, rad^2, with its linear part (gain, offset, drift) solved; and its gain."""
@@ -242,10 +239,10 @@ class _Scores:
         cost = math.inf
         for _ in range(1 if math.isfinite(gain) else 3):
             shapes = []
-            for window, (v0, _y0), t_s in zip(self.windows, self.states, self.t_s, strict=True):
+            for window, (v0, _y0), x in zip(self.windows, self.states, self.times, strict=True):
                 w0 = v0 / gain if math.isfinite(gain) else 0.0
-                shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, t_s)
-                shapes.append(_without_line(t_s, shape))
+                shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, window.t_s)
+                shapes.append(_without_line(x, shape))
             shape = np.concatenate(shapes)
             power = float(shape @ shape)
             if power <= 0.0 or (fitted := float(shape @ self.rest) / power) <= 0.0:
@@ -266,8 +263,7 @@ class _Scores:
         return np.array(shared + [value for state in self.states for value in state])
 
 
-def _without_line(t_s: Array, y: Array) -> Array:
-    x = t_s - t_s.mean()
+def _without_line(x: Array, y: Array) -> Array:
     return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
 
 
