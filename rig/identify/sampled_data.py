@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,11 +155,10 @@ def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProble
 
 
 def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
-    """The full vectors of the best starts, the best first."""
-    scores = _Scores.of(problem.windows)
-    scored = [(*scores.of_start(one, delay_s), one, delay_s) for delay_s in _first_delays(problem) for one in starts]
-    best = sorted(scored, key=lambda candidate: candidate[0])[:POLISHED]
-    return [scores.full_vector(one, gain, delay_s, free_asym=problem.free[3]) for _, gain, one, delay_s in best]
+    """The full vectors of the starts, the best first."""
+    asym = problem.free[3]
+    scored = [_score(problem.windows, one, delay_s, asym) for delay_s in _first_delays(problem) for one in starts]
+    return [x0 for _, x0 in sorted(scored, key=lambda candidate: candidate[0])]
 
 
 def _first_delays(problem: OutputErrorProblem) -> list[float]:
@@ -199,7 +198,7 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
         whole = horizon_s >= last_s
         windows = problem.windows if whole else tuple(window.until(horizon_s) for window in problem.windows)
         part = replace(problem, windows=windows)
-        x0s = candidates if best is None else [best.x]
+        x0s = candidates[:POLISHED] if best is None else [best.x]
         found = min((part.solve(x0) for x0 in x0s), key=lambda solution: solution.cost)
         if best is not None:
             found = replace(found, iterates=np.concatenate((best.iterates, found.iterates)))
@@ -214,56 +213,40 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
 
 
-@dataclass(frozen=True)
-class _Scores:
-    """What starts are compared by. Of each window: its velocity and position at the first row, and its line's rest.
-
-    times   of each window less their mean, s
-    rest    (n,) positions of all windows, each without its line, rad
-    """
-
-    windows: Sequence[Window]
-    states: Sequence[tuple[float, float]]
-    times: Sequence[Array]
-    rest: Array
-
-    @classmethod
-    def of(cls, windows: Sequence[Window]) -> _Scores:
-        times = [window.t_s - window.t_s.mean() for window in windows]
-        rest = [_without_line(x, window.y_rad) for x, window in zip(times, windows, strict=True)]
-        return cls(windows, [initial_state(window) for window in windows], times, np.concatenate(rest))
-
-    def of_start(self, start: Start, delay_s: float) -> tuple[float, float]:
-        """Sum of squares of a start, rad^2, with its linear part (gain, offset, drift) solved; and its gain."""
-        gain = start.K_rad_s_V
-        cost = math.inf
-        for _ in range(1 if math.isfinite(gain) else 3):
-            shapes = []
-            for window, (v0, _y0), x in zip(self.windows, self.states, self.times, strict=True):
-                w0 = v0 / gain if math.isfinite(gain) else 0.0
-                shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, window.t_s)
-                shapes.append(_without_line(x, shape))
-            shape = np.concatenate(shapes)
-            power = float(shape @ shape)
-            if power <= 0.0 or (fitted := float(shape @ self.rest) / power) <= 0.0:
-                break
-            gain = fitted
-            residual = self.rest - gain * shape
-            cost = float(residual @ residual)
-        return cost, gain if math.isfinite(gain) else 1.0
-
-    def full_vector(self, start: Start, gain: float, delay_s: float, *, free_asym: bool) -> Array:
-        """The full vector of a start with this gain: what drifts over the recording is asymmetry."""
-        drifts = []
-        for window, (v0, y0) in zip(self.windows, self.states, strict=True):
-            y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
-            drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
-        asym = float(np.mean(drifts)) / gain if free_asym else 0.0
-        shared = [math.log(start.tau_s), math.log(gain), start.fc_V, asym, delay_s]
-        return np.array(shared + [value for state in self.states for value in state])
+def _score(windows: Sequence[Window], start: Start, delay_s: float, free_asym: bool = True) -> tuple[float, Array]:
+    """Sum of squares of a start, with its linear part (gain, offset, drift) solved, and the resulting full vector."""
+    gain = start.K_rad_s_V
+    states = [initial_state(window) for window in windows]
+    cost = math.inf
+    asym = 0.0
+    for _ in range(1 if math.isfinite(gain) else 3):
+        shapes, targets = [], []
+        for window, (v0, _y0) in zip(windows, states, strict=True):
+            w0 = v0 / gain if math.isfinite(gain) else 0.0
+            shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, window.t_s)
+            shapes.append(_without_line(window.t_s, shape))
+            targets.append(_without_line(window.t_s, window.y_rad))
+        shape, target = np.concatenate(shapes), np.concatenate(targets)
+        power = float(shape @ shape)
+        if power <= 0.0 or (fitted := float(shape @ target) / power) <= 0.0:
+            break
+        gain = fitted
+        residual = target - gain * shape
+        cost = float(residual @ residual)
+    if not math.isfinite(gain):
+        gain = 1.0
+    # A remaining drift over the recording is asymmetry.
+    drifts = []
+    for window, (v0, y0) in zip(windows, states, strict=True):
+        y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
+        drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
+    asym = float(np.mean(drifts)) / gain if free_asym else 0.0
+    shared = [math.log(start.tau_s), math.log(gain), start.fc_V, asym, delay_s]
+    return cost, np.array(shared + [value for state in states for value in state])
 
 
-def _without_line(x: Array, y: Array) -> Array:
+def _without_line(t_s: Array, y: Array) -> Array:
+    x = t_s - t_s.mean()
     return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
 
 

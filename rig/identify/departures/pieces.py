@@ -232,7 +232,14 @@ class Cut:
 
     def guessed(self) -> Array:
         """(p, 2) velocity, rad/s, and position, rad, at each start, by a parabola through the rows around it."""
-        starts = np.concatenate([_parabolas(w, rows) for w, rows in zip(self.windows, self.rows, strict=True)])
+        found = []
+        for window, rows in zip(self.windows, self.rows, strict=True):
+            for row in rows.tolist():
+                near = slice(max(0, row - NEAR_ROWS), row + NEAR_ROWS + 1)
+                t, y = window.t_s[near] - window.t_s[row], window.y_rad[near]
+                _, slope, offset = np.polyfit(t, y, 2)
+                found.append((float(slope), float(offset)))
+        starts = np.array(found)
         if self.resting is not None:
             starts[self.resting, 0] = 0.0
         return starts
@@ -294,20 +301,6 @@ def _centred(windows: Sequence[Window], frames: Sequence[Frame]) -> tuple[Frame,
     mean_s = float(np.average(since_s, weights=[window.duration_s for window in windows]))
     later_s = mean_s - 0.5 * frames[0].duration_s
     return tuple(frame._replace(start_s=frame.start_s + later_s) for frame in frames)
-
-
-def _parabolas(window: Window, rows: Rows) -> Array:
-    """(p, 2) slope and height at ``rows``, (p,), of the parabola through the rows around each."""
-    at = rows[:, None] + np.arange(-NEAR_ROWS, NEAR_ROWS + 1)
-    counts = (at >= 0) & (at < window.t_s.size)
-    at = np.clip(at, 0, window.t_s.size - 1)
-    t_s = window.t_s[at] - window.t_s[rows][:, None]
-    reach_s = np.abs(t_s).max(axis=1)
-    x, y_rad = t_s / reach_s[:, None], window.y_rad[at] - window.y_rad[rows][:, None]
-    powers = np.stack((np.ones_like(x), x, x * x), axis=2) * counts[:, :, None]
-    matrix = np.swapaxes(powers, 1, 2) @ powers
-    height, slope = np.linalg.solve(matrix, np.einsum("pki,pk->pi", powers, y_rad)[:, :, None])[:, :2, 0].T
-    return np.column_stack((slope / reach_s, height + window.y_rad[rows]))
 
 
 def _goes_along(window: Window) -> bool:
