@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 CHANCE = 0.01  # that pieces of a motor that the model describes seem to differ
 FEWEST_PIECES = 6
+NORMAL = 3.0  # fourth moment of a normal distribution over the square of its variance
 APART = 1.15  # drive of the half with high drives over that of the other: less tells nothing
 DIFFER = 2.5  # standard deviations by which the halves must differ
 PIECES = "pieces that differ"
@@ -61,7 +62,7 @@ def model_error(fit: Fit, blocks: Cut, predicts: float) -> ModelError:
     if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):
         return ModelError()
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-    of_pieces, effect = _pieces(matrix, gradient, unit(fit), at)
+    of_pieces, effect = beyond_noise(matrix, gradient, unit(fit), at)
     lines = (of_pieces, _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
     found = [
         Entry(source, *(half * size).tolist())
@@ -73,16 +74,23 @@ def model_error(fit: Fit, blocks: Cut, predicts: float) -> ModelError:
     return ModelError(tuple(found), effect)
 
 
-def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
-    """(3,) half widths that the pieces show beyond the scatter of as many rows as count, and how many count as one."""
+def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
+    """(k,) half widths that pieces show beyond the scatter of as many rows as count, and how many rows count as one.
+
+    matrix, gradient   (p, m, m) and (p, m): normal equations of each piece
+    noise              variance of its rows
+    at                 (k,) which numbers
+    Degrees of freedom are those of normal pieces as unequal as these are, by what each says of a number and by how far
+    it moves it, whichever are fewer.
+    """
     inverse = _inverse(matrix.sum(axis=0))
     moves = -(gradient @ inverse)[:, at]
     moves = moves - moves.mean(axis=0)
     count = moves.shape[0]
     squares = (moves**2).sum(axis=0) * count / max(count - gradient.shape[1] / 2.0, 1.0)
     naive = np.maximum(np.diag(inverse)[at] * noise, 1e-300)
-    fourth = np.maximum((moves**4).sum(axis=0), 1e-300)
-    effective = np.clip((moves**2).sum(axis=0) ** 2 / fourth - 1.0, 1.0, None)
+    by_noise = np.maximum(np.einsum("ik,pkl,li->pi", inverse[at], matrix, inverse[:, at]), 0.0)
+    effective = np.maximum(np.minimum(_as_many(by_noise) - 1.0, NORMAL * _as_many(moves**2) - 2.0), 1.0)
     bar = np.array([chdtri(one, CHANCE) / one for one in effective])
     half = np.array([float(stdtrit(one, 0.975)) for one in effective]) * np.sqrt(squares)
     differ = squares > bar * naive
@@ -90,6 +98,11 @@ def _pieces(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> 
     effect = max(1.0, float(np.exp(np.log(ratio[differ]).mean()))) if differ.any() else 1.0
     beyond = np.sqrt(np.maximum(half**2 - COVERAGE**2 * naive * effect, 0.0))
     return np.where(differ, beyond, 0.0), effect
+
+
+def _as_many(squares: Array) -> Array:
+    """(k,) by how many of equal size the (p, k) ``squares`` count (Satterthwaite, Biometrics Bulletin 2, 1946)."""
+    return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
 
 
 def _drives(matrix: Array, gradient: Array, at: Sequence[int], drive_V: Array) -> Array:

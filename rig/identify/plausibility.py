@@ -102,7 +102,8 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
         current = "or is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
-        return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}")]
+        reason = f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}"
+        return [Objection("refused", reason, spoils=_shortest_tau_s(estimate) > LONGEST_TAU_S)]
     if tau < SHORTEST_TAU_S:
         return [Objection("refused", f"tau = {tau:.3g} s is no motor's: is t_s in seconds, not in ks or minutes?")]
     if tau > LONG_TAU_S and period >= 1e3 * SHORTEST_PERIOD_S:
@@ -110,6 +111,15 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     if tau < SHORT_TAU_S:
         return [Objection("doubtful", f"tau = {tau:.3g} s is very short: is t_s in seconds, not in ks or minutes?")]
     return []
+
+
+def _shortest_tau_s(estimate: Estimate) -> float:
+    """The shortest tau that a motor of this estimate may have, at 95 %: what a record shows of a long one is 1 / tau.
+
+    Where even a small motor's is as likely, it is tau that the record does not say, and the columns may be right.
+    """
+    low_s, high_s = estimate.ci95.get("tau_s", (estimate.tau_s, estimate.tau_s))
+    return estimate.tau_s / (1.0 + 0.5 * (high_s - low_s) / estimate.tau_s)
 
 
 def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:

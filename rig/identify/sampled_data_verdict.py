@@ -84,9 +84,8 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             "refused", f"tau = {estimate.tau_s:.3g} s is too short for samples every {period:.3g} s: sample faster"
         )
     if estimate.tau_s > 2.0 * duration:
-        return estimate.judged(
-            "refused", f"tau = {estimate.tau_s:.3g} s is longer than the recording, {duration:.3g} s: record longer"
-        )
+        reason = f"tau = {estimate.tau_s:.3g} s is longer than the recording, {duration:.3g} s: record longer"
+        return estimate.judged("refused", reason, spoiled=False)  # its drive and position may belong together
     longest = max(test.longest_delay_s for test in tests)
     if all(test.t_u_s is not None for test in tests):
         return estimate

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.identify.plausibility import judge_records
+from rig.identify.estimate import Estimate
+from rig.identify.plausibility import judge_motor, judge_records
 from rig.recording.series import TimeSeries
 from rig.recording.stage import Stage
 
@@ -90,3 +91,12 @@ def test_a_drive_without_its_sign_is_named(u_V: Callable[[Array, Array], Array],
     test = TimeSeries(t_s, y_rad, None, u_V(drive, way))
     said = [objection for objection in judge_records([test]) if "sign is missing" in objection.reason]
     assert [objection.verdict for objection in said] == (["refused"] if lacks else [])
+
+
+@pytest.mark.parametrize(("half_s", "spoils"), [(30.0, True), (6000.0, False)])
+def test_a_tau_of_no_small_motor_is_the_columns_fault_only_where_the_record_says_it(
+    half_s: float, *, spoils: bool
+) -> None:
+    estimate = Estimate("sampled-data", 60.0, 20.0, 0.6, ci95={"tau_s": (60.0 - half_s, 60.0 + half_s)})
+    [objection] = judge_motor(estimate, [to_and_fro(0.0)])
+    assert (objection.verdict, objection.spoils) == ("refused", spoils)

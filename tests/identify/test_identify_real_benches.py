@@ -10,14 +10,14 @@ import pytest
 
 from rig.identify import identify
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.blocks import Blocks, HeldOut, held_out
+from rig.identify.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, by_prediction
 from rig.identify.in_pieces import fit_in_pieces
-from rig.identify.model_error import DRIVES, PIECES, model_error
+from rig.identify.model_error import DRIVES, PIECES, beyond_noise, model_error
 from rig.identify.plausibility import judge_records
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, response
 from rig.recording.recording import from_columns
@@ -232,6 +232,29 @@ def test_errors_of_the_model_add_nothing_on_a_motor_that_is_what_the_model_says(
     assert lines[0] == {}
     assert {PIECES, DRIVES} & lines[1].keys()
     assert max(entry.K_rad_s_V for entry in lines[1].values()) > 0.005 * MOTOR.K_rad_s_V
+
+
+def test_few_pieces_that_differ_hold_the_truth_and_are_no_wider_than_that_takes() -> None:
+    random = np.random.default_rng(5)
+    pieces, numbers, scatter, draws = 10, 5, 5.0, 400
+    half, off = np.empty(draws), np.empty(draws)
+    for k in range(draws):
+        rows = random.standard_normal((pieces, 40, numbers))
+        matrix = np.swapaxes(rows, 1, 2) @ rows
+        pulls = np.einsum("pij,pj->pi", matrix, scatter * random.standard_normal((pieces, numbers)))
+        inverse = np.linalg.inv(matrix.sum(axis=0))
+        found = inverse @ pulls.sum(axis=0)
+        beyond, effect = beyond_noise(matrix, matrix @ found - pulls, 1.0, [0])
+        half[k], off[k] = math.hypot(beyond[0], 2.0 * math.sqrt(effect * inverse[0, 0])), found[0]
+    assert 0.93 < np.mean(np.abs(off) < half) < 0.99
+    assert np.median(half) < 3.0 * scatter / math.sqrt(pieces)
+
+
+def test_a_law_that_one_block_alone_shows_takes_nothing_away() -> None:
+    noise, bare = np.full(8, 0.01), np.array([8.0, *[1.0] * 7])
+    assert share_cut(0.25 * bare, bare, noise) == pytest.approx(0.5, abs=0.01)
+    assert share_cut(np.array([1.0, *[1.1] * 7]), bare, noise) < 0.25
+    assert share_cut(np.array([8.0, *[0.1] * 7]), bare, noise) < 0.25
 
 
 def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.blocks import Blocks
+from rig.identify.departures.blocks import Blocks, share_cut
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach
 from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
@@ -56,7 +56,8 @@ class Asked(NamedTuple):
     entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
     stay      to stay
     predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
-    cuts      share of the error beyond the sensor's noise, in blocks that were not fitted, that a law must take away
+    cuts      share of the error beyond the sensor's noise that a law must take away in blocks that were not fitted: in
+              all together, and in their geometric mean
     """
 
     entry: float = 5.0
@@ -140,11 +141,7 @@ class Chooser:
         fit, laws = self._last(fit, laws)
         while (leaner := self._leaner(fit, laws)) is not None:
             fit, laws = self._last(*leaner)
-        while laws and (idle := self._idle(fit, laws, whole)) is not None:
-            laws = tuple(law for law in laws if law is not idle)
-            fit, laws = self._last(
-                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, idle)), laws
-            )
+        fit, laws = self._predicting(fit, laws, whole)
         while laws:
             rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
             # normal equations say nothing of a law that leaps
@@ -209,38 +206,49 @@ class Chooser:
         is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
         return self._at_best_shape(bare, others) if is_faint else bare
 
-    def _idle(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> Departure | None:
-        """The law that takes least of the error in blocks that were not fitted; None if each takes as much as is asked.
+    def _predicting(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> tuple[Fit, tuple[Departure, ...]]:
+        """The fit without laws that take too little of the error in blocks that were not fitted, the least one first.
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
-        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it. Where it leaves white
-        noise, likelihood is right.
+        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
+        so in few blocks alone. Where it leaves white noise, likelihood is right. Laws that only together take as much
+        as is asked stay together.
         """
-        if fit.problem.noise.white:
-            return None
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
-        full = self._held_out_rad(blocks, laws, fit.motor)
-        cuts: dict[Departure, float] = {}
-        for law in laws:
-            if self._is_shown_beside(fit, law):
-                continue
-            others = tuple(one for one in laws if one is not law)
-            bare = self._held_out_rad(blocks, others, without(fit.motor, law))
-            left, all_of_it = (max(rad**2 - self.sigma_rad**2, 1e-300) for rad in (full, bare))
-            cuts[law] = 1.0 - math.sqrt(left / all_of_it)
-        least = min(cuts, key=lambda law: cuts[law], default=None)
-        return None if least is None or cuts[least] >= self.asked.cuts else least
+        noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
+        known: dict[tuple[Departure, ...], Array] = {}
+
+        def left(laws: tuple[Departure, ...], motor: RealMotor) -> Array:
+            if laws not in known:
+                problem = self.problem(blocks.cut, laws, math.inf)
+                known[laws] = np.maximum(blocks.held_out(problem, motor, starts_known=True) - noise, 0.0)
+            return known[laws]
+
+        first = fit, laws
+        while laws and not fit.problem.noise.white:
+            full = left(laws, fit.motor)
+            cuts = {
+                law: share_cut(full, left(tuple(o for o in laws if o is not law), without(fit.motor, law)), noise)
+                for law in laws
+                if not self._is_shown_beside(fit, law)
+            }
+            least = min(cuts, key=lambda law: cuts[law], default=None)
+            if least is None or cuts[least] >= self.asked.cuts:
+                break
+            laws = tuple(law for law in laws if law is not least)
+            fit, laws = self._last(
+                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
+            )
+        if laws == first[1]:
+            return first
+        together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), noise)
+        return first if together >= self.asked.cuts else (fit, laws)
 
     def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
         """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
         surprise = fit.problem.surprise
         rise = (surprise(without(fit.motor, law)) - surprise(fit.motor)) / unit(fit)
         return rise >= self.price(law, fit, self.asked.stay)
-
-    def _held_out_rad(self, blocks: Blocks, laws: Sequence[Departure], motor: RealMotor) -> float:
-        """RMS error in blocks, rad, each predicted by what the others say of these laws and numbers."""
-        squares = blocks.held_out(self.problem(blocks.cut, laws, math.inf), motor, starts_known=True)
-        return math.sqrt(float(squares.sum()) / blocks.shown.size)
 
     def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
         """The last fit on pieces short enough that some of them can be predicted from the others."""

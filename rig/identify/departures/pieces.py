@@ -142,6 +142,23 @@ class Cut:
         rows = (_first_rows(w, min(length_s, most_s)) for w, most_s in zip(self.windows, self.most_s, strict=True))
         return replace(self, rows=tuple(rows), resting=None, weight=None)
 
+    def only(self, chosen: NDArray[np.bool_]) -> Cut:
+        """Some of its pieces, each as a window of its own; ``chosen``: (p,), at least one. Rows count as they do."""
+        every = [
+            (Window(window.series, window.first + first, window.first + stop), frame, most_s)
+            for window, frame, rows, most_s in zip(self.windows, self.frames, self.rows, self.most_s, strict=True)
+            for first, stop in pairwise([*rows.tolist(), window.t_s.size])
+        ]
+        windows, frames, most_s = zip(*(one for one, is_one in zip(every, chosen, strict=True) if is_one), strict=True)
+        return Cut(
+            windows,
+            frames,
+            tuple(np.zeros(1, dtype=np.int64) for _ in windows),
+            most_s,
+            None if self.resting is None else self.resting[chosen],
+            None if self.weight is None else self.weight[chosen[self.piece]],
+        )
+
     @cached_property
     def t_s(self) -> Array:
         """Times of all rows, s."""
