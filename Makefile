@@ -25,10 +25,10 @@ SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 # to collect the others would take longer than many of these tests
 CLOCKED = $$(grep -lrE 'mark\.(realtime|alone)' tests --include='test_*.py')
 
-# what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
+# some wait for processes of theirs; what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
 test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
 	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
-	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$(nproc) $(SHARED)
+	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$((3 * $$(nproc) / 2)) $(SHARED)
 	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(CLOCKED)
 	$(PYTEST) -m "alone and not evidence" $(CLOCKED)
 
