@@ -11,6 +11,7 @@ import pytest
 from rig.identify import identify
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out, share_cut
+from rig.identify.departures.choice import Columns
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut
@@ -209,6 +210,14 @@ def test_blocks_are_predicted_from_their_first_rows_and_the_others_numbers() -> 
     assert right_one.error < 0.01 < right_one.linear_error
     assert wrong > 5.0 * right_one.error
     assert right_one.is_useful
+
+
+def test_a_law_that_the_motor_cannot_be_followed_with_gains_nothing_and_ends_no_search() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
+    fit = solve(start(problem, motor))
+    columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts))
+    gain, sizes = columns.gain(np.full((fit.residual_rad.size, 2), math.nan))
+    assert math.isnan(gain) and sizes.tolist() == [0.0, 0.0]
 
 
 def test_what_does_not_predict_is_refused_and_what_predicts_is_refused_for_damage_alone() -> None:

@@ -527,7 +527,12 @@ class Columns:
         return self._white(found.by_number, law.numbers), 1.0
 
     def gain(self, added: Array) -> tuple[float, Array]:
-        """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes."""
+        """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes.
+
+        nan for a law that the motor cannot be followed with.
+        """
+        if not np.isfinite(added).all():
+            return math.nan, np.zeros(added.shape[1])
         rows, normal = self._rows, self.normal(added)
         scale = np.sqrt(np.maximum(np.diag(normal.raw), 1e-300))
         matrix, gradient = normal.matrix / np.outer(scale, scale), normal.gradient / scale

@@ -52,7 +52,7 @@ BACKLASH, LINEARITY, DRIFT = (RealMotor._fields.index(n) for n in ("backlash_rad
 # No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does.
 RUNAWAY_RAD_S = 1e5
 # steps at most, on the average over rows and edges: by the way that it turns in one, and by its time constants in one
-STEPS_OF_ROW, STEPS_OF_TAUS = 200, 1_000
+STEPS_OF_ROW, STEPS_OF_TAUS = 500, 1_000
 
 # Which of the derivatives cost a function of their own: over position, over the cogging, over speed.
 Used = tuple[bool, bool, bool]
