@@ -30,7 +30,7 @@ pytestmark = pytest.mark.long
 MOTOR = RealMotor(0.05, 20.0, 0.6)
 STEP_RAD = 2.0 * math.pi / 1440.0
 PERIOD_S = 0.005
-Columns = tuple[np.ndarray, np.ndarray, np.ndarray]
+Recorded = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def recorded(
@@ -40,7 +40,7 @@ def recorded(
     ways: tuple[float, ...] = (1.0, -1.0),
     seed: int = 1,
     rows: int = 2000,
-) -> Columns:
+) -> Recorded:
     """Time, drive and position, 5 ms apart: levels at random for 0.15 to 0.6 s each, 1,440 counts a turn."""
     random = np.random.default_rng(seed)
     t_s = np.linspace(0.0, rows * PERIOD_S, rows, endpoint=False)
@@ -55,11 +55,11 @@ def recorded(
     return t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)
 
 
-def found_in(*records: Columns) -> Identification:
+def found_in(*records: Recorded) -> Identification:
     return identify([from_columns(Path(f"{k}.csv"), *columns) for k, columns in enumerate(records)])
 
 
-def answered(*records: Columns) -> Answer:
+def answered(*records: Recorded) -> Answer:
     answer = found_in(*records).answer
     assert answer is not None
     return answer
@@ -195,7 +195,7 @@ def test_a_quick_reversal_is_no_spike() -> None:
     )
 
 
-def _whole_fit(columns: Columns) -> tuple[Cut, Problem, RealMotor]:
+def _whole_fit(columns: Recorded) -> tuple[Cut, Problem, RealMotor]:
     t_s, u_V, y_rad = columns
     cut = Cut.whole([TimeSeries(t_s, y_rad, None, u_V)], 0.01)
     free = (*CORE, "delay_s")
