@@ -25,7 +25,7 @@ from rig.identify.departures.pieces import Cut, is_plain
 
 Array = NDArray[np.float64]
 
-CHANCE = 0.01  # that pieces of a motor that the model describes seem to differ
+CHANCE = 0.005 / 3.0  # that pieces of a motor that the model describes seem to differ in a number; it has three
 FEWEST_PIECES = 6
 NORMAL = 3.0  # fourth moment of a normal distribution over the square of its variance
 APART = 1.15  # drive of the half with high drives over that of the other: less tells nothing
