@@ -11,7 +11,7 @@ First the keeper asks the law to end, by a signal. After the lease it takes the 
 loop's process, which nothing else can end, and writes down what happened as soon as the recorder has ended.
 
 Between two steps the loop may stand still, too: a thread that the law has started may hold the interpreter. Where a
-drive may be on, and the loop has only slept for long, the keeper ends its process, and then stops the device.
+drive may be on, and the loop has not looked for long, the keeper ends its process, and then stops the device.
 
 If the loop's process dies by itself meanwhile, as by `kill -9`, the keeper stops the device, too.
 """
@@ -212,7 +212,7 @@ class Watch:
         return charge.asked and charge.used_s >= times.lease_s and self._lease.take(step)
 
     def _stands_still(self) -> bool:
-        """Whether the loop has slept for too long between two steps, with a drive that may be on.
+        """Whether the loop has slept, or been at work, for too long between two steps, with a drive that may be on.
 
         Where it waits for no reply, it has a period more than a law that sleeps: a thread of the law holds Python. A
         loop whose device only its own driver can stop may yet do that: there somebody has to ask for it.
@@ -224,7 +224,8 @@ class Watch:
             state, ran_s = loop.thread()
             self.still = self.still or Charge(0, ran_s)
             self.still.look(state, ran_s)
-            return self.still.asleep_s > (loop.times.idle_s if lease.idle else loop.times.still_s)
+            # to wait for Python may cost CPU time: as much as the law's switch interval is short
+            return self.still.used_s > (loop.times.idle_s if lease.idle else loop.times.still_s)
         return False
 
 
@@ -334,7 +335,7 @@ def _words(loop: Loop, watch: Watch, charge: Charge, confirmed: bool, *, still: 
     """What happened, for people."""
     if still:
         what = (
-            f"the law {loop.law}: between two of its steps rig had no turn for {charge.asleep_s:.1f} s, as where a "
+            f"the law {loop.law}: between two of its steps rig had no turn for {charge.used_s:.1f} s, as where a "
             "thread that the law has started holds Python"
         )
     elif loop.is_real:

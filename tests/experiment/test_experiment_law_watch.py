@@ -445,7 +445,7 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
 
 
 def test_a_thread_of_a_law_that_holds_python_between_two_steps_does_not_keep_a_signal_away(tmp_path: Path) -> None:
-    host = hanging(tmp_path, hanging_laws.THREAD)
+    host = hanging(tmp_path, hanging_laws.THREAD_AT_ONCE)
     host.terminate()
     said = host.communicate(timeout=HUNG_S)[1]
     assert host.returncode == -signal.SIGKILL and "LAW_TIME" in said and "SIGTERM" in said

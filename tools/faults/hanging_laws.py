@@ -52,18 +52,21 @@ def _locked() -> None:
 
 
 WAYS = {"spins": _spins, "swallows": _swallows, "sleeps": _sleeps, "in C": _in_c, "locked": _locked}
-THREAD = "thread"  # another way: the law returns, and then a thread of it holds the interpreter between two steps
+# other ways: the law returns, and then a thread of it holds the interpreter between two steps; in virtual time a loop
+# that reads and writes at every tick lets no thread in, but for one that asks at once
+THREAD, THREAD_AT_ONCE = "thread", "thread at once"
 
 
 class Hangs:
     """Drives with ``u_V`` to and fro; ``after_s`` after its begin it does not return.
 
-    way   of ``WAYS``, or ``THREAD``
+    way   of ``WAYS``, ``THREAD`` or ``THREAD_AT_ONCE``
     mark  file that it writes the time to just before, by the monotonic clock
     """
 
     def __init__(self, way: str, mark: str, u_V: float = 0.7, after_s: float = 1.0) -> None:
         self._hang, self._mark = WAYS.get(way, self._begin_thread), Path(mark)
+        self._at_once = way == THREAD_AT_ONCE
         self._at_work = self._has_thread = False
         self._u_V, self._after_s = u_V, after_s
         self._began_s: float | None = None
@@ -93,7 +96,8 @@ class Hangs:
     def _begin_thread(self) -> None:
         if not self._has_thread:
             self._has_thread = True
-            sys.setswitchinterval(1e-6)  # or a loop that reads and writes at every tick never lets the thread in
+            if self._at_once:
+                sys.setswitchinterval(1e-6)
             threading.Thread(target=self._hold, daemon=True).start()
 
     def _hold(self) -> None:
