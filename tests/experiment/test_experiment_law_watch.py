@@ -304,13 +304,14 @@ def test_the_keeper_asks_at_once_where_somebody_has_pressed_stop(
     assert asked_s - began_s <= 2.5 * LOOK_EVERY_S
 
 
-def ended_still_after_s(one: Watched, for_s: float, looks_every_s: float = math.inf) -> float:
+def ended_still_after_s(one: Watched, for_s: float, looks_every_s: float = math.inf, cpu_share: float = 0.0) -> float:
     """When the keeper ends a loop that stands still between two steps, s; nan: it does not. Its looks end that."""
     began_s = looked_s = one.clock[0]
     while one.clock[0] < began_s + for_s:
         if one.watch._stands_still():
             return one.clock[0] - began_s
         one.clock[0] += LOOK_EVERY_S
+        one.ran_s += cpu_share * LOOK_EVERY_S
         if one.clock[0] - looked_s >= looks_every_s:
             one.lease.look()
             looked_s = one.clock[0]
@@ -329,6 +330,11 @@ def test_a_loop_that_stands_still_between_two_steps_is_ended_where_a_drive_may_b
     assert math.isnan(ended_still_after_s(one, 10.0, looks_every_s=1.0)), "the loop goes on"
     one.state = "T"
     assert math.isnan(ended_still_after_s(one, 10.0)), "somebody has stopped it"
+    one.state = "R"
+    one.lease.look()
+    assert math.isnan(ended_still_after_s(one, 10.0)), "the machine gives it no processor"
+    one.lease.look()
+    assert still_s < ended_still_after_s(one, 10.0, cpu_share=1.0) < still_s + 0.2, "it asks for Python again and again"
     one.state = "S"
     one.lease.look()
     assert still_s < ended_still_after_s(one, 10.0) < still_s + 0.2
