@@ -61,8 +61,8 @@ def agreement(values: Array, covariance: Array) -> Agreement:
         spread = np.linalg.inv(left[own, own])
         off[k] = spread @ pull[own]
         error[k] = np.sqrt(np.diag(spread))
-        square[k] = pull[own] @ off[k]
-    return Agreement(float(chdtrc(p * (n - 1), values.ravel() @ pull)), off, error, square)
+        square[k] = max(pull[own] @ off[k], 0.0)  # of equal values rounding makes a square below 0
+    return Agreement(float(chdtrc(p * (n - 1), max(values.ravel() @ pull, 0.0))), off, error, square)
 
 
 def odd_ones(values: Array, covariance: Array, level: float) -> list[int] | None:

@@ -35,6 +35,16 @@ def test_two_runs_differ_as_their_difference_says_and_what_they_share_cancels() 
         assert found.error[1] == pytest.approx(np.sqrt(3.0 * np.diag(SHAPE)))
 
 
+def test_runs_with_the_same_numbers_agree_whatever_rounding_makes_of_their_squares() -> None:
+    random = np.random.default_rng(3)
+    for _ in range(300):
+        values = np.tile(random.normal(size=3) * 10.0 ** random.uniform(-3.0, 3.0), (2, 1))
+        shape = SHAPE * np.outer(size := 10.0 ** random.uniform(-4.0, 0.0, 3), size)
+        found = agreement(values, blocks(shape, shape))
+        assert found.chance == pytest.approx(1.0, abs=1e-3)
+        assert found.alone == pytest.approx(1.0, abs=1e-3)
+
+
 def test_false_alarms_are_as_rare_as_asked_for() -> None:
     random = np.random.default_rng(1)
     root, times = np.linalg.cholesky(SHAPE), 1000
