@@ -49,7 +49,8 @@ def test_a_row_has_the_motors_errors_and_what_was_found() -> None:
 
 def test_a_stribeck_effect_that_looks_like_a_dead_band_is_not_called_ok() -> None:
     """Both laws explain as much to 1 part in 40; with the dead band friction is 21 % off. Which one enters hangs on
-    the machine's rounding; either way the answer names the dead band as what these tests do not tell."""
+    the machine's rounding; either way the answer names the dead band as what these tests do not tell.
+    """
     one = row(CAMPAIGN.model_copy(update={"seed": 13}), 632, False)
     assert one.kinds == ("stribeck 0.05",)
     assert one.found in ((), ("dead_band",))
