@@ -155,10 +155,17 @@ def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProble
 
 
 def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
-    """The full vectors of the starts, the best first."""
-    asym = problem.free[3]
-    scored = [_score(problem.windows, one, delay_s, asym) for delay_s in _first_delays(problem) for one in starts]
-    return [x0 for _, x0 in sorted(scored, key=lambda candidate: candidate[0])]
+    """The full vectors of the starts that promise most, the best first."""
+    windows = problem.windows
+    states = [initial_state(window) for window in windows]
+    target = np.concatenate([_without_line(window.t_s, window.y_rad) for window in windows])
+    scored = []
+    for delay_s in _first_delays(problem):
+        for one in starts:
+            cost, gain = _score(windows, states, target, one, delay_s)
+            scored.append((cost, one._replace(K_rad_s_V=gain), delay_s))
+    best = sorted(scored, key=lambda candidate: candidate[0])[:POLISHED]
+    return [_full_vector(windows, states, one, delay_s, free_asym=problem.free[3]) for _, one, delay_s in best]
 
 
 def _first_delays(problem: OutputErrorProblem) -> list[float]:
@@ -198,7 +205,7 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
         whole = horizon_s >= last_s
         windows = problem.windows if whole else tuple(window.until(horizon_s) for window in problem.windows)
         part = replace(problem, windows=windows)
-        x0s = candidates[:POLISHED] if best is None else [best.x]
+        x0s = candidates if best is None else [best.x]
         found = min((part.solve(x0) for x0 in x0s), key=lambda solution: solution.cost)
         if best is not None:
             found = replace(found, iterates=np.concatenate((best.iterates, found.iterates)))
@@ -213,36 +220,44 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
 
 
-def _score(windows: Sequence[Window], start: Start, delay_s: float, free_asym: bool = True) -> tuple[float, Array]:
-    """Sum of squares of a start, with its linear part (gain, offset, drift) solved, and the resulting full vector."""
-    gain = start.K_rad_s_V
-    states = [initial_state(window) for window in windows]
-    cost = math.inf
-    asym = 0.0
+def _score(
+    windows: Sequence[Window], states: Sequence[tuple[float, float]], target: Array, start: Start, delay_s: float
+) -> tuple[float, float]:
+    """Sum of squares of a start whose linear part (gain, offset, drift) is solved, and its gain.
+
+    states  speed and position that each window begins with; target: its positions without their line
+    """
+    gain, cost = start.K_rad_s_V, math.inf
     for _ in range(1 if math.isfinite(gain) else 3):
-        shapes, targets = [], []
+        shapes = []
         for window, (v0, _y0) in zip(windows, states, strict=True):
             w0 = v0 / gain if math.isfinite(gain) else 0.0
             shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, window.t_s)
             shapes.append(_without_line(window.t_s, shape))
-            targets.append(_without_line(window.t_s, window.y_rad))
-        shape, target = np.concatenate(shapes), np.concatenate(targets)
+        shape = np.concatenate(shapes)
         power = float(shape @ shape)
         if power <= 0.0 or (fitted := float(shape @ target) / power) <= 0.0:
             break
         gain = fitted
         residual = target - gain * shape
         cost = float(residual @ residual)
-    if not math.isfinite(gain):
-        gain = 1.0
-    # A remaining drift over the recording is asymmetry.
-    drifts = []
-    for window, (v0, y0) in zip(windows, states, strict=True):
-        y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
-        drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
-    asym = float(np.mean(drifts)) / gain if free_asym else 0.0
-    shared = [math.log(start.tau_s), math.log(gain), start.fc_V, asym, delay_s]
-    return cost, np.array(shared + [value for state in states for value in state])
+    return cost, gain if math.isfinite(gain) else 1.0
+
+
+def _full_vector(
+    windows: Sequence[Window], states: Sequence[tuple[float, float]], start: Start, delay_s: float, *, free_asym: bool
+) -> Array:
+    """The vector that a fit starts from. A drift that remains over the recording is asymmetry."""
+    tau, gain, fc = start.tau_s, start.K_rad_s_V, start.fc_V
+    asym = 0.0
+    if free_asym:
+        drifts = []
+        for window, (v0, y0) in zip(windows, states, strict=True):
+            y = position(Theta(tau, gain, fc, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
+            drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
+        asym = float(np.mean(drifts)) / gain
+    shared = [math.log(tau), math.log(gain), fc, asym, delay_s]
+    return np.array(shared + [value for state in states for value in state])
 
 
 def _without_line(t_s: Array, y: Array) -> Array:
