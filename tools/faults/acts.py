@@ -191,7 +191,10 @@ def _too_fast(injector: FaultInjector) -> None:
 
 
 def _end_switch(injector: FaultInjector) -> None:
-    injector.device.contact("end_high" if injector.device.truth().pin_V > 0.0 else "end_low", is_open=True)
+    """That of the side which is driven to; without a drive, of the side on which the shaft stands."""
+    truth = injector.device.truth()
+    is_high = truth.y_rad > 0.0 if truth.pin_V == 0.0 else truth.pin_V > 0.0
+    injector.device.contact("end_high" if is_high else "end_low", is_open=True)
 
 
 def _overload(injector: FaultInjector) -> None:

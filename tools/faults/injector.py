@@ -309,8 +309,9 @@ class FaultInjector:
         for reply in self._language.replies(data):
             for delay_s, piece in [(0.0, reply)] if self.down is None else self.down(reply, self.rng):
                 self._count += 1
-                self._held.append((self.now_s() + delay_s, self._count, piece))
-        self._held.sort()
+                # nothing on a line overtakes what was sent before it
+                before_s = self._held[-1][0] if self._held else 0.0
+                self._held.append((max(self.now_s() + delay_s, before_s), self._count, piece))
 
     def _arrived(self, now_s: float) -> bytes:
         pieces = [piece for due_s, _, piece in self._held if due_s <= now_s]

@@ -17,6 +17,7 @@ from rig.backends.modbus.requests import Request, check
 from rig.faults import Fault
 
 ATTEMPTS = 3  # of a request outside the tick
+LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
 _UNASKED_BYTES = 5  # the shortest reply; fewer between two exchanges are noise on the line
 _TOO_SOON = 0.5  # of the fastest exchange: no device replies within it
 _ENDLESS_BYTES = 2000  # of a line that is never quiet
@@ -111,13 +112,15 @@ class ModbusClient:
     # ------------------------------------------------------------------ exchanges
 
     def patiently(self, request: Request, timeout_s: float) -> Reply:
-        """``asked`` up to three times, for requests that may be repeated."""
+        """``asked`` up to three times, for requests that may be repeated; where there is time for late bytes."""
         for _ in range(ATTEMPTS - 1):
             try:
                 return self.asked(request, timeout_s)
             except Fault as fault:
                 if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
                     raise
+            # RTU does not number its replies: a late one would be taken for the next, and each one after it, too
+            self.wait((LATE_TIMEOUTS - 1) * timeout_s)
         return self.asked(request, timeout_s)
 
     def asked(self, request: Request, timeout_s: float) -> Reply:

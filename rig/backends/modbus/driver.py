@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
-from rig.backends.modbus.client import ATTEMPTS, ModbusClient, ModbusLine, Reply
+from rig.backends.modbus.client import ATTEMPTS, LATE_TIMEOUTS, ModbusClient, ModbusLine, Reply
 from rig.backends.modbus.registers import ARMED, OFF, Register, RegisterMap, RegisterSpan
 from rig.backends.modbus.requests import (
     Request,
@@ -31,7 +31,6 @@ from rig.signals import Limits, Order, Sample
 _UNHURRIED_S = 0.1  # least time-out of a request outside the tick; a stop uses the tick's time-out
 _STOPPING_S = 0.02  # longest wait for a stop: three of them are shorter than most watchdogs
 _INTRODUCTIONS = 20  # reads that measure the round trip
-_LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
 _LATE_REPLIES = 3  # in a row: the link is not fit for the period
 _LONGEST_WATCHDOG_S = 1.0  # that the config allows
 _SILENCE_MARGIN_S = 0.1  # beyond a watchdog's time: a device has its own clock, and its own cycle
@@ -378,7 +377,7 @@ class ModbusDriver:
             return
         m = self._map
         stop = _setting(m.drive, 0.0) if m.control is None else _setting(m.control, m.stop)
-        self._client.unheard(stop, _LATE_TIMEOUTS * self._timeout_s)
+        self._client.unheard(stop, LATE_TIMEOUTS * self._timeout_s)
 
     def _until_answered(self) -> None:
         """Read until the device answers or ``timeouts.open_s`` is over; raises the last fault then."""
@@ -390,6 +389,7 @@ class ModbusDriver:
             except Fault as fault:
                 if fault.code in ("LINK_LOST", "MODBUS_EXCEPTION") or self._transport.now_s() >= until_s:
                     raise
+                self._client.wait((LATE_TIMEOUTS - 1) * self._unhurried_s)
 
     def _identity(self) -> tuple[str, str, str]:
         """Vendor, product and revision by FC43; empty where the device does not report them."""

@@ -627,6 +627,23 @@ def test_a_power_cycle_in_a_pause_is_found_when_it_is_armed_again(style: str, re
     assert not rig.block.truth().armed
 
 
+@pytest.mark.parametrize("by_s", [0.095, 0.105, 0.15, 0.19])
+@pytest.mark.parametrize("style", STYLES)
+def test_a_late_reply_is_never_taken_for_that_of_the_next_register(style: str, by_s: float) -> None:
+    """RTU numbers no replies: each would be taken for the next one's, and the device for a reset one."""
+    rig = Rig(experiment_with(style))
+    rig.tick(0.3)
+    assert rig.driver.safe_stop()
+    rig.block.disturb(lambda direction, data, t_s: ((by_s if direction == "reply" else 0.0, data),))
+    fault: Fault | None = None
+    try:
+        rig.arm()
+    except Fault as raised:
+        fault = raised
+    assert fault is None or fault.code == "LINK_TIMEOUT"
+    assert (fault is None) == (by_s < 0.1)
+
+
 def test_armed_again_only_other_limits_are_written() -> None:
     rig = Rig(experiment_with())
     real = rig.block.block._write
