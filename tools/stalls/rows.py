@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -44,6 +44,8 @@ Board = Literal["host", "uno", "pico"]
 
 OF = ("tau_s", "K_rad_s_V", "fc_V", "asym_V")
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "demo.yaml"
+OF_PICO = CONFIG.with_name("demo-pico.yaml")
+FINER = 4  # steps of a Pico's converter in one of an Uno's
 PERCENT = 1.0  # wanted half width of the 95 % intervals
 LONGEST_S = 60.0  # of the tests
 FASTEST_RAD_S = 4.9
@@ -89,7 +91,7 @@ class Row:
         return asdict(self)
 
 
-def config_of(one: Draw, campaign: Campaign, watchdog_s: float) -> Experiment:
+def config_of(one: Draw, campaign: Campaign, watchdog_s: float, board: Board = "host") -> Experiment:
     """The demo's config for this motor: its data sheet, this watchdog, and the speed that the room bears with it."""
     e = load(CONFIG)
     assert e.motor is not None
@@ -107,6 +109,7 @@ def config_of(one: Draw, campaign: Campaign, watchdog_s: float) -> Experiment:
         "daq": e.daq.model_copy(update={"watchdog_s": watchdog_s, "timeout_s": 0.03}),
         "limits": limits,
         "tracking": None,
+        "sensor": load(OF_PICO).sensor if board == "pico" else e.sensor,
         "drive": e.drive.model_copy(update={"max_V": LARGEST_V}),
         "motor": e.motor.model_copy(update={"no_load_speed_rad_s": FAST * one.K_rad_s_V * e.drive.supply_V}),
         "relay": RelaySection(until=UntilSection(interval_percent=PERCENT, longest_s=LONGEST_S)),
@@ -126,6 +129,12 @@ def device_of(board: Board, truth: BenchParameters, e: Experiment) -> VirtualBoa
     if board == "uno":
         return VirtualChip(truth, e.seed % 2**32, options=options)
     if board == "pico":
+        truth = replace(
+            truth,
+            rad_per_count=truth.rad_per_count / FINER,
+            centre_counts=FINER * truth.centre_counts,
+            counts_max=FINER * (truth.counts_max + 1) - 1,
+        )
         return VirtualPico(pico_parameters(truth, e.seed % 2**32, clock_error_ppm=0.0, options=options))
     return VirtualBoard(truth, e.seed % 2**32)
 
@@ -135,7 +144,7 @@ def row(campaign: Campaign, number: int, stalls: Stalls, watchdog_s: float, boar
     began = time.perf_counter()
     one = draw(campaign, number)
     sensor = campaign.sensor
-    e = config_of(one, campaign, watchdog_s)
+    e = config_of(one, campaign, watchdog_s, board)
     truth = BenchParameters(
         one.motor(), noise_rad=sensor.noise_rad, rad_per_count=sensor.lsb_rad, offset_rad=one.offset_rad
     )
@@ -157,7 +166,8 @@ def row(campaign: Campaign, number: int, stalls: Stalls, watchdog_s: float, boar
     error = bound = inside = None
     if estimate is not None:
         error = tuple(float(getattr(estimate, name) - getattr(true, name)) for name in OF)
-        bound = _bound(recording, true, math.hypot(sensor.noise_rad, sensor.lsb_rad / math.sqrt(12.0)))
+        step_rad = sensor.lsb_rad / (FINER if board == "pico" else 1)
+        bound = _bound(recording, true, math.hypot(sensor.noise_rad, step_rad / math.sqrt(12.0)))
         intervals = [estimate.ci95.get(name, (math.nan, math.nan)) for name in OF]
         inside = tuple(low <= getattr(true, name) <= high for name, (low, high) in zip(OF, intervals, strict=True))
     check = np.array([str(stage) == "breakaway" for stage in recording.stage]) if recording.stage is not None else []
