@@ -358,8 +358,8 @@ def comparison_words(found: ComparisonResult) -> list[str]:
         name = SHORT[MAIN.index(trend.parameter)]
         sure = "" if trend.shows else " (none shows)"
         places = max(0, 1 - math.floor(math.log10(half))) if 0.0 < half < math.inf else 3  # two digits of its interval
-        slope = f"{round(trend.slope, places) + 0.0:+.{places}f} ±{half:.{places}f}"
-        lines.append(f"trend over {trend.over}: {name} {slope} {trend.unit}{sure}")
+        slope = f"{round(trend.slope, places) + 0.0:+.{places}f} ±{half:.{places}f} {trend.unit}{sure}"
+        lines.append(f"trend over {trend.over}: {name} {slope if trend.is_known else 'unknown'}")
     lines += [f"left out: {one.folder}: {one.reason}" for one in found.left_out]
     return lines + [f"note: {note}" for note in found.notes]
 

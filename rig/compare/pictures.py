@@ -17,7 +17,7 @@ from rig.report.fitted import LABELS, autocorrelation
 from rig.report.source import Array, ReportedRun
 from rig.report.style import COLOURS, INK, LINES, MUTED, AbsentError, Picture, new_figure, plain, render
 from rig.results import known
-from rig.results.comparison import ComparedRunResult, ComparisonResult
+from rig.results.comparison import ComparedRunResult, ComparisonResult, TrendResult
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 LONGEST_LAG = 60
@@ -108,15 +108,18 @@ def trends(found: ComparisonResult, over: str, at: Sequence[float], backend: str
         axes.locator_params(axis="x", nbins=5)
         axes.set_xlabel("time since the first run, h" if over == "time" else "temperature, °C")
     figure.axes[0].set_ylabel("off the mean, %")
-    told = "; ".join(
-        f"{LABELS[one.parameter].split(',')[0]} {one.slope:+.3g} "
-        f"({known(one.ci95[0]):+.3g} to {known(one.ci95[1]):+.3g}) {one.unit}"
-        for one in lines
-    )
+    told = "; ".join(f"{LABELS[one.parameter].split(',')[0]} {_slope(one)}" for one in lines)
     return render(
         figure, backend, f"tau, K and friction over {over}.",
         f"Slope over {over} with its 95 % interval: {told}. Grey: the slopes in that interval. Dashed: no trend shows.",
     )  # fmt: skip
+
+
+def _slope(one: TrendResult) -> str:
+    low, high = (known(end) for end in one.ci95)
+    if not one.is_known:
+        return "unknown"
+    return f"{one.slope:+.3g} ({low:+.3g} to {high:+.3g}) {one.unit}"
 
 
 def cycles(runs: Sequence[LaidOver], backend: str) -> Picture:

@@ -400,6 +400,7 @@ def _draw_gains(run: ReportedRun, steps: list[SearchStepResult], axes: Axes) -> 
     axes.stairs(h1, edges, baseline=None, color="#0072B2", lw=1.6, label="h1 (position)")
     axes.stairs(h2, edges, baseline=None, color="#D55E00", lw=1.6, ls="--", label="h2 (integral)")
     axes.set_ylabel("gain, V")
+    axes.margins(y=0.25)  # room for the legend above the steps
     axes.legend(loc="upper left", ncols=2)
     return begin
 

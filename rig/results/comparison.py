@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rig.results.estimates import FoundLawResult, Interval
+from rig.results.estimates import FoundLawResult, Interval, known
 from rig.results.part import Count, Flag, Number, Part, Real, Text
 
 
@@ -69,6 +69,12 @@ class TrendResult(Part):
     ci95: Interval = Field(description="its 95 % interval")
     chance: Real = Field(description="of so steep a slope if there is none")
     shows: Flag = Field(description="whether there is a trend, at 5 % for the three parameters together")
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its interval is at most 100 of its unit to each side."""
+        low, high = (known(end) for end in self.ci95)
+        return high - low <= 200.0
 
 
 class ComparisonResult(Part):

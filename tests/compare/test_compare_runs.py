@@ -12,6 +12,8 @@ from command_line import rig
 from compared_runs import Told, write_run, write_samples
 
 import rig as api
+from rig.results.comparison import ComparisonResult, Difference, ScatterResult, TrendResult
+from rig.terminal import comparison_words
 
 DRIFTED = Told(fc_V=0.48 * 1.02)
 LAW = {"name": "dead_band", "value": 0.05, "unit": "V", "ci95": [0.04, 0.06], "bic": 30.0, "numbers": {}}
@@ -158,3 +160,16 @@ def test_the_report_lays_the_runs_over_each_other(tmp_path: Path) -> None:
         api.compare(runs[:1])
     with pytest.raises(ValueError, match="0 to 100"):
         api.compare(runs, scatter_percent=(1.0, -1.0, 0.0))
+
+
+@pytest.mark.parametrize(("half", "said"), [(99.0, "tau +3 ±99 %/h (none shows)"), (699.0, "tau unknown")])
+def test_a_slope_that_may_be_anything_is_unknown(half: float, said: str) -> None:
+    trend = TrendResult(
+        over="time", parameter="tau_s", unit="%/h", slope=3.0, ci95=(3.0 - half, 3.0 + half), chance=0.9, shows=False
+    )
+    same = Difference(differs=False, chance=1.0, odd=(), words="No.")
+    found = ComparisonResult(
+        runs=(), level=0.05, measurably=same, beyond_scatter=same, trends=(trend,),
+        scatter=ScatterResult(source="stated", percent=dict.fromkeys(("tau_s", "K_rad_s_V", "fc_V"), 1.0), why=""),
+    )  # fmt: skip
+    assert f"trend over time: {said}" in comparison_words(found)
