@@ -69,6 +69,7 @@ def test_the_motion_stays_in_the_room(found: dict[str, Any]) -> None:
     assert max(found["motion"]["y_rad"]) < found["room"]["high_rad"]
 
 
+@pytest.mark.evidence
 def test_words_and_picture(run: Path, tmp_path: Path) -> None:
     said = rig("design", CONFIG, "--model", run / "result.json", "--interval", "2", "--to", tmp_path / "d.png")
     assert said.exit_code == 0, said.output

@@ -41,6 +41,7 @@ def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str
     return result, json.loads(result.stdout)
 
 
+@pytest.mark.evidence
 def test_the_run_keeps_what_its_bench_may_be_wrong_by_and_counts_it(demo_run: tuple[Result, dict[str, Any]]) -> None:
     """The defaults of the config, the calibration of config/simulated.yaml."""
     _, outcome = demo_run
@@ -162,12 +163,12 @@ def test_the_same_seed_gives_the_same_samples_byte_for_byte(tmp_path: Path) -> N
     ("changes", "code"),
     [
         ({"emulated__wiring": {"drive": "reversed"}}, "POLARITY"),
-        ({"emulated__wiring": {"drive": "dead"}}, "NO_MOTION"),
-        ({"emulated__wiring": {"sensor": "broken_low"}}, "DEVICE_SENSOR"),
         ({"emulated__wiring": {"sensor": "stuck", "fault_after_s": 25.0}}, "SENSOR_STUCK"),
         ({"emulated__motor__start_rad": 1.3}, "START_OUTSIDE"),
         ({"relay__search": {"h_max_V": 0.5}}, "NO_CYCLE"),
         *evidence(
+            ({"emulated__wiring": {"drive": "dead"}}, "NO_MOTION"),
+            ({"emulated__wiring": {"sensor": "broken_low"}}, "DEVICE_SENSOR"),
             ({"emulated__wiring": {"sensor": "reversed"}}, "POLARITY"),
             ({"emulated__wiring": {"sensor": "stuck"}}, "NO_MOTION"),
             ({"emulated__wiring": {"sensor": "broken_high"}}, "DEVICE_SENSOR"),
@@ -214,6 +215,7 @@ def test_track_alone_uses_the_models_of_an_earlier_run(demo_run: tuple[Result, d
     assert json.loads(result.stdout)["tracking"]["sampled-data"]["rms_rad"] < 0.03
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_repeated_runs_differ_and_show_their_scatter(tmp_path: Path) -> None:
     config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))

@@ -63,11 +63,11 @@ def test_there_is_a_law_for_each_part_of_the_model() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "dead_band 0.05",
-        "stribeck 0.15",
         "force_over_position 0.05",
         "backlash 10",
         *evidence(
+            "dead_band 0.05",
+            "stribeck 0.15",
             "gain_by_sign 3",
             "sag 3",
             "lag 10",
@@ -137,7 +137,7 @@ def test_u95_is_at_least_the_scatter_and_its_lines_add_up() -> None:
         (0.65, 0.0, (0.65, 0.03), ["static"]),
         (0.65, 0.0, None, []),  # the relay tests never hold the shaft
         (0.5, 0.0, (0.53, 0.03), []),
-        (0.65, 0.5, (0.68, 0.03), ["stribeck"]),
+        *evidence((0.65, 0.5, (0.68, 0.03), ["stribeck"])),
     ],
 )
 def test_breakaway_ramps_show_static_friction_that_is_clearly_above_that_in_motion(
@@ -159,6 +159,7 @@ def test_breakaway_ramps_show_static_friction_that_is_clearly_above_that_in_moti
         assert [getattr(estimate, name) for name in OF] == pytest.approx([getattr(plain, n) for n in OF], rel=2e-3)
 
 
+@pytest.mark.evidence
 def test_a_slow_drive_shows_static_friction_without_ramps() -> None:
     """A stair of drives up and down: the shaft stands on steps that would move it without a static level."""
 
@@ -295,6 +296,7 @@ def test_a_drive_that_changes_in_every_row_is_averaged_in_a_long_record() -> Non
     assert thin.steps.edge_s.tolist() == pytest.approx((0.01 * np.arange(10)).tolist())
 
 
+@pytest.mark.evidence
 def test_a_long_record_is_thinned_and_its_law_stays() -> None:
     """Sampled every 1 ms it has ten times as many rows; ten at a time give the numbers of the whole."""
     d = Departures(force_V=0.05, force_phase_rad=1.0)

@@ -296,6 +296,7 @@ def test_a_drive_some_rows_off_without_its_times_is_right_or_not_believed(
     assert found.verdict != "ok" or within_reason(found, PAPER)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("names", [WITH_DRIVE_TIMES, *evidence((PLAIN,))])
 def test_all_methods_take_what_the_others_refuse_without_a_traceback(
     tmp_path: Path, relay_test: Columns, names: tuple[str, ...]

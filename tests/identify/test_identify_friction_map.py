@@ -64,12 +64,18 @@ def deviations(found: FrictionMap) -> tuple[list[float], list[float]]:
     [
         {},
         *evidence(
+            {
+                "stribeck_V": 0.06,
+                "stribeck_rad_s": 0.5,
+                "force_sin_V": 0.08,
+                "cogging_sin_V": 0.02,
+                "cogging_per_rad": 6.0,
+            },
             {"force_sin_V": 0.1, "force_cos_V": 0.05},
             {"friction_sin_V": 0.05},
             {"stribeck_V": 0.06, "stribeck_rad_s": 0.5},
             {"viscous_by_direction_V_s_rad": 0.02, "drag_V_s2_rad2": 0.01},
         ),
-        {"stribeck_V": 0.06, "stribeck_rad_s": 0.5, "force_sin_V": 0.08, "cogging_sin_V": 0.02, "cogging_per_rad": 6.0},
     ],
     ids=lambda parts: "+".join(name for name in parts if name.endswith("_V")) or "plain or viscous",
 )
@@ -103,6 +109,7 @@ def test_a_speed_at_which_the_shaft_sticks_and_slips_is_said() -> None:
     assert [s.sticks for s in found.as_result().speeds] == [s.sticks for s in found.speeds]
 
 
+@pytest.mark.evidence
 def test_the_drive_over_speed_does_not_hang_on_the_motor_that_is_assumed() -> None:
     right, wrong = surveyed(PLAIN, 2), surveyed(PLAIN, 2, PLAIN._replace(tau_s=0.2, K_rad_s_V=7.0))
     for a, b in zip(right.speeds, wrong.speeds, strict=True):

@@ -78,6 +78,7 @@ def test_clean_data_give_the_motor_exactly(t_u_known: bool) -> None:
         assert found.rms_rad < 1e-9
 
 
+@pytest.mark.evidence
 def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold() -> None:
     """Twenty of the grid. A prototype gave 1.1 times the bound, medians of 0.3, 0.2, 0.4 % (docs/theory.md 7.10)."""
     rng = np.random.default_rng(5)

@@ -194,6 +194,7 @@ def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check: Chec
         assert found.delay_s == pytest.approx(ticks * FINE_S, abs=0.05 * FINE_S)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("known", [*evidence(True), False])
 def test_the_command_on_a_plain_csv_of_it_is_right(tmp_path: Path, known: bool) -> None:
     record = recorded(ticks=1.3, known=known)

@@ -69,6 +69,7 @@ def test_what_to_do_next_can_be_typed(config: Path, monkeypatch: pytest.MonkeyPa
     assert rig(*once_more[1:]).exit_code == 0
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_no_command_is_named_where_none_would_help(config: Path, tmp_path: Path) -> None:
     """A fault that is not cured, and a config without the section that a command needs."""
