@@ -74,6 +74,7 @@ def test_after_a_hard_relay_a_soft_one_comes_and_after_a_soft_one_a_hard_one() -
         assert is_harder == (other.gains.h1_V + other.gains.h2_V > done.gains.h1_V + done.gains.h2_V)
 
 
+@pytest.mark.evidence
 def test_the_same_task_gives_the_same_test() -> None:
     assert best_test(task()) == best_test(task())
 

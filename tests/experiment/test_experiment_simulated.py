@@ -112,6 +112,7 @@ def test_the_run_folder_reads_back_whole_and_stays_inside_the_soft_limits(
     assert json.loads((folder / "result.json").read_text())["schema"] == 1
 
 
+@pytest.mark.evidence
 def test_identify_from_the_folder_and_from_the_bare_csv(
     demo_run: tuple[Result, dict[str, Any]], tmp_path: Path
 ) -> None:

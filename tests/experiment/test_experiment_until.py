@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 from command_line import rig
-from evidence import evidence
 
 from rig.experiment.advisers import InTheLoop
 from rig.recording.reader import read_run
@@ -159,14 +158,13 @@ def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
     assert replay(folder).is_same
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [
-        *evidence(
-            ({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"),
-            ({"most_cycles": 3}, "most_cycles, 3, are driven"),
-        )
+        ({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"),
+        ({"most_cycles": 3}, "most_cycles, 3, are driven"),
     ],
 )
 def test_what_is_not_known_in_time_ends_at_its_bound_and_is_identified(

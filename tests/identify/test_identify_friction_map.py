@@ -62,15 +62,9 @@ def deviations(found: FrictionMap) -> tuple[list[float], list[float]]:
 @pytest.mark.parametrize(
     "parts",
     [
-        {},
+        {"stribeck_V": 0.06, "stribeck_rad_s": 0.5, "force_sin_V": 0.08, "cogging_sin_V": 0.02, "cogging_per_rad": 6.0},
         *evidence(
-            {
-                "stribeck_V": 0.06,
-                "stribeck_rad_s": 0.5,
-                "force_sin_V": 0.08,
-                "cogging_sin_V": 0.02,
-                "cogging_per_rad": 6.0,
-            },
+            {},
             {"force_sin_V": 0.1, "force_cos_V": 0.05},
             {"friction_sin_V": 0.05},
             {"stribeck_V": 0.06, "stribeck_rad_s": 0.5},

@@ -171,6 +171,7 @@ def test_other_units_give_the_same_motor_in_those_units(
         assert any("?" in reason for reason in other[method].reasons)
 
 
+@pytest.mark.evidence
 def test_every_short_piece_of_a_record_is_identified_or_refused_and_never_wrong_with_confidence(tmp_path: Path) -> None:
     """Half a cycle to many, of two amplitudes: an estimate that calls itself ok is near the truth."""
     large, small = dcr(0.8, 1.0), dcr(0.55, 0.8)

@@ -254,6 +254,7 @@ def test_a_plain_motor_gets_no_laws() -> None:
         assert sought is not None and sought.laws == ()
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("told", [False, *evidence(True)])
 def test_intervals_hold_the_truth_at_any_length(told: bool) -> None:
     """Of 20 motors, each at three lengths of record: 95 % of the intervals, within chance."""

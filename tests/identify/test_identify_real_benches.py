@@ -70,6 +70,7 @@ def right(answer: Answer, motor: RealMotor, share: float, *names: str) -> bool:
     return all(abs(float(getattr(answer, name) or 0.0) / getattr(motor, name) - 1.0) < share for name in names)
 
 
+@pytest.mark.evidence
 def test_a_dead_band_far_beyond_the_usual_is_found_with_its_size() -> None:
     answer = answered(recorded(MOTOR._replace(dead_band_V=1.3), (3.0, 5.0, 7.0)))
     assert answer.law is not None and [law.name for law in answer.law] == ["dead_band"]

@@ -44,6 +44,7 @@ def named(folder: Path) -> list[list[str]]:
     return [shlex.split(code) for code in codes if code.startswith("rig ")]
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_what_to_do_next_can_be_typed(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After a relay test: track; after the tracking: nothing; after a jog, and a run that was killed: run."""
@@ -69,7 +70,6 @@ def test_what_to_do_next_can_be_typed(config: Path, monkeypatch: pytest.MonkeyPa
     assert rig(*once_more[1:]).exit_code == 0
 
 
-@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_no_command_is_named_where_none_would_help(config: Path, tmp_path: Path) -> None:
     """A fault that is not cured, and a config without the section that a command needs."""

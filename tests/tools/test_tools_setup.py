@@ -99,6 +99,7 @@ def run_on() -> set[str]:
     return found
 
 
+@pytest.mark.evidence
 def test_a_run_and_its_report_need_no_package_but_those_that_rig_runs_on(tmp_path: Path) -> None:
     """The packages for tests, checks and documents would hide one that a demo lacks."""
     runs_on = run_on()

@@ -97,6 +97,7 @@ def test_a_law_that_the_runs_own_tests_cannot_show_is_expected_to_gain_nothing()
     assert one.gain is not None and one.gain < 0.0
 
 
+@pytest.mark.evidence
 def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
     known = row(CAMPAIGN, 3, (), Asked())
     told = {

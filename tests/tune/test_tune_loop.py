@@ -64,6 +64,7 @@ def test_a_larger_bandwidth_than_possible_is_refused_with_the_largest(position: 
         tune(MOTOR, SENSING, replace(POSITION, least=replace(POSITION.least, phase_deg=80.0)))
 
 
+@pytest.mark.evidence
 def test_a_motor_that_is_known_badly_gets_a_slower_loop() -> None:
     small = replace(POSITION, step=0.05)
     well = tune(MOTOR, SENSING, small)
