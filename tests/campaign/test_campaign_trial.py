@@ -56,7 +56,6 @@ def test_without_noise_the_estimate_is_exact_and_there_is_no_bound() -> None:
         assert math.isnan(row[f"bound_{name}"])
 
 
-@pytest.mark.evidence
 def test_errors_are_of_the_bounds_size() -> None:
     rows = [run_trial(small(), k) for k in range(24)]
     for name in PARAMETERS:

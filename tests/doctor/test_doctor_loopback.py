@@ -109,7 +109,6 @@ def test_a_watchdog_that_does_not_trip(board: str, build_with: Callable[[str, tu
     assert "does not trip" in found["watchdog"]
 
 
-@pytest.mark.evidence
 @pytest.mark.parametrize("board", ["uno", *evidence("pico")])
 def test_an_inverted_pwm(board: str, build_with: Callable[[str, tuple[str, str, str]], None]) -> None:
     build_with(board, INVERTED[board])

@@ -41,7 +41,6 @@ def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str
     return result, json.loads(result.stdout)
 
 
-@pytest.mark.evidence
 def test_the_run_keeps_what_its_bench_may_be_wrong_by_and_counts_it(demo_run: tuple[Result, dict[str, Any]]) -> None:
     """The defaults of the config, the calibration of config/simulated.yaml."""
     _, outcome = demo_run

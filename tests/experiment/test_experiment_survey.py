@@ -33,7 +33,6 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return {**outcome, "folder": str(run), "shown": result.stdout}
 
 
-@pytest.mark.evidence
 def test_the_map_is_the_true_motor_within_its_error_bars(survey: dict[str, Any]) -> None:
     """Against the formula of the emulated motor; its friction at rest is the Stribeck level."""
     found, fc, bias = survey["friction_map"], 0.48, 0.01

@@ -83,7 +83,6 @@ def test_a_motor_without_laws_is_tracked_as_before_and_most_of_its_error_is_the_
         assert known(one.true_max_rad) >= known(one.true_rms_rad)
 
 
-@pytest.mark.evidence
 def test_a_run_with_laws_is_replayed_and_says_what_it_drove_with(sagging: tuple[Path, Path, Identification]) -> None:
     _, run, models = sagging
     assert replay(run).is_same

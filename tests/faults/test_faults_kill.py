@@ -91,7 +91,6 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
     assert estimate["tau_s"] == pytest.approx(config["emulated"]["motor"]["tau_s"], rel=0.05)
 
 
-@pytest.mark.evidence
 def test_too_few_cycles_are_said_to_be_too_few(tmp_path: Path) -> None:
     """A record cut off early: identify says how many cycles are missing, and gives no number as ok."""
     result = CliRunner().invoke(main, ["relay", str(ROOT / "config/simulated.yaml"), "--out", str(tmp_path), "--json"])

@@ -156,7 +156,6 @@ def assert_alike(one: Packet, other: Packet) -> None:
             assert value == others[name], name
 
 
-@pytest.mark.evidence
 def test_every_request_is_answered_alike(simavr: Session, avr8js: Session) -> None:
     answers = [[p for p in packets if p.kind != Kind.BLOCK] for packets in avr8js.replies]
     for (kind, _), ones, others in zip(REQUESTS, simavr.replies, answers, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,6 +45,12 @@ def _identified(one: Case) -> Identification:
     return identify(one.recordings(), ("sampled-data",))
 
 
+@functools.cache
+def _found(name: str) -> tuple[Case, Identification]:
+    one = _case(name)
+    return one, _identified(one)
+
+
 def _estimate(found: Identification) -> Estimate:
     law = found.motor_law
     return (None if law is None else law.estimate) or found.estimates["sampled-data"]
@@ -82,8 +89,7 @@ def test_there_is_a_law_for_each_part_of_the_model() -> None:
     ],
 )
 def test_the_law_of_a_motor_is_named_and_its_numbers_are_right_with_it(name: str) -> None:
-    one = _case(name)
-    found = _identified(one)
+    one, found = _found(name)
     assert found.motor_law is not None
     named = [law.law.name for law in found.motor_law.found]
     alike = {other for group in found.motor_law.not_told_apart if len(group) <= 3 for other in group}
@@ -121,7 +127,7 @@ def test_a_law_that_the_tests_cannot_show_is_in_the_uncertainty_and_makes_the_es
 
 
 def test_u95_is_at_least_the_scatter_and_its_lines_add_up() -> None:
-    found = _identified(_case("force_over_position 0.05"))
+    _, found = _found("force_over_position 0.05")
     assert found.motor_law is not None
     lines = found.motor_law.budget
     scatter = next(entry for entry in lines.entries if entry.source == "scatter")
