@@ -83,6 +83,7 @@ class Slow:
         return -2.0 * sample.y_rad
 
 
+@pytest.mark.evidence
 def test_it_drives_the_board_and_replays(tmp_path: Path) -> None:
     bench = Bench(Spring())
     run = bench.run(tmp_path, 2.0)

@@ -142,6 +142,7 @@ def test_identify_from_the_folder_and_from_the_bare_csv(
         assert estimate[name] == pytest.approx(outcome["truth"][name], rel=0.03)
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_the_same_seed_gives_the_same_samples_byte_for_byte(tmp_path: Path) -> None:
     quick = {"relay__gains": [{"h1_V": 0.45, "h2_V": 0.9}], "relay__cycles": 3, "tracking": None}

@@ -84,6 +84,7 @@ def test_the_map_is_the_formula_within_its_error_bars(parts: dict[str, float]) -
     assert np.median([p.error_V for p in found.positions]) < 0.003
 
 
+@pytest.mark.evidence
 def test_half_sum_is_force_and_half_difference_is_friction() -> None:
     motor = PLAIN._replace(force_sin_V=0.1, friction_sin_V=0.06)
     found = surveyed(motor, seed=4)

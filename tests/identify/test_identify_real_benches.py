@@ -88,6 +88,7 @@ def test_many_turns_in_fine_steps_are_no_degrees_and_each_number_has_its_grade()
     assert answer.holds.ways == "both" and answer.holds.drive_V == pytest.approx((3.0, 7.0))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("way", [1.0, *evidence(-1.0)])
 def test_one_way_with_several_levels_gives_tau_K_and_friction_less_bias(way: float) -> None:
     answer = answered(recorded(MOTOR._replace(bias_V=0.1), (3.0, 5.0, 7.0), ways=(way,)))

@@ -37,9 +37,10 @@ from rig.results import EstimateResult
 pytestmark = [pytest.mark.long, pytest.mark.drawn]
 
 FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
-# every subset without samples (quick); with them each file alone, the two that know the search, and all four
+# without samples (quick), without a result, without all; the others are evidence
 SUBSETS = [
-    *((name,) for name in FILES), ("events.jsonl", "result.json"), FILES,
+    ("samples.csv",), ("result.json",), FILES,
+    *evidence((("meta.json",),), (("events.jsonl",),), (("config.yaml",),), (("events.jsonl", "result.json"),)),
     *evidence(*((c,) for n in range(2, 5) for c in combinations(FILES, n) if "samples.csv" in c or n == 4)),
 ]  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr", "input", "wbr"}

@@ -39,6 +39,7 @@ def test_a_number_is_always_the_same_motor() -> None:
     assert [kinds_of(k, False, 1)[0].name for k in (0, 1)] == ["plain", "dead_band 0.02"]
 
 
+@pytest.mark.evidence
 def test_a_row_has_the_motors_errors_and_what_was_found() -> None:
     one = row(CAMPAIGN, 5, False)
     assert one.kinds == ("gain_by_sign 3",)

@@ -113,6 +113,7 @@ def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
     assert "| ended otherwise: NO_MOTION | 1 |" in text
 
 
+@pytest.mark.evidence
 def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> None:
     one = replace(row(CAMPAIGN, 3, (), Asked()), verdict="ok", final_error=(0.0,) * 3, final_inside=(True,) * 3)
     rows = [
