@@ -240,6 +240,7 @@ def test_importing_rig_loads_nothing_that_is_slow() -> None:
     assert said.stdout.strip() == "[]"
 
 
+@pytest.mark.evidence
 def test_a_function_stays_one_whatever_was_imported_before() -> None:
     """In one process, which forgets rig, and nothing else, before each."""
     code = """

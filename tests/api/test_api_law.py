@@ -142,6 +142,7 @@ def test_a_law_without_a_drive_or_without_a_step_is_refused(tmp_path: Path) -> N
         rig.run(rig.ready("simulated"), law=Spring(), duration_s=0.0, out=tmp_path)
 
 
+@pytest.mark.evidence
 def test_runs_may_be_repeated_and_a_replay_needs_the_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = with_law(tmp_path, name="spring", duration_s=0.5)
     result = command("run", path, "--repeat", 2, "--out", tmp_path / "runs", "--json")

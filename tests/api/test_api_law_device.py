@@ -83,6 +83,7 @@ class Slow:
         return -2.0 * sample.y_rad
 
 
+@pytest.mark.evidence
 def test_it_drives_the_board_and_replays(tmp_path: Path) -> None:
     bench = Bench(Spring())
     run = bench.run(tmp_path, 2.0)
@@ -106,8 +107,7 @@ def test_it_drives_the_chip_and_replays(tmp_path: Path) -> None:
     [
         (Stumbles, "ZeroDivisionError"),
         (lambda: AsksFor(math.nan), "nan V"),
-        (lambda: AsksFor(None), "TypeError"),
-        *evidence((lambda: AsksFor(math.inf), "inf V")),
+        *evidence((lambda: AsksFor(None), "TypeError"), (lambda: AsksFor(math.inf), "inf V")),
     ],
     ids=["exception", "nan", "nothing", "inf"],
 )
@@ -120,7 +120,7 @@ def test_a_law_that_fails_leaves_no_drive_at_the_pin(tmp_path: Path, make: Calla
     assert rig.replay(run, law=make()).is_same
 
 
-@pytest.mark.parametrize("asked_V", [100.0, -100.0])
+@pytest.mark.parametrize("asked_V", [100.0, *evidence(-100.0)])
 def test_a_drive_beyond_the_largest_never_reaches_the_pin(tmp_path: Path, asked_V: float) -> None:
     bench = Bench(AsksFor(asked_V))
     run = bench.run(tmp_path)

@@ -60,6 +60,7 @@ def test_its_friction_is_as_near_to_coulomb_as_its_constraint_can_be() -> None:
     assert 0.0 < float(data.qpos[0]) < 1e-6  # it creeps, but nobody sees it
 
 
+@pytest.mark.evidence
 def test_a_shaft_without_load_has_the_numbers_of_its_model_and_no_law(tmp_path: Path) -> None:
     shaft = Shaft()
     result, _ = identified(tmp_path, shaft)

@@ -98,6 +98,7 @@ def test_rig_check_takes_the_example_as_it_stands_without_a_card(tmp_path: Path)
     assert "link: the budget of a plug-in driver is not known" in done.stdout
 
 
+@pytest.mark.evidence
 def test_the_whole_experiment(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path, tracking__duration_s=3.0))
     outcome = experiment.run(e, tmp_path / "runs")

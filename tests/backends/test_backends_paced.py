@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from command_line import rig
+from evidence import evidence
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -88,7 +89,7 @@ def test_a_signal_ends_a_sleep_before_its_time_has_passed() -> None:
     assert clock.sleep_until(STEP_S) == STEP_S and wall.t_s == pytest.approx(1010.0)
 
 
-@pytest.mark.parametrize(("name", "pace"), [("demo", 3.0), ("modbus-tcp", 20.0), ("simulated", 7.0)])
+@pytest.mark.parametrize(("name", "pace"), [("modbus-tcp", 20.0), ("simulated", 7.0), *evidence(("demo", 3.0))])
 def test_a_paced_run_records_the_same_and_says_how_it_was_paced(tmp_path: Path, name: str, pace: float) -> None:
     rows, times, notes = list[bytes](), list[dict[str, Any]](), list[list[str]]()
     for options in ((), ("--pace", pace)):

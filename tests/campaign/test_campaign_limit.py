@@ -33,6 +33,7 @@ def summary_of(name: str, folder: Path, motors: int, jobs: int = os.cpu_count() 
     return found
 
 
+@pytest.mark.evidence
 def test_some_on_the_grid_are_near_the_bound(tmp_path: Path) -> None:
     """As below, as far as so few tell."""
     found = summary_of("campaign", tmp_path, SOME, jobs=1)

@@ -90,11 +90,13 @@ def test_there_is_a_picture_whatever_came_out(tmp_path: Path, drawn: Callable[[]
     assert np.ptp(pixels) > 0.5
 
 
+@pytest.mark.evidence
 def test_the_same_rows_give_the_same_picture() -> None:
     """Of the case that has most to draw."""
     assert picture.draw(GRID, ALL_VERDICTS) == drawn_all_verdicts()
 
 
+@pytest.mark.evidence
 def test_the_page_stands_alone_and_holds_the_table(tmp_path: Path) -> None:
     rows = scattered(60)
     found = cast(summary.Summary, summary.summarise(rows) | {"session": {"experiments": 0}})

@@ -193,6 +193,7 @@ def test_an_installed_rig_refuses_an_emulated_chip_before_it_compiles(
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.evidence
 def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tmp_path: Path) -> None:
     config = yaml.safe_load(SIMULATED.read_text(encoding="utf-8"))
     config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}], "cycles": 5}

@@ -41,6 +41,7 @@ def test_a_loop_is_tuned_tried_recorded_and_replayed(run: Path, tmp_path: Path) 
     assert command("check", folder / "config.yaml").exit_code == 0
 
 
+@pytest.mark.evidence
 def test_a_loop_is_tried_on_an_io_block_that_drives_a_period_late(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,6 +69,7 @@ def test_a_loop_is_tried_on_an_io_block_that_drives_a_period_late(
     assert rig.replay(said["bench_run"]).is_same
 
 
+@pytest.mark.evidence
 def test_the_words_of_a_velocity_loop(run: Path) -> None:
     done = command("tune", run, "--loop", "velocity", "--bandwidth", "15", "--draws", "39")
     assert done.exit_code == 0, done.output

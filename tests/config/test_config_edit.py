@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -39,7 +40,7 @@ def comments(text: str) -> list[str]:
     return [line.split("#", 1)[1] for line in text.splitlines() if "#" in line]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(name=st.sampled_from(NAMES), new=values, returns=st.booleans())
 def test_any_values_change_nothing_else(name: str, new: dict[tuple[str | int, ...], Value], returns: bool) -> None:
     text = ready.text(name)

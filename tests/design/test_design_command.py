@@ -69,6 +69,7 @@ def test_the_motion_stays_in_the_room(found: dict[str, Any]) -> None:
     assert max(found["motion"]["y_rad"]) < found["room"]["high_rad"]
 
 
+@pytest.mark.evidence
 def test_words_and_picture(run: Path, tmp_path: Path) -> None:
     said = rig("design", CONFIG, "--model", run / "result.json", "--interval", "2", "--to", tmp_path / "d.png")
     assert said.exit_code == 0, said.output
@@ -83,6 +84,7 @@ def test_words_and_picture(run: Path, tmp_path: Path) -> None:
     assert "is there already" in again.stderr
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("suffix", [".svg", *evidence(*(one for one in picture.FORMATS if one != ".svg"))])
 def test_the_same_design_gives_the_same_picture(found: dict[str, Any], suffix: str) -> None:
     result = DesignResult.model_validate({key: value for key, value in found.items() if key not in ("ok", "model")})

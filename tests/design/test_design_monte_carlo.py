@@ -23,6 +23,7 @@ MOTORS = {"demo": DEMO, "slow": (0.41, 1.23, 0.42, 0.02), "high gain": (0.092, 1
 FITS = 40
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", ["demo", *evidence("slow", "high gain")])
 def test_the_expected_interval_is_the_scatter_of_fits(name: str) -> None:
     """Of tau, K and f_c, with the delay and the start unknown; the worst of them is what a design states."""

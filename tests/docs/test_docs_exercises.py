@@ -30,6 +30,7 @@ def done() -> tuple[dict[str, Any], list[str]]:
     return names, printed
 
 
+@pytest.mark.evidence
 def test_each_prints_what_the_page_shows(done: tuple[dict[str, Any], list[str]]) -> None:
     assert len(EXERCISES) == PAGE.read_text(encoding="utf-8").count("```python") == 3
     for (_, shown), printed in zip(EXERCISES, done[1], strict=True):

@@ -41,6 +41,7 @@ def identified(outcome: dict[str, Any]) -> dict[str, Any]:
     return estimate
 
 
+@pytest.mark.evidence
 def test_a_drive_that_waits_in_the_device_for_many_ticks(tmp_path: Path) -> None:
     prompt, _ = ran(tmp_path, latency_s=0.005)
     late, folder = ran(tmp_path, latency_s=0.035)

@@ -56,6 +56,7 @@ def test_nothing_arms_again_after_a_fault_or_a_signal(tmp_path: Path) -> None:
     assert len(list((tmp_path / "runs").iterdir())) == 1
 
 
+@pytest.mark.evidence
 def test_a_bridge_that_lets_the_motor_run_free_is_named_and_nothing_is_believed(tmp_path: Path) -> None:
     """The breakaway check cannot see it; what the relay tests give is another motor than the data sheet's."""
     config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
@@ -69,7 +70,7 @@ def test_a_bridge_that_lets_the_motor_run_free_is_named_and_nothing_is_believed(
     assert any("lets the motor run free" in note for note in result["notes"])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, *evidence(signal.SIGTERM, signal.SIGHUP)])
 def test_a_signal_in_the_loop_or_while_identifying_ends_the_run_with_a_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
@@ -162,8 +163,8 @@ def test_what_the_device_had_latched_since_the_last_run_is_said(
     ("measured_V", "at_least", "said"),
     [
         (13.0, False, "a motor supply of 13.0 V, drive.supply_V is 12 V: K is 8 % too large then, and f_c too small"),
-        (12.4, False, ""),
         *evidence(
+            (12.4, False, ""),
             (
                 11.0,
                 False,
@@ -343,7 +344,9 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
     assert outcome["faults"][0]["code"] == "INTERNAL" and "relay-1" in read_run(folder).stages()
 
 
-@pytest.mark.parametrize("changed", [{"tau_s": 0.6, "K_rad_s_V": 1.2}, {"fc_V": 2.5}], ids=["sluggish", "rough"])
+@pytest.mark.parametrize(
+    "changed", [{"tau_s": 0.6, "K_rad_s_V": 1.2}, *evidence({"fc_V": 2.5})], ids=["sluggish", "rough"]
+)
 def test_a_model_that_fails_in_simulation_never_drives_the_bench(changed: dict[str, Any], tmp_path: Path) -> None:
     """Measured at the drive: the record has no tick of it, and the model that passed never goes beyond the limits."""
     e = configs.load(ROOT / "config/quick.yaml")

@@ -130,6 +130,7 @@ def test_identify_from_two_csv_files(ready_run: tuple[Result, dict[str, Any]], t
     assert "do not differ" in json.loads(twice.stdout)["estimates"]["least-squares"]["reasons"][0]
 
 
+@pytest.mark.evidence
 def test_beside_a_relay_test_all_methods_are_compared(tmp_path: Path) -> None:
     runs = yaml.safe_load(READY.read_text(encoding="utf-8"))["relay"]["hysteretic"][:2]
     whole = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))

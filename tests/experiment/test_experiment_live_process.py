@@ -72,6 +72,7 @@ def test_a_test_designed_before_the_guard_had_to_brake_is_not_driven(process: Li
     assert process.advice(0, 0.0) == advice
 
 
+@pytest.mark.evidence
 def test_it_ends_with_the_one_that_started_it_and_files_of_the_folder_that_rig_is_called_in_are_not_its_modules(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

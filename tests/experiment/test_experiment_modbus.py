@@ -59,6 +59,7 @@ def separate() -> dict[str, Any]:
     return config
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(("config", "order"), [(separate, "sample_first"), *evidence((searched, "write_first"))])
 def test_in_virtual_time_by_the_search_and_by_separate_requests(
     config: Callable[[], dict[str, Any]], order: str, tmp_path: Path

@@ -93,6 +93,7 @@ def test_without_room_it_is_refused_before_anything_moves(sections: dict[str, An
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.evidence
 def test_the_rehearsal_has_the_delay_that_the_strokes_have_shown(tmp_path: Path) -> None:
     """Without it the rehearsal passes, and the shaft is lost in the sweeps."""
     limits = {"soft_rad": [-1.1, 1.1], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 3.0, "coast_tau_s": 0.2}

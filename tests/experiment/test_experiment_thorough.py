@@ -25,6 +25,7 @@ def thorough(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return outcome
 
 
+@pytest.mark.evidence
 def test_a_thorough_run_tells_what_the_plain_run_leaves_open(thorough: dict[str, Any]) -> None:
     """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
     assert any(note.startswith("thorough: the tests left") for note in thorough["notes"])

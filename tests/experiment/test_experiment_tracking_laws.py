@@ -96,6 +96,7 @@ def test_a_run_with_laws_is_replayed_and_says_what_it_drove_with(sagging: tuple[
     assert result["answer"]["law_frame"]["half_travel_rad"] == real.frame.half_travel_rad
 
 
+@pytest.mark.evidence
 def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
     sagging: tuple[Path, Path, Identification], tmp_path: Path
 ) -> None:

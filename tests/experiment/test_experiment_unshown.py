@@ -176,9 +176,9 @@ def test_a_reading_that_fails_as_the_search_begins_hides_no_more_than_one_push_a
     assert travel_rad <= 1.01 * abs(alone.shaft_rad - from_rad)
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.13, 0.41])
+@pytest.mark.parametrize("after_s", [0.0, 0.41, *evidence(0.13)])
 @pytest.mark.parametrize("failure", ["frozen", "uncoupled"])
-@pytest.mark.parametrize("level", [0.8, 1.2])
+@pytest.mark.parametrize("level", [0.8, *evidence(1.2)])
 def test_a_reading_that_fails_in_strokes_or_a_relay_test_ends_the_run(
     level: float, failure: Failure, after_s: float
 ) -> None:
@@ -248,7 +248,7 @@ def test_tests_that_are_all_broken_off_end_before_their_numbers_do(monkeypatch: 
     assert not session.found.stopped.known
 
 
-@pytest.mark.parametrize("after_s", [0.0, 1.1, 3.0])
+@pytest.mark.parametrize("after_s", [0.0, 3.0, *evidence(1.1)])
 @pytest.mark.parametrize(("failure", "flickers"), [("frozen", True), ("frozen", False), ("uncoupled", True)])
 def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_is_at_its_stop(
     failure: Failure, flickers: bool, after_s: float, monkeypatch: pytest.MonkeyPatch
@@ -275,7 +275,7 @@ def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_i
 
 
 @pytest.mark.parametrize(
-    ("flickers", "where"), [(True, "host"), (False, "device"), *evidence((True, "device"), (False, "host"))]
+    ("flickers", "where"), [(False, "device"), *evidence((True, "host"), (True, "device"), (False, "host"))]
 )
 def test_a_relay_test_whose_first_cycle_never_comes_ends_with_a_stuck_sensor(
     where: Literal["host", "device"], flickers: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -415,6 +415,7 @@ def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits() ->
     assert e.limits.soft_rad[1] < max(furthest_rad) < hard_rad
 
 
+@pytest.mark.evidence
 def test_a_shaft_that_only_bends_ends_the_tests_after_three_starts_and_says_why() -> None:
     """Its friction bends before it slides: strokes far below the friction move it by more than breakaway.motion_rad."""
     campaign = Campaign(name="stopping", experiments=1, seed=6)

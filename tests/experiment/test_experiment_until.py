@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 from command_line import rig
-from evidence import evidence
 
 from rig.experiment.advisers import InTheLoop
 from rig.recording.reader import read_run
@@ -114,6 +113,7 @@ def test_a_seed_gives_the_same_run_and_no_loop_is_compiled_once_the_device_is_op
         assert (again / name).read_text() == (known[0] / name).read_text()
 
 
+@pytest.mark.evidence
 def test_an_unbalanced_load_is_found_while_the_tests_run_and_they_end_when_it_is_known(tmp_path: Path) -> None:
     """tau, K and friction alone never explain it: the tests would go on to the bound."""
     motor = yaml.safe_load((ROOT / "config/quick.yaml").read_text(encoding="utf-8"))["emulated"]["motor"]
@@ -140,6 +140,7 @@ def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult]
     assert replay(folder).is_same
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
     known: tuple[Path, RunResult], tmp_path: Path
@@ -157,12 +158,13 @@ def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
     assert replay(folder).is_same
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [
         ({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"),
-        *evidence(({"most_cycles": 3}, "most_cycles, 3, are driven")),
+        ({"most_cycles": 3}, "most_cycles, 3, are driven"),
     ],
 )
 def test_what_is_not_known_in_time_ends_at_its_bound_and_is_identified(

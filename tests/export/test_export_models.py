@@ -182,6 +182,7 @@ def test_wpilib_computes_the_drive_that_rig_asks_for(exported: Callable[..., Pat
         assert theirs + file["constant_V"]["value"] == pytest.approx(ours, abs=1e-9)
 
 
+@pytest.mark.evidence
 def test_octave_simulates_it_as_rig_moves_it_and_lays_it_over_the_recording(exported: Callable[..., Path]) -> None:
     """One process for all: an export after the other, and the recorded strokes of the first."""
     u_V = drive(150)

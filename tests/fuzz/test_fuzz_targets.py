@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from evidence import examples
+from evidence import evidence, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +13,10 @@ INPUTS = {"identify": 100, "config": 300, "campaign-config": 300, "run-folder": 
 INPUTS |= {"hostile-config": 40, "strict-json": 200}
 
 
-@pytest.mark.parametrize("name", TARGETS)
+LONG = ("config", "hostile-run")
+
+
+@pytest.mark.parametrize("name", [*(name for name in TARGETS if name not in LONG), *evidence(*LONG)])
 def test_seeds_and_damaged_seeds(name: str) -> None:
     """Bytes changed, cut out, repeated, as disks, editors and wires do."""
     target, draw = TARGETS[name], random.Random(name)

@@ -36,6 +36,7 @@ def demo() -> dict[str, Any]:
     return config
 
 
+@pytest.mark.evidence
 def test_the_whole_experiment_on_the_chip_finds_the_truth(tmp_path: Path) -> None:
     config = demo()
     config["relay"]["cycles"] = 6

@@ -518,7 +518,7 @@ def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
 # ---------------------------------------------------------------------- the whole experiment, by one key
 
 
-@pytest.mark.parametrize("where", ["host", "device"])
+@pytest.mark.parametrize("where", ["device", *evidence("host")])
 def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.4, h2_V=0.85),), cycles=5)

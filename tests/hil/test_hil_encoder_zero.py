@@ -84,7 +84,7 @@ def refuses_to_drive(host: AnyHost) -> bool:
 
 
 @each_board
-@pytest.mark.parametrize("channel", ["still", "still_a"])
+@pytest.mark.parametrize("channel", ["still", *evidence("still_a")])
 def test_a_channel_that_stands_still_while_disarmed_ends_the_zero(board: Boards, channel: SensorWiring) -> None:
     """However fast the hand, however fine the encoder, wherever it begins, either way."""
     rng = random.Random(f"{board.__name__} {channel}")
@@ -132,7 +132,7 @@ def test_a_shaft_that_trembles_on_an_edge_loses_its_zero(board: Boards) -> None:
 
 
 @each_board
-@pytest.mark.parametrize("moment", ["before SETUP", "between SETUP and ARM", "in a pause", "after a reset"])
+@pytest.mark.parametrize("moment", ["before SETUP", "in a pause", *evidence("between SETUP and ARM", "after a reset")])
 def test_it_is_seen_whenever_nothing_drives(board: Boards, moment: str) -> None:
     with board(turning(500.0)) as host:
         host.acknowledge(Code.RESET)

@@ -72,7 +72,7 @@ def off_within(host: PicoHost, longest_s: float) -> None:
     assert host.pin_V() == 0.0
 
 
-@pytest.mark.parametrize(("rate", "way"), [(240_000, 1.0), (1_900_000, -1.0), *evidence((12_500, -1.0))])
+@pytest.mark.parametrize(("rate", "way"), [(1_900_000, -1.0), *evidence((240_000, 1.0), (12_500, -1.0))])
 def test_no_count_is_lost_up_to_the_bound(rate: int, way: float) -> None:
     """While the host asks for everything as fast as it may."""
     bench = turning(rate)
@@ -94,7 +94,7 @@ def test_no_count_is_lost_up_to_the_bound(rate: int, way: float) -> None:
         assert host.truth().overruns == 0 and host.board.broken_rule() == ""
 
 
-@pytest.mark.parametrize("rate", [1.2 * LARGEST_RATE, 5 * LARGEST_RATE])
+@pytest.mark.parametrize("rate", [1.2 * LARGEST_RATE, *evidence(5 * LARGEST_RATE)])
 def test_edges_too_fast_to_count_are_a_fault_within_three_ticks(rate: float) -> None:
     with armed(turning(rate)) as host:
         host.drive(DRIVE)
@@ -125,7 +125,7 @@ def test_two_channels_at_once_mean_0_V_within_two_ticks_and_no_zero() -> None:
             arm(host)
 
 
-@pytest.mark.parametrize("units", [625, -3125])
+@pytest.mark.parametrize("units", [625, *evidence(-3125)])
 def test_a_channel_that_stands_still_ends_the_drive_after_its_bound(units: int) -> None:
     """In counts of travel, whatever the speed."""
     with armed() as host:
@@ -144,7 +144,7 @@ def test_a_channel_that_stands_still_ends_the_drive_after_its_bound(units: int) 
         assert host.arm_anew() == Code.NO_ZERO
 
 
-@pytest.mark.parametrize("hang", ["tick", "main loop", "everything", "counter"])
+@pytest.mark.parametrize("hang", ["everything", *evidence("counter", "tick", "main loop")])
 def test_a_hung_program_loses_its_zero_and_the_drive(hang: Any) -> None:
     with armed(setup=FAR._replace(watchdog_ms=1000)) as host:
         host.drive(DRIVE)

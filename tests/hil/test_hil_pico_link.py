@@ -273,6 +273,7 @@ def wired(bench: BenchParameters) -> VirtualPico:
     return VirtualPico(pico_parameters(bench, options=WIRED))
 
 
+@pytest.mark.evidence
 def test_a_tachometer_where_it_is_wired() -> None:
     scale = TachometerScale(0.0125, 2048.0)
     board = wired(replace(QUIET, tachometer_rad_s_per_count=0.0125, tachometer_zero_counts=2048.0))
@@ -287,6 +288,7 @@ def test_a_tachometer_where_it_is_wired() -> None:
     board.end()
 
 
+@pytest.mark.evidence
 def test_the_motor_supply_where_it_is_wired() -> None:
     board = wired(QUIET)
     assert driver_on(board).open().supply_V == pytest.approx(12.0, abs=0.1)

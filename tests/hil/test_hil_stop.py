@@ -300,7 +300,7 @@ def test_a_stop_while_a_calibration_asks_refuses_the_next_drive_once(tmp_path: P
         assert pin.driven_s != []
 
 
-@pytest.mark.parametrize("phase", [5.4, 100.9, 180.2])
+@pytest.mark.parametrize("phase", [100.9, *evidence(5.4, 180.2)])
 def test_stop_by_another_panel_while_it_homes_is_0_V_at_the_pin(tmp_path: Path, phase: float) -> None:
     """On the way to the switch, on the way back, and on the way there again."""
     encoder = {"counts_per_turn": 64, "gear": 50, "home": {"end": "high", "at_rad": 1.5, "u_V": 0.9}}

@@ -45,7 +45,7 @@ def bench(device: str) -> Iterator[tuple[Device, Scaling, GuardSettings]]:
         yield (VirtualBoard(DEMO, 1) if device == "host" else VirtualChip(DEMO, 1)), SCALING, GUARD
 
 
-@pytest.mark.parametrize("device", ["host", "uno", *evidence("pico")])
+@pytest.mark.parametrize("device", ["host", *evidence("uno", "pico")])
 def test_the_shaft_of_a_board_follows_the_sweeps_within_its_limits_and_rests(device: str) -> None:
     """The true shaft; the motor is known to 20 %."""
     true_rad: list[float] = []

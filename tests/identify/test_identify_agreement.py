@@ -81,6 +81,7 @@ def test_one_motor_is_seldom_called_two() -> None:
     assert named <= 2  # 0.2 to be expected
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_identify_says_it_and_calls_the_estimate_doubtful(tmp_path: Path) -> None:
     paths = [write_csv(tmp_path / f"{name}.csv", samples(name)) for name in ("a", "b", "odd")]

@@ -97,6 +97,7 @@ def test_it_can_be_asked_for_and_says_where_it_does_not_apply() -> None:
     assert not any("largest-speed" in note for note in others.notes)  # a run without a relay test lacks none
 
 
+@pytest.mark.evidence
 def test_its_line_alone_puts_it_on_the_command_line_into_configs_and_into_the_report(tmp_path: Path) -> None:
     """The line is there before rig is loaded, as it is for those in the file."""
     run = tmp_path / "run"
@@ -148,6 +149,7 @@ def found_lopsided() -> Iterator[Identification]:
     DEPARTURES[:] = own
 
 
+@pytest.mark.evidence
 def test_a_law_in_the_list_is_tried_chosen_and_wherever_laws_are_shown(
     found_lopsided: Identification, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

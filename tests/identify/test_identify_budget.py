@@ -336,6 +336,7 @@ def with_a_load() -> Identification:
     return identify(case(Campaign(name="real", experiments=1, seed=1), 1, [kind]).recordings(), ("sampled-data",))
 
 
+@pytest.mark.evidence
 def test_where_a_law_explains_the_tests_the_plain_estimate_sends_to_it_before_all_else() -> None:
     reasons = with_a_load().estimates["sampled-data"].reasons
     assert reasons[0].endswith("% off, for the motor has force over position: the answer has it")
@@ -350,6 +351,7 @@ def test_one_motor_with_a_law_is_not_doubted_because_it_looks_like_two_plain_one
     assert answer.verdict == "ok", answer.reasons
 
 
+@pytest.mark.evidence
 def test_another_supply_between_two_recordings_stays_a_doubt() -> None:
     """A motor of its own explains each of them: then a law that explains both proves nothing."""
     one, other = relay_test(), relay_test(0.55, 0.8)
@@ -384,6 +386,7 @@ class ToAndFro:
         return self._strokes[self._number % len(self._strokes)][0]
 
 
+@pytest.mark.evidence
 def test_the_lag_of_a_winding_is_no_wrong_time_of_the_drive() -> None:
     """Where the device tells when its drive acted: 2 ms later would explain these strokes as well as the lag does."""
     true = RealMotor(0.083, 14.4, 0.42, lag_s=0.002)

@@ -35,6 +35,7 @@ def test_it_is_the_inverse_of_the_information() -> None:
     assert cramer_rao(theta, drive, t_s, noise) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.evidence
 def test_estimates_scatter_as_much_as_the_bound_says() -> None:
     one, theta, drive, t_s = relay_record()
     bound = cramer_rao(theta, drive, t_s, PositionNoise(0.003))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,6 +45,12 @@ def _identified(one: Case) -> Identification:
     return identify(one.recordings(), ("sampled-data",))
 
 
+@functools.cache
+def _found(name: str) -> tuple[Case, Identification]:
+    one = _case(name)
+    return one, _identified(one)
+
+
 def _estimate(found: Identification) -> Estimate:
     law = found.motor_law
     return (None if law is None else law.estimate) or found.estimates["sampled-data"]
@@ -63,11 +70,11 @@ def test_there_is_a_law_for_each_part_of_the_model() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "dead_band 0.05",
-        "stribeck 0.15",
         "force_over_position 0.05",
         "backlash 10",
         *evidence(
+            "dead_band 0.05",
+            "stribeck 0.15",
             "gain_by_sign 3",
             "sag 3",
             "lag 10",
@@ -82,8 +89,7 @@ def test_there_is_a_law_for_each_part_of_the_model() -> None:
     ],
 )
 def test_the_law_of_a_motor_is_named_and_its_numbers_are_right_with_it(name: str) -> None:
-    one = _case(name)
-    found = _identified(one)
+    one, found = _found(name)
     assert found.motor_law is not None
     named = [law.law.name for law in found.motor_law.found]
     alike = {other for group in found.motor_law.not_told_apart if len(group) <= 3 for other in group}
@@ -121,7 +127,7 @@ def test_a_law_that_the_tests_cannot_show_is_in_the_uncertainty_and_makes_the_es
 
 
 def test_u95_is_at_least_the_scatter_and_its_lines_add_up() -> None:
-    found = _identified(_case("force_over_position 0.05"))
+    _, found = _found("force_over_position 0.05")
     assert found.motor_law is not None
     lines = found.motor_law.budget
     scatter = next(entry for entry in lines.entries if entry.source == "scatter")
@@ -137,7 +143,7 @@ def test_u95_is_at_least_the_scatter_and_its_lines_add_up() -> None:
         (0.65, 0.0, (0.65, 0.03), ["static"]),
         (0.65, 0.0, None, []),  # the relay tests never hold the shaft
         (0.5, 0.0, (0.53, 0.03), []),
-        (0.65, 0.5, (0.68, 0.03), ["stribeck"]),
+        *evidence((0.65, 0.5, (0.68, 0.03), ["stribeck"])),
     ],
 )
 def test_breakaway_ramps_show_static_friction_that_is_clearly_above_that_in_motion(
@@ -159,6 +165,7 @@ def test_breakaway_ramps_show_static_friction_that_is_clearly_above_that_in_moti
         assert [getattr(estimate, name) for name in OF] == pytest.approx([getattr(plain, n) for n in OF], rel=2e-3)
 
 
+@pytest.mark.evidence
 def test_a_slow_drive_shows_static_friction_without_ramps() -> None:
     """A stair of drives up and down: the shaft stands on steps that would move it without a static level."""
 
@@ -295,6 +302,7 @@ def test_a_drive_that_changes_in_every_row_is_averaged_in_a_long_record() -> Non
     assert thin.steps.edge_s.tolist() == pytest.approx((0.01 * np.arange(10)).tolist())
 
 
+@pytest.mark.evidence
 def test_a_long_record_is_thinned_and_its_law_stays() -> None:
     """Sampled every 1 ms it has ten times as many rows; ten at a time give the numbers of the whole."""
     d = Departures(force_V=0.05, force_phase_rad=1.0)

@@ -84,6 +84,7 @@ def scatter(found: Identification) -> dict[str, float]:
     return {name: getattr(line, name) / getattr(found.answer, name) for name in OF_PARAMETERS}
 
 
+@pytest.mark.evidence
 @settings(max_examples=examples(18, at_least=3), deadline=None)
 @given(
     tau_s=st.floats(0.03, 0.5),

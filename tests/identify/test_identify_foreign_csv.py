@@ -232,14 +232,19 @@ def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(
     assert any(column in reason and "?" in reason for reason in found.reasons), found.reasons
 
 
+def part(columns: Columns) -> Columns:
+    """The first rows of what takes long to refuse."""
+    return {name: column[:500] for name, column in columns.items()}
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
         (lambda c: {"y_rad": np.degrees(c["y_rad"])}, "degrees"),
         (lambda c: {"y_rad": np.round(c["y_rad"] / 0.0041) + 512.0}, "raw counts"),
-        (lambda c: {"y_rad": c["u_V"], "u_V": c["y_rad"]}, "swapped?"),
-        (lambda c: {"u_V": -c["u_V"]}, "reverse the sign"),
-        (lambda c: {"y_rad": (c["y_rad"] + 0.2) % 0.5}, "unwrap"),
+        (lambda c: part(c) | {"y_rad": part(c)["u_V"], "u_V": part(c)["y_rad"]}, "swapped?"),
+        (lambda c: part(c) | {"u_V": -part(c)["u_V"]}, "reverse the sign"),
+        (lambda c: part(c) | {"y_rad": (part(c)["y_rad"] + 0.2) % 0.5}, "unwrap"),
         (lambda c: {"y_rad": np.full_like(c["y_rad"], 0.3)}, "the position never changes"),
         (lambda c: {"u_V": np.full_like(c["u_V"], 0.3)}, "the drive never changes"),
         (lambda c: {"y_rad": np.clip(c["y_rad"], -1.0, np.quantile(c["y_rad"], 0.9))}, "stays at exactly"),
@@ -296,6 +301,7 @@ def test_a_drive_some_rows_off_without_its_times_is_right_or_not_believed(
     assert found.verdict != "ok" or within_reason(found, PAPER)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("names", [WITH_DRIVE_TIMES, *evidence((PLAIN,))])
 def test_all_methods_take_what_the_others_refuse_without_a_traceback(
     tmp_path: Path, relay_test: Columns, names: tuple[str, ...]

@@ -62,14 +62,14 @@ def deviations(found: FrictionMap) -> tuple[list[float], list[float]]:
 @pytest.mark.parametrize(
     "parts",
     [
-        {},
+        {"stribeck_V": 0.06, "stribeck_rad_s": 0.5, "force_sin_V": 0.08, "cogging_sin_V": 0.02, "cogging_per_rad": 6.0},
         *evidence(
+            {},
             {"force_sin_V": 0.1, "force_cos_V": 0.05},
             {"friction_sin_V": 0.05},
             {"stribeck_V": 0.06, "stribeck_rad_s": 0.5},
             {"viscous_by_direction_V_s_rad": 0.02, "drag_V_s2_rad2": 0.01},
         ),
-        {"stribeck_V": 0.06, "stribeck_rad_s": 0.5, "force_sin_V": 0.08, "cogging_sin_V": 0.02, "cogging_per_rad": 6.0},
     ],
     ids=lambda parts: "+".join(name for name in parts if name.endswith("_V")) or "plain or viscous",
 )
@@ -84,6 +84,7 @@ def test_the_map_is_the_formula_within_its_error_bars(parts: dict[str, float]) -
     assert np.median([p.error_V for p in found.positions]) < 0.003
 
 
+@pytest.mark.evidence
 def test_half_sum_is_force_and_half_difference_is_friction() -> None:
     motor = PLAIN._replace(force_sin_V=0.1, friction_sin_V=0.06)
     found = surveyed(motor, seed=4)
@@ -103,6 +104,7 @@ def test_a_speed_at_which_the_shaft_sticks_and_slips_is_said() -> None:
     assert [s.sticks for s in found.as_result().speeds] == [s.sticks for s in found.speeds]
 
 
+@pytest.mark.evidence
 def test_the_drive_over_speed_does_not_hang_on_the_motor_that_is_assumed() -> None:
     right, wrong = surveyed(PLAIN, 2), surveyed(PLAIN, 2, PLAIN._replace(tau_s=0.2, K_rad_s_V=7.0))
     for a, b in zip(right.speeds, wrong.speeds, strict=True):

@@ -142,6 +142,7 @@ def test_total_least_squares_is_the_best_of_all_frictions(seed: int, count: int)
     assert left(found) <= min(left(f) for f in np.linspace(-2.0, 3.0, 2001)) * (1.0 + 1e-12)
 
 
+@pytest.mark.evidence
 def test_intervals_cover_although_noise_in_both_sides_bends_the_methods_value() -> None:
     """At 10 ms with 10 mrad of noise the method is off by four times what its scatter lets one expect of the mean."""
     noisy = Bench(delay_s=0.0012, jitter_s=3e-4, noise_rad=0.01)
@@ -161,6 +162,7 @@ def test_intervals_cover_although_noise_in_both_sides_bends_the_methods_value() 
     assert all(any("noise in both sides" in r for r in e.reasons) for e in bent)
 
 
+@pytest.mark.evidence
 def test_intervals_cover_with_starts_of_a_real_homing() -> None:
     rng = np.random.default_rng(3)
     covered, doubted = [], 0

@@ -231,7 +231,9 @@ def test_a_law_that_the_residual_asks_for_is_found_while_the_run_goes_on(part: d
     assert max(errors(last, truth).values()) < 2.0 and last.worst_percent < 5.0
 
 
-@pytest.mark.parametrize(("part", "law"), [({"dead_band_V": 0.04}, "dead_band"), ({"backlash_rad": 0.004}, "backlash")])
+@pytest.mark.parametrize(
+    ("part", "law"), [({"backlash_rad": 0.004}, "backlash"), *evidence(({"dead_band_V": 0.04}, "dead_band"))]
+)
 def test_a_law_that_the_residual_hides_is_found_if_it_is_looked_for(part: dict[str, float], law: str) -> None:
     run = of_real(RealMotor(0.17, 6.5, 0.4, **part))
     fit = LiveFit(SETTINGS)
@@ -252,6 +254,7 @@ def test_a_plain_motor_gets_no_laws() -> None:
         assert sought is not None and sought.laws == ()
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("told", [False, *evidence(True)])
 def test_intervals_hold_the_truth_at_any_length(told: bool) -> None:
     """Of 20 motors, each at three lengths of record: 95 % of the intervals, within chance."""

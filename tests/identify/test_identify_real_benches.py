@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence import evidence
 
 from rig.identify import identify
 from rig.identify.departures import DEPARTURES
@@ -69,6 +70,7 @@ def right(answer: Answer, motor: RealMotor, share: float, *names: str) -> bool:
     return all(abs(float(getattr(answer, name) or 0.0) / getattr(motor, name) - 1.0) < share for name in names)
 
 
+@pytest.mark.evidence
 def test_a_dead_band_far_beyond_the_usual_is_found_with_its_size() -> None:
     answer = answered(recorded(MOTOR._replace(dead_band_V=1.3), (3.0, 5.0, 7.0)))
     assert answer.law is not None and [law.name for law in answer.law] == ["dead_band"]
@@ -86,7 +88,8 @@ def test_many_turns_in_fine_steps_are_no_degrees_and_each_number_has_its_grade()
     assert answer.holds.ways == "both" and answer.holds.drive_V == pytest.approx((3.0, 7.0))
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.evidence
+@pytest.mark.parametrize("way", [1.0, *evidence(-1.0)])
 def test_one_way_with_several_levels_gives_tau_K_and_friction_less_bias(way: float) -> None:
     answer = answered(recorded(MOTOR._replace(bias_V=0.1), (3.0, 5.0, 7.0), ways=(way,)))
     assert answer.verdict == "doubtful"
@@ -100,6 +103,7 @@ def test_one_way_with_several_levels_gives_tau_K_and_friction_less_bias(way: flo
     assert any("one way only" in reason for reason in answer.reasons)
 
 
+@pytest.mark.evidence
 def test_files_that_together_turn_both_ways_are_judged_together() -> None:
     answer = answered(
         recorded(MOTOR, (3.0, 5.0, 7.0), ways=(1.0,)), recorded(MOTOR, (3.0, 5.0, 7.0), ways=(-1.0,), seed=2)
@@ -133,6 +137,7 @@ def test_positions_that_a_file_rounds_still_show_the_steps_of_their_sensor() -> 
     assert TimeSeries(t_s, rough, None, u_V).resolution_rad() == 0.0
 
 
+@pytest.mark.evidence
 def test_time_stamps_of_the_row_before_are_named() -> None:
     slow = MOTOR._replace(K_rad_s_V=5.0)
     t_s, u_V, _ = recorded(slow, (0.0, 3.0, 5.0, 7.0))
@@ -146,6 +151,7 @@ def test_time_stamps_of_the_row_before_are_named() -> None:
     assert named == [True, False]
 
 
+@pytest.mark.evidence
 def test_a_hanging_load_that_a_loop_holds_is_found_though_no_plain_motor_comes_near() -> None:
     """The balance of voltages is the start: a plain motor ends with K near 0, and pieces in which the shaft coasts."""
     hanging = RealMotor(0.16, 2.4, 0.2, force_sin_V=4.5)
@@ -266,6 +272,7 @@ def test_a_law_that_one_block_alone_shows_takes_nothing_away() -> None:
     assert share_cut(np.array([8.0, *[0.1] * 7]), bare, noise) < 0.25
 
 
+@pytest.mark.evidence
 def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> None:
     motor = MOTOR._replace(drift=-0.2)
     answer = answered(recorded(motor, (3.0, 5.0, 7.0), rows=1000), recorded(motor, (2.0, 4.0, 6.0), seed=2, rows=1000))
@@ -273,6 +280,7 @@ def test_friction_that_falls_in_the_course_of_each_recording_is_one_law() -> Non
     assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
 
 
+@pytest.mark.evidence
 def test_a_filter_in_the_reading_is_named_and_undone() -> None:
     t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0, 7.0), rows=1000)
     filtered, keep = y_rad.copy(), math.exp(-PERIOD_S / 0.045)
@@ -284,6 +292,7 @@ def test_a_filter_in_the_reading_is_named_and_undone() -> None:
     assert float(named.partition("low-passed by ")[2].split()[0]) == pytest.approx(45.0, rel=0.1)
 
 
+@pytest.mark.evidence
 def test_a_record_shorter_than_a_stretch_still_has_its_voltages_balanced() -> None:
     """115 rows of 1 ms, with a load and with play: a plain motor leaves far more than noise."""
     quick = RealMotor(0.01, 50.0, 0.6, force_sin_V=3.0, backlash_rad=0.05)

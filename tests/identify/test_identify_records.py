@@ -79,6 +79,7 @@ def test_tracking_changes_neither_estimates_nor_law_nor_verdict(run: Recording, 
     assert told(identify([spoilt], LED_BY)) == told(found)
 
 
+@pytest.mark.evidence
 def test_a_strange_stretch_of_the_search_is_left_out_and_the_verdict_stays(
     run: Recording, found: Identification
 ) -> None:

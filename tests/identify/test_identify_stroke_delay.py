@@ -47,6 +47,7 @@ def test_the_interval_holds_the_true_delay_and_is_some_periods_wide(delay_s: flo
     assert np.median(widths) < 4.0 * PERIOD_S
 
 
+@pytest.mark.evidence
 def test_it_holds_it_for_other_motors_and_sensors() -> None:
     """Friction, its direction, tau, K, noise and steps differ; the interval is one of three standard errors."""
     random = np.random.default_rng(4)

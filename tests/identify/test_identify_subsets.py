@@ -121,6 +121,7 @@ def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_al
     assert cuts[0] not in seen.get("ok", [])
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("drive", "names"), [("relay", PLAIN), *evidence(("relay", WITH_DRIVE_TIMES), ("square", PLAIN))]
 )

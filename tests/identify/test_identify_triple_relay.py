@@ -182,7 +182,9 @@ def test_edges_in_the_wrong_order_are_refused() -> None:
 
 
 @pytest.mark.parametrize("check", CHECKS)
-@pytest.mark.parametrize(("ticks", "known"), [(0.0, True), (0.5, True), (1.5, True), (0.5, False), (1.5, False)])
+@pytest.mark.parametrize(
+    ("ticks", "known"), [(0.0, True), (1.5, False), *evidence((0.5, True), (1.5, True), (0.5, False))]
+)
 def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check: Check, ticks: float, known: bool) -> None:
     cycle = find_cycle(recorded(check, ticks=ticks, known=known))
     found = solve_cycle(cycle, ridge(cycle))
@@ -194,6 +196,7 @@ def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check: Chec
         assert found.delay_s == pytest.approx(ticks * FINE_S, abs=0.05 * FINE_S)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("known", [*evidence(True), False])
 def test_the_command_on_a_plain_csv_of_it_is_right(tmp_path: Path, known: bool) -> None:
     record = recorded(ticks=1.3, known=known)

@@ -225,6 +225,7 @@ def test_what_an_unknown_delay_costs_is_said() -> None:
     assert sampled_data_verdict.confounding(known) is None
 
 
+@pytest.mark.evidence
 def test_rows_left_out_of_a_record_with_times_are_not_believed() -> None:
     """Logged every few ticks only: the drives between the rows are missing, and t_u_s cannot say so."""
     t = np.arange(1500, dtype=float) * 0.01

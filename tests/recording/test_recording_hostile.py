@@ -265,6 +265,7 @@ def test_rows_that_are_no_rows_are_named_by_their_line(tmp_path: Path) -> None:
         read_run(folder)
 
 
+@pytest.mark.evidence
 def test_more_events_than_any_run_has_are_refused_and_not_made(tmp_path: Path) -> None:
     folder = run_of(tmp_path)
     event = b'{"t_s": 0.0, "kind": "stop", "confirmed": true}\n'

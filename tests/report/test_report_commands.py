@@ -44,6 +44,7 @@ def named(folder: Path) -> list[list[str]]:
     return [shlex.split(code) for code in codes if code.startswith("rig ")]
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_what_to_do_next_can_be_typed(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """After a relay test: track; after the tracking: nothing; after a jog, and a run that was killed: run."""

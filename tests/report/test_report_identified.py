@@ -72,6 +72,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(
     assert done.exit_code == 2 and words in done.stderr
 
 
+@pytest.mark.evidence
 def test_the_fit_is_that_of_a_simulation_of_the_whole_test_and_a_wrong_motor_fits_worse(chirp: Path) -> None:
     found = identify([read(chirp)])
     (test,) = simulated(found)
@@ -86,6 +87,7 @@ def test_the_fit_is_that_of_a_simulation_of_the_whole_test_and_a_wrong_motor_fit
     assert wrong.fit_percent < 80.0
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("plain_motor")
 def test_a_refused_answer_has_no_picture_and_says_why(tmp_path: Path) -> None:
     drive = [1.8 * math.sin(4.0 * t) for t in (0.01 * np.arange(600)).tolist()]

@@ -37,9 +37,10 @@ from rig.results import EstimateResult
 pytestmark = [pytest.mark.long, pytest.mark.drawn]
 
 FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
-# every subset without samples (quick); with them each file alone, the two that know the search, and all four
+# without samples (quick), without a result, without all; the others are evidence
 SUBSETS = [
-    *((name,) for name in FILES), ("events.jsonl", "result.json"), FILES,
+    ("samples.csv",), ("result.json",), FILES,
+    *evidence((("meta.json",),), (("events.jsonl",),), (("config.yaml",),), (("events.jsonl", "result.json"),)),
     *evidence(*((c,) for n in range(2, 5) for c in combinations(FILES, n) if "samples.csv" in c or n == 4)),
 ]  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr", "input", "wbr"}
@@ -184,6 +185,7 @@ def test_numbers_are_those_of_the_result(page: Page, complete: Path) -> None:
         assert value in page.values
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("undrawn")
 def test_a_run_with_laws_shows_them_in_the_pictures_and_in_the_tracking_check(
     run: Path, monkeypatch: pytest.MonkeyPatch
@@ -282,11 +284,13 @@ def test_any_subset_of_files_makes_a_page_that_says_what_is_missing(run: Path, g
     ("rows", "drawn", "not_drawn"),
     [
         (3, "Position and drive over the whole run", ""),
-        (300, "Breakaway check", ""),
         (800, "Gain search", ""),
-        (1130, "Residual of the sampled data estimate", "no two settled cycles"),  # of the search
         (2000, "Residual of the sampled data estimate", "No model was driven along the trajectory"),
-        (3500, "Tracking by feedback linearisation", "There was no relay test"),
+        *evidence(
+            (300, "Breakaway check", ""),
+            (1130, "Residual of the sampled data estimate", "no two settled cycles"),
+            (3500, "Tracking by feedback linearisation", "There was no relay test"),
+        ),
     ],
 )
 def test_a_killed_run_shows_what_there_is(run: Path, rows: int, drawn: str, not_drawn: str) -> None:
@@ -306,7 +310,9 @@ def test_a_killed_run_shows_what_there_is(run: Path, rows: int, drawn: str, not_
     assert (not_drawn in page.words) == (rows < 3500)
 
 
-@pytest.mark.parametrize("content", ["", "tick,seq\n", "not a table", "t_s,u_V,y_rad\n0,0,0\n0,0,0\n0,0,0\n"])
+@pytest.mark.parametrize(
+    "content", ["tick,seq\n", "t_s,u_V,y_rad\n0,0,0\n0,0,0\n0,0,0\n", *evidence("", "not a table")]
+)
 def test_unusable_samples_are_said_with_their_cause(run: Path, content: str) -> None:
     (run / "samples.csv").write_text(content)
     page = page_of(run)
@@ -368,6 +374,7 @@ def test_a_doubtful_estimate_says_why_and_what_to_do(run: Path) -> None:
     assert "Treat the values as a first guess" in words
 
 
+@pytest.mark.evidence
 def test_words_from_files_are_never_markup_or_mathematics(run: Path) -> None:
     nasty = '<script>alert("1")</script> $\\frac{1$ --> & ]]>'
     lines = (run / "samples.csv").read_text().splitlines(keepends=True)

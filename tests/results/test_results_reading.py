@@ -68,6 +68,7 @@ def test_a_wrong_value_in_meta_is_left_out_and_named_but_a_replay_refuses_it(
     assert said in json.loads(to.read_text(encoding="utf-8"))["notes"]
 
 
+@pytest.mark.evidence
 def test_identify_reads_a_run_with_a_wrong_value_and_says_so(tmp_path: Path) -> None:
     """The value that is wrong is one that no estimator reads: the numbers are those of the whole folder."""
     run = Path(shutil.copytree(GOLDEN.parent / "simulated", tmp_path / "run"))

@@ -29,6 +29,7 @@ TestModbusReadWrite = conformance.suite("modbus-read-write.yaml", silence=True)
 TestModbusSeparate = conformance.suite("modbus-separate.yaml", silence=True)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(("card", "passes"), [("Clips", False), *evidence(("VirtualCard", True))])
 def test_one_line_is_enough_with_pytest_alone(tmp_path: Path, card: str, passes: bool) -> None:
     """In a folder of its own, with an installed plug-in: entry point, config beside the test, one line."""

@@ -39,6 +39,7 @@ def test_a_number_is_always_the_same_motor() -> None:
     assert [kinds_of(k, False, 1)[0].name for k in (0, 1)] == ["plain", "dead_band 0.02"]
 
 
+@pytest.mark.evidence
 def test_a_row_has_the_motors_errors_and_what_was_found() -> None:
     one = row(CAMPAIGN, 5, False)
     assert one.kinds == ("gain_by_sign 3",)
@@ -91,6 +92,7 @@ def test_a_law_that_predicts_less_than_is_asked_is_dropped() -> None:
     assert names(ASKED._replace(predicts=1e9)) == []
 
 
+@pytest.mark.evidence
 def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
     campaign = CAMPAIGN.model_copy(update={"seed": 16})
     one = row_of_run(campaign, 716, False)
@@ -160,6 +162,7 @@ def test_a_law_is_named_alone_or_in_a_small_group_if_it_can_be_seen() -> None:
     assert command.named_of([rows[0], of_many], found) == (1, 2)
 
 
+@pytest.mark.evidence
 def test_a_law_is_expected_to_gain_what_it_does_beside_the_others() -> None:
     large, small = (next(kind for kind in KINDS if kind.name == name) for name in ("sag 3", "static 0.1"))
     gains = expected_gains(CAMPAIGN, 2, (large, small))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bench.device_relay import CONFIG, DEVICE_DELAY_S, DEVICE_S, HOST_S, identify, relay_record
 from rig.campaign.grid import Draw, draw
@@ -20,6 +21,7 @@ def records(number: int) -> tuple[Draw, TimeSeries, TimeSeries]:
     return one, host, relay_record(CAMPAIGN, one, DEVICE_S, DEVICE_DELAY_S)
 
 
+@pytest.mark.evidence
 def test_the_triple_relays_error_is_at_most_a_third_over_50_motors() -> None:
     errors = []
     for number in range(50):

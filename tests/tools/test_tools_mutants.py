@@ -200,6 +200,7 @@ def of_ours(name: str, old: str, new: str, *tests: str, function: str = "larger"
     return Mutant(name, "code_of_ours.py", function, old, new, tuple(f"tests/test_code.py::{test}" for test in tests))
 
 
+@pytest.mark.evidence
 def test_what_comes_of_a_mutant(workshop: Workshop, tmp_path: Path) -> None:
     mutants = [
         of_ours("caught", "a > b", "a < b", "test_larger"),

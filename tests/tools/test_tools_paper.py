@@ -260,6 +260,7 @@ class TestExample42:
 
 
 class TestExample43:
+    @pytest.mark.evidence
     def test_without_stribeck_effect_t2_and_t3_are_the_papers_but_not_the_rest(self) -> None:
         result = example_4_3.compute(2)
         t1, t2, t3, y = example_4_3._numbers(result.without_stribeck)

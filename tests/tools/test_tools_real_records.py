@@ -112,6 +112,7 @@ def _record(seed: int, motor: RealMotor) -> Identification:
     return identify([from_columns(Path(f"{seed}.csv"), t_s, u_V, y_rad)])
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_the_next_record_is_predicted_to_noise_by_the_motor_that_made_both_and_worse_by_the_linear_ones() -> None:
     motor = RealMotor(0.1, 5.0, 1.5)
     found = next_record(_record(1, motor), _record(2, motor), ("a", "b"))
@@ -123,6 +124,7 @@ def test_the_next_record_is_predicted_to_noise_by_the_motor_that_made_both_and_w
     assert changed is not None and changed.rig > 0.3
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_numbers_of_two_records_agree_within_both_intervals_and_unusable_ones_do_not_count() -> None:
     plain = _record(1, RealMotor(0.1, 5.0, 1.5)).answer
     assert plain is not None

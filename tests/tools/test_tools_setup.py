@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from evidence import evidence
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -62,7 +63,7 @@ def test_the_demo_sets_up_what_rig_runs_on_and_runs_and_nothing_else(clone: Path
         ("cc", ("C compiler", "firmware", "gcc libc6-dev")),
         ("venv", ("no module venv", "environment", "python3-venv")),
         ("python", ("Python 3.11", "/nowhere/python3 is missing", "make PYTHON=")),
-        ("network", ("packages could not be fetched", "network", "uv")),
+        *evidence(("network", ("packages could not be fetched", "network", "uv"))),
     ],
 )
 def test_what_is_missing_is_named_in_one_line_before_the_firmware_is_built(
@@ -98,6 +99,7 @@ def run_on() -> set[str]:
     return found
 
 
+@pytest.mark.evidence
 def test_a_run_and_its_report_need_no_package_but_those_that_rig_runs_on(tmp_path: Path) -> None:
     """The packages for tests, checks and documents would hide one that a demo lacks."""
     runs_on = run_on()

@@ -42,12 +42,10 @@ def test_a_plain_motor_is_known_within_seconds_and_its_intervals_hold() -> None:
     [
         (122, 8.0),  # fast: the breakaway check sees it only because its strokes repeat the largest level
         *evidence(
-            (40, 12.0)
-        ),  # fast: breakaway strokes show its friction at 1.7 times what it is; 25 s with that level
-        (186, 20.0),  # slow: noise looked like a first motion at 0.75 of its friction; the guard said SENSOR_STUCK
-        *evidence(
-            (307, 10.0)
-        ),  # its noise at rest comes out at 0.84 of what it is; without another look 41.5 s, and not known
+            (40, 12.0),  # fast: breakaway strokes show its friction at 1.7 times what it is; 25 s with that level
+            (186, 20.0),  # slow: noise looked like a first motion at 0.75 of its friction; the guard said SENSOR_STUCK
+            (307, 10.0),  # its noise at rest comes out at 0.84 of what it is; without another look 41.5 s, not known
+        ),
     ],
 )
 def test_healthy_motors_that_are_hard_to_see_are_known_in_time(number: int, most_s: float) -> None:
@@ -59,7 +57,7 @@ def test_healthy_motors_that_are_hard_to_see_are_known_in_time(number: int, most
 
 
 @pytest.mark.parametrize("number", [12, *evidence(37, 55)])
-@pytest.mark.parametrize("brakes", [True, False])
+@pytest.mark.parametrize("brakes", [True, *evidence(False)])
 def test_a_test_that_is_broken_off_leaves_the_shaft_within_the_soft_limits(
     monkeypatch: pytest.MonkeyPatch, number: int, *, brakes: bool
 ) -> None:
@@ -78,6 +76,7 @@ def test_a_test_that_is_broken_off_leaves_the_shaft_within_the_soft_limits(
     assert beyond_rad <= 0.0 if brakes else beyond_rad > 0.05
 
 
+@pytest.mark.evidence
 def test_a_motor_with_a_departure_is_identified_with_its_law() -> None:
     sag = next(kind for kind in KINDS if kind.name == "sag 3")
     one = row(CAMPAIGN, 3, (sag,), Asked(identified=True))
@@ -88,6 +87,7 @@ def test_a_motor_with_a_departure_is_identified_with_its_law() -> None:
     assert one.gain is not None and one.gain > ASKED.entry and one.found == ("sag",)
 
 
+@pytest.mark.evidence
 def test_a_law_that_the_runs_own_tests_cannot_show_is_expected_to_gain_nothing() -> None:
     """Two long relay tests would show this curve of the sensor, by 107: the run ends after 6 s."""
     campaign = Campaign(name="stopping", experiments=41, seed=8)
@@ -97,6 +97,7 @@ def test_a_law_that_the_runs_own_tests_cannot_show_is_expected_to_gain_nothing()
     assert one.gain is not None and one.gain < 0.0
 
 
+@pytest.mark.evidence
 def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
     known = row(CAMPAIGN, 3, (), Asked())
     told = {
@@ -112,6 +113,7 @@ def test_the_page_counts_a_motor_that_is_not_known_as_the_slowest() -> None:
     assert "| ended otherwise: NO_MOTION | 1 |" in text
 
 
+@pytest.mark.evidence
 def test_the_page_says_which_laws_are_named_and_how_many_departures_are_ok() -> None:
     one = replace(row(CAMPAIGN, 3, (), Asked()), verdict="ok", final_error=(0.0,) * 3, final_inside=(True,) * 3)
     rows = [

@@ -64,6 +64,7 @@ def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(tree: Pat
     assert "rig/_firmware/core/rig_core.c" in names  # from which `rig flash` compiles it
 
 
+@pytest.mark.evidence
 def test_the_wheel_holds_the_listed_variants_of_the_firmware(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = {
@@ -108,6 +109,7 @@ def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -
     subprocess.run([UV.with_name("twine"), "check", "--strict", wheel], check=True, capture_output=True)
 
 
+@pytest.mark.evidence
 def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp_path: Path) -> None:
     """In a new environment, which sees this one's packages but not this tree's rig."""
     home = tmp_path / "venv"

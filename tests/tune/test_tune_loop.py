@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence import evidence
 from scipy.integrate import trapezoid
 
 from rig.control.set_point import InTurn, PositionStep, SpeedSteps
@@ -31,7 +32,7 @@ def position() -> Tuned:
     return tune(MOTOR, SENSING, POSITION)
 
 
-@pytest.mark.parametrize("loop", ["position", "velocity"])
+@pytest.mark.parametrize("loop", ["position", *evidence("velocity")])
 def test_the_set_point_is_followed_at_the_wanted_bandwidth(loop: Loop) -> None:
     bandwidth = 4.0
     tuned = tune(MOTOR, SENSING, Wish(loop, 0.1, bandwidth))
@@ -53,6 +54,7 @@ def test_the_set_point_is_followed_at_the_wanted_bandwidth(loop: Loop) -> None:
     assert np.max(np.abs(record.yd_rad - record.y_rad)) < 3e-3
 
 
+@pytest.mark.evidence
 def test_a_larger_bandwidth_than_possible_is_refused_with_the_largest(position: Tuned) -> None:
     asked = replace(POSITION, bandwidth_1_s=1.1 * position.largest_1_s)
     with pytest.raises(TuneError, match=r"too much: a step of 0\.5 rad would .*\n.*largest that is possible is \d"):
@@ -62,6 +64,7 @@ def test_a_larger_bandwidth_than_possible_is_refused_with_the_largest(position: 
         tune(MOTOR, SENSING, replace(POSITION, least=replace(POSITION.least, phase_deg=80.0)))
 
 
+@pytest.mark.evidence
 def test_a_motor_that_is_known_badly_gets_a_slower_loop() -> None:
     small = replace(POSITION, step=0.05)
     well = tune(MOTOR, SENSING, small)

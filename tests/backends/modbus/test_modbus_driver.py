@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from evidence import evidence
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.backends.modbus.client import ModbusClient, ModbusLine
@@ -727,7 +728,7 @@ class RandomDamage:
         return ((0.0, data),)
 
 
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("style", [STYLES[0], *evidence(STYLES[1])])
 def test_a_minute_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobody_commanded(style: str) -> None:
     """20 bytes a second, requests and replies; every fault is answered by a stop, and the run starts again."""
     rig = Rig(experiment_with(style))

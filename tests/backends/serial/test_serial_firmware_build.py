@@ -14,6 +14,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 
 
+@pytest.mark.evidence
 def test_an_installed_rig_builds_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     package = tmp_path / "site-packages" / "rig"
     sources = firmware_build.source_folder()

@@ -65,6 +65,7 @@ def test_the_uf2_has_every_byte_of_the_program_and_the_boot_programs_checksum() 
     assert flash[256 : len(program)] == program[256:] and flash[:252] == program[:252]
 
 
+@pytest.mark.evidence
 def test_a_variant_has_its_name() -> None:
     options = Variant("IN1_IN2", 1_000_000, supply=True)
     assert build_pico(options).name == "rig_pico-in1_in2-1000000-supply.uf2"
