@@ -58,41 +58,6 @@ def largest_file() -> Callable[[int], contextlib.AbstractContextManager[None]]:
     return limited
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _unseen_travel_once() -> Iterator[None]:
-    """Commands look for the strokes of one config anew, several times each: a sum of the same numbers is kept."""
-    strokes = importlib.import_module("rig.preflight.breakaway_strokes")
-    of, kept = strokes._unseen_rad, dict[tuple[object, ...], float]()
-
-    def unseen_rad(e: Any, max_V: float, levels: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
-        at = (e.motor.no_load_speed_rad_s, e.drive.supply_V, max_V, tuple(levels), strokes_s, late_s)
-        if at not in kept:
-            kept[at] = of(e, max_V, levels, strokes_s, late_s)
-        return kept[at]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(strokes, "_unseen_rad", unseen_rad)
-        yield
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _templates_once() -> Iterator[None]:
-    """A process makes one report as a rule, here hundreds: to compile its template takes most of one's time."""
-    environment = importlib.import_module("jinja2").Environment
-    of, kept = environment.compile, dict[tuple[object, ...], Any]()
-
-    def compiled(self: Any, source: object, *given: object) -> Any:
-        options = self.autoescape, self.trim_blocks, self.lstrip_blocks, tuple(self.filters)
-        at = (source, given, options)
-        if at not in kept:
-            kept[at] = of(self, source, *given)
-        return kept[at]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(environment, "compile", compiled)
-        yield
-
-
 @contextlib.contextmanager
 def _no_drawing() -> Iterator[None]:
     """In its block figures are made but not drawn: what can go wrong with missing data goes wrong before that."""

@@ -6,6 +6,7 @@ Arithmetic on the config (docs/theory.md 10.1). ``e`` is the experiment througho
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import product
 from math import ceil
 from typing import NamedTuple
@@ -143,7 +144,8 @@ def has_strokes(e: Experiment, max_V: float) -> bool:
 def _further(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> int:
     """How many pairs at max_V are within the bound by themselves."""
     for pairs in range(1, _MOST_FURTHER + 1):
-        if _unseen_rad(e, max_V, [1.0] * pairs, pairs * strokes.strokes_s[-1:], strokes.watchdog_s) > UNSEEN_RAD:
+        strokes_s = pairs * strokes.strokes_s[-1:]
+        if _unseen_rad(*_sheet(e), max_V, (1.0,) * pairs, strokes_s, strokes.watchdog_s) > UNSEEN_RAD:
             return pairs - 1
     return _MOST_FURTHER
 
@@ -236,7 +238,7 @@ def _strokes_up_to(
         return tuple(e.period_s * min(max(n, 1), periods) for n in wanted)
 
     def strokes(strokes_s: tuple[float, ...]) -> BreakawayStrokes:
-        unseen_rad = _unseen_rad(e, max_V, levels, strokes_s, watchdog_s)
+        unseen_rad = _unseen_rad(*_sheet(e), max_V, tuple(levels), strokes_s, watchdog_s)
         pause_s = (cycle - periods) * e.period_s
         return BreakawayStrokes(strokes_s, pause_s, step_V, watchdog_s, unseen_rad, top_pause_s=pause_s)
 
@@ -257,7 +259,21 @@ def _strokes_up_to(
     return shortest
 
 
-def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
+def _sheet(e: Experiment) -> tuple[float, float]:
+    """No-load speed, rad/s, and the supply that it is of, V."""
+    assert e.motor is not None
+    return e.motor.no_load_speed_rad_s, e.drive.supply_V
+
+
+@lru_cache(maxsize=10_000)  # one command asks for the strokes of its config again and again
+def _unseen_rad(
+    no_load_rad_s: float,
+    supply_V: float,
+    max_V: float,
+    levels: tuple[float, ...],
+    strokes_s: tuple[float, ...],
+    late_s: float,
+) -> float:
     """The largest unseen travel of these strokes, one of which is longer by ``late_s``, for any friction, rad.
 
     Returns the first value above ``UNSEEN_RAD`` where there is one.
@@ -265,12 +281,11 @@ def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tup
     levels  of the pairs, relative to max_V
     Lengthened strokes are reversed too, and the check ends when they add up to ``late_s``: what they leave is added.
     """
-    assert e.motor is not None
     worst_rad = 0.0
     for step in reversed(range(_FRICTION_STEPS)):
         friction = step / _FRICTION_STEPS
         low, high = friction * (1.0 - FRICTION_DIFFERS), friction * (1.0 + FRICTION_DIFFERS)
-        top_rad_s = e.motor.no_load_speed_rad_s / max(e.drive.supply_V / max_V - friction, _ROUNDING)
+        top_rad_s = no_load_rad_s / max(supply_V / max_V - friction, _ROUNDING)
         left_s = 0.0
         for level, stroke_s in zip(levels, strokes_s, strict=True):
             if level <= low:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import jinja2
@@ -78,6 +79,14 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
 
 def environment() -> jinja2.Environment:
     """Where the pages of this room come from."""
+    found = _templates()
+    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
+    return found
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    """Compiled once a process: that takes longer than to fill them in."""
     found = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.report", package_path="."),
         autoescape=True,
@@ -86,7 +95,6 @@ def environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     found.filters["rounded"] = rounded
-    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
     return found
 
 

@@ -23,7 +23,7 @@ from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import plain
-from rig.preflight.breakaway_strokes import UNSEEN_RAD, _unseen_rad, breakaway_strokes, has_strokes
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, _sheet, _unseen_rad, breakaway_strokes, has_strokes
 from rig.recording.reader import read_run
 from rig.signals import Limits, Sample
 from unseen_travel import check, suited, trials, with_late_tick
@@ -383,7 +383,7 @@ def test_planned_pairs_with_longer_strokes_count_as_more_further_ones() -> None:
             law._pair += 1
         levels = [min((k + 1) * strokes.step_V / 0.63, 1.0) for k in range(proven, law._pair)]
         lengths_s = (*strokes.strokes_s, *strokes.strokes_s[-1:] * strokes.further)[proven : law._pair]
-        assert _unseen_rad(e, 0.63, levels, lengths_s, strokes.watchdog_s) <= UNSEEN_RAD
+        assert _unseen_rad(*_sheet(e), 0.63, tuple(levels), lengths_s, strokes.watchdog_s) <= UNSEEN_RAD
         assert law._pair == strokes.pairs + strokes.further or proven < strokes.pairs
 
 
@@ -406,7 +406,7 @@ def test_pairs_go_on_only_while_the_sensor_shows_motion_and_none_of_their_series
         series.append(law._pair - proven)
     stroke_s, further = strokes.strokes_s[-1], strokes.further
     assert max(series) == further and sum(series) == strokes.in_all
-    unseen_rad = _unseen_rad(e, e.breakaway.max_V, [1.0] * further, (stroke_s,) * further, strokes.watchdog_s)
+    unseen_rad = _unseen_rad(*_sheet(e), e.breakaway.max_V, (1.0,) * further, (stroke_s,) * further, strokes.watchdog_s)
     assert 0.8 * UNSEEN_RAD < unseen_rad <= UNSEEN_RAD
 
 
