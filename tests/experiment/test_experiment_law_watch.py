@@ -459,7 +459,6 @@ def test_a_thread_of_a_law_that_holds_python_between_two_steps_does_not_keep_a_s
     wait_until(lambda: '"fault"' in (folder / "events.jsonl").read_text(encoding="utf-8"))
 
 
-@pytest.mark.evidence
 def test_a_terminal_that_is_gone_keeps_nothing_out_of_the_folder(tmp_path: Path) -> None:
     host = hanging(tmp_path, "in C")
     assert host.stderr is not None
