@@ -98,6 +98,9 @@ def find_by_switch(e: Experiment, bench: Bench, flag: StopFlag) -> Zero:
             driver.homing = False
         driver.set_zero(driver.read().y_rad + shift_rad)
         now = driver.read()
+        if reason := stop.look():  # in the last moments: whatever ends a homing, there is no zero
+            driver.forget_zero()
+            raise Fault("INTERRUPTED", reason)
     return Zero(now.y_rad, now.y_counts, before.y_counts)
 
 

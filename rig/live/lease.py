@@ -74,8 +74,11 @@ class HeldLease:
         return self._now_ns() < lease.expires_ns
 
     def _look(self) -> Lease:
-        """The newest whole lease."""
-        number, u_V, expires_ns, number_again = _LEASE.unpack(self._page.read(0, _LEASE.size))
+        """The newest whole lease; none from a file that was cut short."""
+        data = self._page.read(0, _LEASE.size)
+        if len(data) < _LEASE.size:
+            return Lease(self._held.number, 0.0, _OVER)
+        number, u_V, expires_ns, number_again = _LEASE.unpack(data)
         if number == number_again and number > self._held.number:
             if expires_ns - self._now_ns() > LONGEST_NS or not math.isfinite(u_V):
                 self.refused += 1

@@ -55,13 +55,11 @@ class MappedPage:
             raise
         keep_from_copies(self._descriptor, self._map)
 
-    def __getitem__(self, at: int) -> int:
-        """The byte at this place: a read of memory."""
-        return self._map[at]
-
     def read(self, at: int, size: int) -> bytes:
-        """The bytes from this place on."""
-        return self._map[at : at + size]
+        """The bytes from this place on, from memory; fewer where somebody has cut the file short."""
+        if not hasattr(os, "pread"):
+            return self._map[at : at + size]  # on Windows nobody can cut a mapped file short
+        return os.pread(self._descriptor, size, at)  # to touch the map of a file that was cut short kills the process
 
     def write(self, at: int, data: bytes) -> None:
         """Write bytes from this place on. This may wait for the disk: not while the loop runs. Raises OSError."""

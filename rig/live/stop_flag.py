@@ -152,9 +152,14 @@ class StopFlag:
             self._page.write(_ASKED_AT, b"\0")
 
     def asked_by(self) -> str:
-        """Who asked for a stop; empty: nobody did. A read of memory: the loop calls it each tick."""
+        """Who asked for a stop; empty: nobody did. A read of memory: the loop calls it each tick.
+
+        A flag that was cut short cannot be set any more, so that is a Stop, too.
+        """
         page = self._page
-        return "" if page is None or not page[_ASKED_AT] else _by(page)
+        if page is None or (asked := page.read(_ASKED_AT, 1)) == b"\0":
+            return ""
+        return _by(page) if asked else "whoever cut its stop flag short"
 
 
 def request_stop(folder: Path, by: str = "panel") -> Runner:
@@ -257,7 +262,10 @@ def _by(page: MappedPage | OthersPage) -> str:
 
 
 def _runner(page: OthersPage) -> Runner | None:
-    magic, version, pid, zero_s, period_s = _HEAD.unpack(page.read(0, _HEAD.size))
+    head = page.read(0, _HEAD.size)
+    if len(head) < _HEAD.size:
+        return None  # somebody has cut it short
+    magic, version, pid, zero_s, period_s = _HEAD.unpack(head)
     if (magic, version) != (_MAGIC, _VERSION) or pid <= 1:
         return None
     drives = {_OFF: False, _ON: True}.get(page.read(_DRIVE_AT, 1))

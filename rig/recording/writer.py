@@ -101,6 +101,8 @@ class AppendOnlyFile:
 
     def sync(self) -> None:
         """Force new data onto the disk. Raises OSError as ``write`` does."""
+        if os.fstat(self._descriptor).st_nlink == 0:
+            self._get_a_name()
         if not self._since:
             return
         try:
@@ -112,10 +114,19 @@ class AppendOnlyFile:
         self._safe_bytes += len(self._since)
         self._since.clear()
 
-    def _go_on_elsewhere(self, error: OSError) -> None:
+    def _get_a_name(self) -> None:
+        """Somebody has deleted the file. What it holds is there until it is closed: write all of it anew."""
+        os.lseek(self._descriptor, 0, os.SEEK_SET)
+        held = bytearray()
+        while block := os.read(self._descriptor, 1 << 20):
+            held += block
+        self._safe_bytes, self._since = 0, held
+        self._go_on_elsewhere(OSError(errno.ENOENT, "somebody has deleted it", str(self._path)), self._name)
+
+    def _go_on_elsewhere(self, error: OSError, name: str = "") -> None:
         """Write the data that may not be on the disk to a new file, and go on there. Raises ``error`` if none works."""
         for folder in self._elsewhere():
-            path = folder / f"{self._name}.from-{self._safe_bytes}"
+            path = folder / (name or f"{self._name}.from-{self._safe_bytes}")
             try:
                 descriptor = os.open(path, _APPEND | os.O_EXCL, 0o666)
             except OSError:

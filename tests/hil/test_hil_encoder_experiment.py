@@ -256,6 +256,31 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
     assert refused.value.code == "DEVICE_NO_ZERO"
 
 
+def test_a_signal_in_the_last_moment_of_a_homing_leaves_no_zero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.25}
+    path = changed(
+        tmp_path, sensor={"encoder": encoder}, emulated={"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
+    )
+    experiment = load(path)
+    with connect(experiment) as bench:
+        chip, driver = bench.clock, bench.driver
+        assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
+        set_zero = driver.set_zero
+
+        def signalled(here_rad: float) -> None:
+            set_zero(here_rad)
+            os.kill(os.getpid(), signal.SIGINT)
+
+        monkeypatch.setattr(driver, "set_zero", signalled)
+        with pytest.raises(Fault, match="INTERRUPTED"):
+            zero.find_by_switch(experiment, bench, StopFlag())
+        with pytest.raises(Fault, match="DEVICE_NO_ZERO"):
+            driver.arm(experiment.device_limits)
+
+
 def test_a_homing_that_ends_before_it_arms_leaves_no_zero(tmp_path: Path) -> None:
     """The e-stop is pressed, or the link dies, before anything moves."""
     path = changed(tmp_path, sensor={"encoder": {"counts_per_turn": 64, "gear": 50, "home": HOME}})

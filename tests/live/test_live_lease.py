@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,6 +87,13 @@ def test_a_lease_that_is_half_written_changes_nothing(tmp_path: Path, held: Held
     assert held.u_V() == 0.2
     clock.ns += LONGEST_NS
     assert held.u_V() == 0.0
+
+
+def test_a_lease_whose_file_is_cut_short_drives_nothing_any_more(tmp_path: Path, held: HeldLease, clock: Clock) -> None:
+    Leaser(tmp_path, clock).drive(0.5)
+    assert held.u_V() == 0.5
+    os.truncate(tmp_path / NAME, 8)
+    assert held.u_V() is None and not held.holds()
 
 
 def test_nobody_gives_leases_where_no_jog_waits(tmp_path: Path, clock: Clock) -> None:

@@ -43,10 +43,16 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     return load(path)
 
 
+def asked(folder: Path) -> None:
+    request_stop(folder, "test")
+
+
 class Asks:
     """Asks the run to stop in the middle of a tick of one stage: the worst instant, right after the loop has looked."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, stage: str, ask: Callable[[Path], object] | None = None
+    ) -> None:
         self.driver: SimulatedDriver | None = None
         self.folder: Path | None = None
         ticks = 0
@@ -58,7 +64,7 @@ class Asks:
             ticks += self.folder is not None
             if ticks == 7 and self.folder is not None:
                 self.driver = driver
-                request_stop(self.folder, "test")
+                (ask or asked)(self.folder)
             return sample
 
         def noted(recorder: Recorder, t_s: float, kind: str, **fields: Any) -> None:
@@ -105,6 +111,17 @@ def test_a_stop_in_any_stage_ends_it_with_the_next_tick_and_a_replay_ends_there_
     monkeypatch.undo()
     again = replay(outcome.folder)
     assert again.is_same and again.replayed == again.rows
+
+
+@pytest.mark.parametrize("size", [0, 1])
+def test_a_flag_that_somebody_cuts_short_is_a_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment, size: int
+) -> None:
+    """Nobody could set it any more; to read it where it is mapped would kill the process, with its drive on."""
+    asks = Asks(monkeypatch, "jog", lambda folder: os.truncate(folder / NAME, size))
+    outcome = script.jog(experiment, 0.6, 2.0, tmp_path)
+    interrupted(outcome, "whoever cut its stop flag short")
+    assert asks.driver is not None and asks.driver.bench.pin_counts == 0
 
 
 def test_a_stop_before_anything_drives_and_one_while_it_identifies_count(

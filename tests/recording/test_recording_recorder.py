@@ -10,8 +10,10 @@ import json
 import math
 import os
 import random
+import re
 import resource
 import select
+import shutil
 import signal
 import statistics
 import subprocess
@@ -317,6 +319,43 @@ def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path
     run = read_run(tmp_path)
     assert 3 <= len(run) < 10
     assert "torn" in run.notes[0]
+
+
+@pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
+@pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
+def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(tmp_path: Path, name: str, checks: bool) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    record(recorder, range(30))
+    recorder.event(0.3, "before")
+    recorder.drain()
+    (tmp_path / name).unlink()
+    words = rf"RECORDER_DEAD.*{name}: somebody has deleted it, so it goes on in .*{name}"
+    if checks:
+        with pytest.raises(Fault, match=words):
+            for k in range(30, 4000):
+                record(recorder, range(k, k + 1))
+                recorder.check()
+                time.sleep(0.002)
+    with pytest.raises(Fault, match=words):
+        recorder.close()
+    run = read_run(tmp_path)
+    assert list(run.tick) == list(range(len(run))) and len(run) >= 30
+    assert run.events[0].kind == "before"
+
+
+def test_rows_of_a_folder_that_somebody_deletes_are_found_where_the_fault_says(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    recorder = Recorder(folder, STAGES)
+    record(recorder, range(30))
+    recorder.drain()
+    shutil.rmtree(folder)
+    with pytest.raises(Fault, match=r"RECORDER_DEAD.*goes on in (\S*samples\.csv)") as lost:
+        recorder.close()
+    found = re.search(r"in (\S*samples\.csv)", str(lost.value))
+    assert found is not None
+    assert len(lines(Path(found[1]))) == 31
+    shutil.rmtree(Path(found[1]).parent)
 
 
 def test_a_disk_full_from_the_start_is_reported_before_anything_moves(
