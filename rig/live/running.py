@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from rig import strict_json
 from rig.live.born import born
-from rig.live.stop_flag import NAME, Runner, is_recorded, runner_of
+from rig.live.stop_flag import NAME, Runner, Unrecorded, is_recorded, runner_of
 from rig.plain_file import open_plain
 from rig.recording.writer import EVENTS
 
@@ -71,6 +72,7 @@ class Seen:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._runs: dict[int, tuple[Running, str]] = {}  # by process
+        self._pages: dict[Path, tuple[Running, Unrecorded]] = {}  # of what is not recorded, by its hidden folder
 
     def others(self, found: Iterable[Running]) -> list[Running]:
         """Those that were seen before, are not found now, and go on.
@@ -86,8 +88,35 @@ class Seen:
             self._runs = {**known, **{one.runner.pid: before[one.runner.pid] for one in others}}
         return others
 
+    def unrecorded(self, found: Sequence[Running], pids: Collection[int]) -> list[Running]:
+        """What drives without a run folder, and what was seen to: its process holds its page, whoever has deleted it.
+
+        found  that have their page
+        pids   of runs: they have taken it along
+        """
+        here = {one.folder for one in found}
+        lost = []
+        with self._lock:
+            for one in found:
+                if one.folder not in self._pages:
+                    with suppress(OSError, ValueError):  # it has just ended
+                        self._pages[one.folder] = one, Unrecorded(one.folder)
+            for folder, (one, page) in list(self._pages.items()):
+                if folder in here:
+                    continue
+                if one.runner.pid not in pids and page.is_deleted:
+                    lost.append(one)
+                elif one.runner.pid in pids or not page.is_owned:
+                    page.close()
+                    del self._pages[folder]
+        return [*found, *lost]
+
     def goes_on(self, one: Running) -> bool:
-        """Whether a run that was seen before goes on, by its process and its events: it lives, and has no end."""
+        """Whether what was seen before goes on: by its page; a run by its process and events: it lives, has no end."""
+        with self._lock:
+            page = self._pages.get(one.folder)
+        if page is not None:
+            return page[1].is_deleted
         pid = one.runner.pid
         began = self._runs[pid][1] if pid in self._runs else ""
         return began != "" and born(pid) == began and not _has_ended(one.folder)

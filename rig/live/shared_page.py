@@ -125,6 +125,11 @@ class OthersPage:
         return _is_locked(self._descriptor)
 
     @property
+    def has_no_name(self) -> bool:
+        """Whether the file was deleted; one that was only moved has a name."""
+        return os.fstat(self._descriptor).st_nlink == 0
+
+    @property
     def is_of_this_user(self) -> bool:
         """Whether the file is this user's; True on a system that cannot tell."""
         return not hasattr(os, "geteuid") or os.fstat(self._descriptor).st_uid == os.geteuid()

@@ -227,6 +227,16 @@ class Unrecorded:
         self._page = OthersPage(folder / NAME)
         self.pid = int(_named(folder)[2])
 
+    @property
+    def is_owned(self) -> bool:
+        """Whether its process still holds the page."""
+        return self._page.is_owned
+
+    @property
+    def is_deleted(self) -> bool:
+        """Whether its process still holds the page, but somebody has deleted it: nobody can set it any more."""
+        return self._page.has_no_name and self._page.is_owned
+
     def is_at_zero(self) -> bool | None:
         """Whether the drive is known to be at 0; False: it ended, and never said so; None: not yet."""
         is_owned = self._page.is_owned  # first: it says its last before it ends

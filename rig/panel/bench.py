@@ -100,8 +100,8 @@ class Bench:
         others = self._seen.others(found)
         self._lost = [one for one in others if runner_of(one.folder) is None]
         self._running = [*others, *found]
-        self._unrecorded = [one for one in going if not is_recorded(one.folder)]
         pids = {one.runner.pid for one in self._running}
+        self._unrecorded = self._seen.unrecorded([one for one in going if not is_recorded(one.folder)], pids)
         others_started = processes.of_others(self.out, self.pids)  # it reads the disk: not with the lock
         with self._lock:
             known = {process.pid for process in self._started}

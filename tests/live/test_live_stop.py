@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from rig.config import Experiment, load
 from rig.experiment import stages
 from rig.identify import Identification, IdentifyError, identify
 from rig.live import shared_page
-from rig.live.running import running
+from rig.live.running import Seen, running
 from rig.live.stop_flag import NAME, StopError, StopFlag, Unrecorded, request_stop, runner_of
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
@@ -313,3 +314,26 @@ def test_what_is_not_recorded_is_at_0_V_only_if_it_said_so(tmp_path: Path) -> No
         assert seen.is_at_zero() is known
         seen.close()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_not_recorded_goes_on_for_a_panel_though_somebody_deletes_its_page(tmp_path: Path) -> None:
+    """Its process still holds the page: else no Stop would reach a homing whose hidden folder is gone."""
+    seen = Seen()
+    with StopFlag() as flag:
+        flag.open(tmp_path, "home")
+        (one,) = seen.unrecorded(running(tmp_path), ())
+        shutil.rmtree(one.folder)
+        assert running(tmp_path) == []
+        assert seen.unrecorded([], ()) == [one] and seen.goes_on(one)
+    assert not seen.goes_on(one) and seen.unrecorded([], ()) == []
+
+
+def test_a_run_that_has_taken_its_page_along_is_no_longer_unrecorded(tmp_path: Path) -> None:
+    seen, folder = Seen(), tmp_path / "run"
+    folder.mkdir()
+    with StopFlag() as flag:
+        flag.open(tmp_path, "run")
+        seen.unrecorded(running(tmp_path), ())
+        flag.begin(folder)
+        (run,) = running(tmp_path)
+        assert seen.unrecorded([], [run.runner.pid]) == []
