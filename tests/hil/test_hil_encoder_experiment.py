@@ -24,6 +24,7 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.cli import main
 from rig.config.load import load
+from rig.config.schema import Experiment
 from rig.experiment import zero
 from rig.faults import Fault
 from rig.live.stop_flag import StopFlag
@@ -195,6 +196,14 @@ def _opens(which: Contact, duration_s: float, chip: VirtualChip) -> None:
         chip.contact(which, is_open=False)
 
 
+def with_end_switches(tmp_path: Path) -> Experiment:
+    """The shaft stands inside, with an end switch to home to on each side."""
+    encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.25}
+    switches = {"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
+    return load(changed(tmp_path, sensor={"encoder": encoder}, emulated=switches))
+
+
 @pytest.mark.parametrize(
     ("at_rad", "act", "code", "words"),
     [
@@ -224,12 +233,7 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
     words: str,
 ) -> None:
     """Not the one of before, either, which may be wrong: the next command is refused, and the drive stays at 0."""
-    encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
-    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.25}
-    path = changed(
-        tmp_path, sensor={"encoder": encoder}, emulated={"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
-    )
-    experiment = load(path)
+    experiment = with_end_switches(tmp_path)
     with connect(experiment) as bench:
         chip, driver = bench.clock, bench.driver
         assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
@@ -259,12 +263,7 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
 def test_a_signal_in_the_last_moment_of_a_homing_leaves_no_zero(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    encoder = {"counts_per_turn": 64, "gear": 50, "home": HOME}
-    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": -0.25}
-    path = changed(
-        tmp_path, sensor={"encoder": encoder}, emulated={"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
-    )
-    experiment = load(path)
+    experiment = with_end_switches(tmp_path)
     with connect(experiment) as bench:
         chip, driver = bench.clock, bench.driver
         assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
