@@ -294,7 +294,9 @@ class Recorder:
 
     def _lost(self) -> str:
         rows, events = self._counters[layout.ROWS_LOST], self._counters[layout.EVENTS_LOST]
-        return f"the memory was full: {rows} rows and {events} events were dropped" if rows or events else ""
+        if not rows and not events:
+            return ""
+        return f"{rows} rows and {events} events are lost: the memory was full, or somebody cut the files"
 
     def _moved(self) -> str:
         return self._shared.reason() if self._counters[layout.STATE] == layout.MOVED else ""

@@ -199,9 +199,24 @@ class Writer:
         if lines == 0:
             self._samples.write(HEADER.encode("ascii"))
         _, event_bytes = self._events.whole_lines()
-        counters = self._shared.counters
-        counters[layout.ROWS_TAKEN] = max(lines - 1, 0)
-        counters[layout.EVENT_BYTES_TAKEN] = min(event_bytes, counters[layout.EVENT_BYTES])
+        counters, written = self._shared.counters, max(lines - 1, 0)
+        # Somebody may have deleted or cut the files of a killed writer: what the memory still holds is written.
+        first = max(written, counters[layout.ROWS_OPENED] - self._shared.capacity_rows)
+        counters[layout.ROWS_LOST] += first - written
+        counters[layout.ROWS_TAKEN] = first
+        first_byte = self._first_event(event_bytes)
+        counters[layout.EVENTS_LOST] += first_byte > event_bytes  # one or more
+        counters[layout.EVENT_BYTES_TAKEN] = min(first_byte, counters[layout.EVENT_BYTES])
+
+    def _first_event(self, written: int) -> int:
+        """Bytes of events before the first whole line to write, where ``written`` bytes are in the file."""
+        published, size = self._shared.counters[layout.EVENT_BYTES], self._shared.capacity_event_bytes
+        if written >= published - size:
+            return written
+        first = published - size + 1  # the byte before the oldest one is overwritten
+        while first < published and self._shared.events[(first - 1) % size] != ord("\n"):
+            first += 1
+        return first
 
     def keep_room(self) -> None:
         """Reserve room for the case that the disk gets full."""

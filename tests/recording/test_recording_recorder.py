@@ -305,6 +305,27 @@ def test_a_killed_writer_is_reported_and_its_rows_are_rescued(tmp_path: Path) ->
     assert [event.kind for event in run.events] == ["before", "fault"]
 
 
+@pytest.mark.parametrize("kept", [0, 7])
+def test_rows_of_a_killed_writer_whose_files_are_cut_too_are_never_others(
+    small: Recorder, tmp_path: Path, kept: int
+) -> None:
+    """The memory holds the last 64 rows and the last events: those are written, the others are said to be lost."""
+    for k in range(0, 300, 20):
+        record(small, range(k, k + 20))
+        small.event(0.01 * k, "cycle", fills="x" * 400)
+        small.drain()
+    os.kill(small.writer_pid, signal.SIGKILL)
+    held = lines(tmp_path / "samples.csv")
+    (tmp_path / "samples.csv").write_text("".join(f"{line}\n" for line in held[: 1 + kept]))
+    (tmp_path / "events.jsonl").write_text("")
+    with pytest.raises(Fault, match=rf"RECORDER_DEAD.*{300 - 64 - kept} rows"):
+        small.close()
+    assert lines(tmp_path / "samples.csv")[1:] == [*held[1 : 1 + kept], *held[-64:]]
+    events = read_run(tmp_path).events
+    assert [event.kind for event in events] == ["cycle"] * 9 + ["record_lost"]
+    assert [event.t_s for event in events[:-1]] == [pytest.approx(0.2 * k) for k in range(6, 15)]
+
+
 def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path) -> None:
     size = (tmp_path / "samples.csv").stat().st_size
     resource.prlimit(small.writer_pid, resource.RLIMIT_FSIZE, (size + 300, size + 300))
