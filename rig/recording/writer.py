@@ -66,6 +66,7 @@ class AppendOnlyFile:
         self._name = path.name
         self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
         self._descriptor = _open_own(path)
+        self._has_links = os.fstat(self._descriptor).st_nlink > 0  # some file systems count none
         self._safe_bytes = 0  # bytes that are on the disk for sure
         self._since = bytearray()  # bytes written after them
 
@@ -101,7 +102,7 @@ class AppendOnlyFile:
 
     def sync(self) -> None:
         """Force new data onto the disk. Raises OSError as ``write`` does."""
-        if os.fstat(self._descriptor).st_nlink == 0:
+        if self._has_links and os.fstat(self._descriptor).st_nlink == 0:
             self._get_a_name()
         if not self._since:
             return
