@@ -152,6 +152,8 @@ def record(
                         fault = _run_script(script, session, on_start)
                     finally:
                         lost = _close(recorder)
+                        if fault is not None and lost is not None:
+                            failures.append(f"{lost.code}: {lost.detail}")
                         fault = fault or lost
             except Exception as error:
                 if session is None:

@@ -132,7 +132,7 @@ class OthersPage:
     def is_below(self, folder: Path) -> bool:
         """Whether the file is somewhere below this folder; True, too, on a system that cannot tell."""
         try:
-            where = Path(os.readlink(f"/proc/self/fd/{self._descriptor}"))
+            where = Path(f"/proc/self/fd/{self._descriptor}").readlink()
         except OSError:
             return True
         return where.is_relative_to(folder.resolve())

@@ -239,7 +239,7 @@ class Unrecorded:
 
     @property
     def is_lost(self) -> bool:
-        """Whether its process still holds the page, but somebody has deleted it, or moved it out of the runs' folder."""
+        """Whether its process still holds the page, but somebody has deleted or moved it: no Stop finds it there."""
         return (self._page.has_no_name or not self._page.is_below(self._runs)) and self._page.is_owned
 
     def is_at_zero(self) -> bool | None:

@@ -27,6 +27,7 @@ from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.recording import Recording
 from rig.replay import replay
+from rig.report import write_report
 from rig.session import Outcome
 from rig.signals import Sample
 
@@ -170,7 +171,7 @@ def test_a_stop_after_the_end_is_told_and_changes_nothing(
 def test_a_stop_ends_a_series_of_runs_also_where_none_drives(
     between: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
 ) -> None:
-    written = session.write_report
+    written = write_report
 
     def stop() -> None:
         going = running(tmp_path)

@@ -344,13 +344,17 @@ def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path
 
 @pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
 @pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
-def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(tmp_path: Path, name: str, checks: bool) -> None:
+@pytest.mark.parametrize("size", [0, 10, 700])
+def test_a_file_that_somebody_cuts_is_written_anew_and_ends_the_run(
+    tmp_path: Path, name: str, checks: bool, size: int
+) -> None:
     recorder = Recorder(tmp_path, STAGES)
     record(recorder, range(30))
-    recorder.event(0.3, "before")
+    for k in range(30):
+        recorder.event(0.01 * k, "before", k=k)
     recorder.drain()
-    (tmp_path / name).unlink()
-    words = rf"RECORDER_DEAD.*{name}: somebody has deleted it, so it goes on in .*{name}"
+    os.truncate(tmp_path / name, size)
+    words = rf"RECORDER_DEAD.*somebody has cut .*{name} short: what the memory holds of it is written anew"
     if checks:
         with pytest.raises(Fault, match=words):
             for k in range(30, 4000):
@@ -359,6 +363,41 @@ def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(tmp_path:
                 time.sleep(0.002)
     with pytest.raises(Fault, match=words):
         recorder.close()
+    run = read_run(tmp_path)
+    assert list(run.tick) == list(range(len(run))) and len(run) >= 30
+    assert [event.kind for event in run.events] == ["before"] * 30
+    assert run.notes == ("meta.json is missing",)
+
+
+@pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
+@pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
+@pytest.mark.parametrize("lose", ["delete", "rename", "replace"])
+def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(
+    tmp_path: Path, name: str, checks: bool, lose: str
+) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    record(recorder, range(30))
+    recorder.event(0.3, "before")
+    recorder.drain()
+    if lose == "delete":
+        (tmp_path / name).unlink()
+    else:
+        (tmp_path / name).rename(tmp_path / "away")
+    if lose == "replace":
+        (tmp_path / name).write_text("of somebody else\n")
+    goes_on = f"{name}.from-0" if lose == "replace" else name
+    words = rf"RECORDER_DEAD.*{name}: somebody has deleted or renamed it, so it goes on in .*{goes_on}"
+    if checks:
+        with pytest.raises(Fault, match=words):
+            for k in range(30, 4000):
+                record(recorder, range(k, k + 1))
+                recorder.check()
+                time.sleep(0.002)
+    with pytest.raises(Fault, match=words):
+        recorder.close()
+    if goes_on == "events.jsonl.from-0":  # only rows are joined
+        assert '"kind": "before"' in (tmp_path / goes_on).read_text()
+        (tmp_path / goes_on).rename(tmp_path / name)
     run = read_run(tmp_path)
     assert list(run.tick) == list(range(len(run))) and len(run) >= 30
     assert run.events[0].kind == "before"
