@@ -54,7 +54,7 @@ _TABLE = (
     Register("firmware_major", 0, "uint8", "r"),
     Register("firmware_minor", 1, "uint8", "r"),
     Register("model_number", 3, "uint16", "r"),
-    Register("id", 5, shipped=1, low=0, high=253),
+    Register("id", 5, shipped=1, low=0, high=252),
     Register("baud_rate", 6, shipped=0, low=0, high=7),
     Register("return_delay_time", 7, shipped=0, unit="s", scale=2e-6, low=0, high=253),
     Register("response_level", 8, shipped=1, low=0, high=1),
