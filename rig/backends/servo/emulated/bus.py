@@ -20,13 +20,12 @@ from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.emulated.dynamixel_servo import DynamixelServo
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.feetech_servo import FeetechServo
-from rig.backends.servo.emulated.servo import EmulatedServo, ServoOptions
+from rig.backends.servo.emulated.servo import EmulatedServo, ServoOptions, known_model
 from rig.backends.servo.emulated.violation import Violation
-from rig.backends.servo.models import MODELS
 from rig.backends.servo.packets import BROADCAST, Skipped
 
 _BITS = 10  # of a byte on the wire: 8N1
-_SILENCE_S = 0.1  # after which a packet that has begun is forgotten
+_SILENCE_S = 0.01  # after which a packet that has begun is forgotten
 
 
 @dataclass(frozen=True)
@@ -301,7 +300,7 @@ class ServoBus:
         self.damaged = self.collisions = 0
         self.t_s = 0.0
         self._keeps_log = keeps_log
-        protocols = {MODELS[s.model].protocol for s in servos if s.model in MODELS}
+        protocols = {known_model(s.model).protocol for s in servos}
         if len(protocols) != 1:
             raise EmulationError("a bus has servos of one protocol, and at least one of them")
         ids = [s.id for s in servos]
@@ -436,6 +435,8 @@ class ServoBus:
             if begins_s < self._last_bit_s:
                 self.collisions += 1  # the host still sends what came behind its request
                 data = _inverted(data)
+                self.damaged += len(self._packets)
+                self._packets.clear()
             ends_s = begins_s + self.line.wire_s(len(data))
             for delay_s, arriving in self._disturbed("reply", data, begins_s):
                 arrives_s = begins_s + self.line.wire_s(len(arriving)) + self.line.adapter_s + delay_s

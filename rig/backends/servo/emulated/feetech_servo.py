@@ -32,8 +32,8 @@ class FeetechServo(EmulatedServo):
 
     guessed = MappingProxyType(
         {
-            "phase": STEPS_PER_SECOND | 0x08, "unloading_condition": HEAT | CURRENT | OVERLOAD, "led_alarm_condition": 0x2F,
-            "position_p_gain": 32, "position_d_gain": 32, "minimum_startup_force": 16,
+            "phase": STEPS_PER_SECOND | 0x08, "unloading_condition": HEAT | CURRENT | OVERLOAD,
+            "led_alarm_condition": 0x2F, "position_p_gain": 32, "position_d_gain": 32, "minimum_startup_force": 16,
         }
     )  # fmt: skip
 

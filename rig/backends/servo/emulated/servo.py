@@ -100,6 +100,13 @@ class ServoTruth(NamedTuple):
     errors: int
 
 
+def known_model(name: str) -> ServoModel:
+    """The model of that name. Raises EmulationError."""
+    if name not in MODELS:
+        raise EmulationError(f"{name} is no servo that rig knows\nchoose one of {', '.join(MODELS)}")
+    return MODELS[name]
+
+
 class EmulatedServo:
     """The servo, powered on at time 0 with its torque off.
 
@@ -118,10 +125,8 @@ class EmulatedServo:
         violated: Callable[[Violation], None],
         on_output: Callable[[float, float], None] | None = None,
     ) -> None:
-        if options.model not in MODELS:
-            raise EmulationError(f"{options.model} is no servo that rig knows\nchoose one of {', '.join(MODELS)}")
         self.options = options
-        self.model: ServoModel = MODELS[options.model]
+        self.model = known_model(options.model)
         self.on_output = on_output
         self.eeprom_writes: Counter[str] = Counter()
         self.t_s = 0.0
@@ -140,7 +145,7 @@ class EmulatedServo:
         self._supply_V = parameters.supply_V
         self._saved = bytearray(self.model.end)
         self._ticks = 0
-        self._counts = 0
+        self._counts = self.bench.read_counts()
         self._motor_V = 0.0
         self._duty = 0.0
         self._is_stopped = False  # by itself: it does not drive, whatever its goals are
@@ -266,8 +271,9 @@ class EmulatedServo:
         target = self._target() if is_driving else 0.0
         before = self._duty
         self._duty = self._ramped(target) if is_driving else 0.0
-        # between two milliseconds the duty goes straight from one to the other: the motor gets its mean
-        self._act(0.5 * (before + self._duty) if is_driving else 0.0, is_braking=self._is_braking())
+        # on a ramp the duty goes straight from one millisecond's to the next: the motor gets its mean
+        is_ramp = is_driving and "slope" in self.model.roles
+        self._act(0.5 * (before + self._duty) if is_ramp else self._duty, is_braking=self._is_braking())
 
     def _rules(self) -> None:
         """What it looks at each millisecond."""
