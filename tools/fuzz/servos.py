@@ -15,7 +15,7 @@ _SERVOS = {
     dynamixel: (ServoOptions(id=1, registers={"return_delay_time": 0}), ServoOptions(model="xl430-w250", id=2)),
     feetech: (ServoOptions(model="sts3215", id=1), ServoOptions(model="sts3250", id=2)),
 }
-_PAUSES_S = (0.0, 1e-5, 1e-3, 0.15)
+_PAUSES_S = (0.0, 1e-5, 1e-3, 0.02)
 
 
 def _pieces(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -69,15 +69,15 @@ def buses(data: bytes) -> None:
     """Whatever a host sends: no error; what comes back are whole packets, unless the host spoke in between."""
     for codec, servos in _SERVOS.items():
         bus = ServoBus(servos)
-        t_s = 1.0
+        t_s = 0.001
         said = b""
         for kind, piece in _pieces(data):
             bus.send(_wire(codec, kind, piece), t_s)
             t_s += _PAUSES_S[kind % 4]
             bus.advance_to(t_s)
             said += bus.receive(t_s)
-        bus.advance_to(t_s + 1.0)
-        said += bus.receive(t_s + 1.0)
+        bus.advance_to(t_s + 0.05)
+        said += bus.receive(t_s + 0.05)
         if bus.collisions == 0:
             assert not any(isinstance(taken, Skipped) for taken in _taken(codec, [said])), said.hex()
 

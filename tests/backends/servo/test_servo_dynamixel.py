@@ -210,6 +210,13 @@ def test_a_goal_can_switch_the_torque_on() -> None:
     assert host.read("torque_enable") == 1 and host.violations == ["torque on with goal 300"]
 
 
+def test_a_slave_ignores_its_goals() -> None:
+    host = DynamixelHost(model="xm540-w270", registers={"drive_mode": 2, "min_voltage_limit": 0})
+    host.ready(500)
+    host.sleep(0.1)
+    assert host.read("goal_pwm") == 500 and host.truth.duty == 0.0
+
+
 def test_the_torque_may_be_on_at_power_on() -> None:
     host = DynamixelHost(registers={"startup_configuration": 1, "operating_mode": 16})
     assert host.read("torque_enable") == 1 and host.violations == ["torque on with goal 885"]

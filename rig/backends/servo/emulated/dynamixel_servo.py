@@ -29,7 +29,7 @@ from rig.backends.servo.models import Register
 from rig.backends.servo.models.control_table import SHADOW_OFF
 
 VOLTAGE, HEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20  # bits of hardware_error_status
-REVERSED, TORQUE_ON_BY_GOAL = 0x01, 0x08  # bits of drive_mode
+REVERSED, SLAVE, TORQUE_ON_BY_GOAL = 0x01, 0x02, 0x08  # bits of drive_mode
 _TORQUE_AT_START = 0x01  # bit of startup_configuration
 _POSITION_MODES = (3, 4, 5)
 _MODES = (0, 1, 3, 4, 5, 16)
@@ -102,6 +102,8 @@ class DynamixelServo(EmulatedServo):
     def _target(self) -> float:
         mode, sign = self.value("operating_mode"), -1.0 if self._is_reversed else 1.0
         most = float(self.value("pwm_limit"))
+        if self.value("drive_mode") & SLAVE:
+            return 0.0  # another servo's cable drives it, and there is none
         if mode == self.model.pwm_mode:
             return sign * self._clipped(self.value("goal_pwm"), most)
         if mode in _POSITION_MODES:

@@ -151,6 +151,7 @@ class EmulatedServo:
         self._is_stopped = False  # by itself: it does not drive, whatever its goals are
         self._fill()
         self._active = bytearray(self._saved)
+        self._values: dict[str, int] = {}  # what is in those bytes
         self._begin(self.t_s)
         self._awake_s = 0.0  # it has been on for a while
 
@@ -188,13 +189,13 @@ class EmulatedServo:
 
     def value(self, name: str) -> int:
         """What a register holds, by name. Raises KeyError."""
-        register = self.model[name]
-        return register.unpack(bytes(self._active[register.address : register.end]))
+        return self._values[name]
 
     def put(self, name: str, value: int) -> None:
         """Set a register, whatever rules it has. Raises KeyError, ValueError."""
         register = self.model[name]
         self._active[register.address : register.end] = register.pack(value)
+        self._values[name] = value
 
     def of(self, role: str) -> int:
         """What the register of a role holds."""
@@ -360,6 +361,7 @@ class EmulatedServo:
         end = self.model.eeprom_end
         self._active[:end] = self._saved[:end]
         self._active[end:] = self._shipped[end:]
+        self._values = self.model.unpack(bytes(self._active), 0)
         self._duty = 0.0
         self._is_stopped = False
         self._awake_s = t_s + _BOOT_S
