@@ -227,7 +227,7 @@ def fast_bulk_read(spans: Mapping[int, tuple[int, int]]) -> bytes:
 
 
 def bulk_write(data: Mapping[int, tuple[int, bytes]]) -> bytes:
-    """Write to several servos, by id, each an address and bytes; none answers."""
+    """Write to several servos, by id, each an address and bytes; none answers. Raises ValueError for no servo."""
     parameters = b"".join(
         bytes((one_id(id),)) + _word(address) + _word(len(values)) + values for id, (address, values) in data.items()
     )

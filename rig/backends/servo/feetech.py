@@ -160,7 +160,10 @@ def reboot(id: int) -> bytes:
 
 
 def sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
-    """Ask several servos for the same registers; each answers for itself, in this order. SCS servos do not know it."""
+    """Ask several servos for the same registers; each answers for itself, in this order. SCS servos do not know it.
+
+    Raises ValueError for no servo, or for one twice.
+    """
     listed = list(ids)
     if not listed or len(set(listed)) != len(listed):
         raise ValueError(f"ids {listed}: at least one, and each once")

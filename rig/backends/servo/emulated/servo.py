@@ -325,10 +325,10 @@ class EmulatedServo:
         share = abs(self._duty) / self.model.full_drive * abs(self.current_A) / self.options.stall_A
         return self._supply_V - self.options.sag_V * share
 
-    def supply(self, volts: float) -> None:
+    def supply(self, supply_V: float) -> None:
         """Another supply from now on, V, > 0."""
-        self._supply_V = volts
-        self.bench.parameters = replace(self.bench.parameters, supply_V=volts)
+        self._supply_V = supply_V
+        self.bench.parameters = replace(self.bench.parameters, supply_V=supply_V)
 
     def _warm(self) -> None:
         heat = self.options.heating_degC_s

@@ -123,7 +123,7 @@ EXTERNAL_PORTS = (
 
 
 def with_current(scale_A: float) -> tuple[Register, ...]:
-    """Registers of a servo that measures its current, A for one step."""
+    """Registers of a servo that measures its current; ``scale_A``: of one step, A."""
     return (
         Register("current_limit", 38, "uint16", unit="A", scale=scale_A, low=0),
         Register("goal_current", 102, "int16", unit="A", scale=scale_A),
