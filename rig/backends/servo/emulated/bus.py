@@ -20,9 +20,10 @@ from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.emulated.dynamixel_servo import DynamixelServo
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.feetech_servo import FeetechServo
-from rig.backends.servo.emulated.servo import EmulatedServo, ServoOptions, known_model
+from rig.backends.servo.emulated.hearing import Dynamixels, Feetechs, named_by_dynamixel, named_by_feetech
+from rig.backends.servo.emulated.servo import ServoOptions, known_model
 from rig.backends.servo.emulated.violation import Violation
-from rig.backends.servo.packets import BROADCAST, Skipped
+from rig.backends.servo.packets import Skipped
 
 _BITS = 10  # of a byte on the wire: 8N1
 _SILENCE_S = 0.01  # after which a packet that has begun is forgotten
@@ -51,222 +52,6 @@ class Heard(NamedTuple):
 
     t_s: float
     frame: dynamixel.Frame | feetech.Frame
-
-
-class Answer(NamedTuple):
-    """What a servo puts on the wire, and how long after the packet before it."""
-
-    servo: EmulatedServo
-    data: bytes
-    delay_s: float
-
-
-class _Dynamixels:
-    """How Dynamixels hear and answer."""
-
-    def __init__(self) -> None:
-        self.stream = dynamixel.Stream()
-
-    def hear(self, frame: dynamixel.Frame, servos: Sequence[DynamixelServo], fault: ReplyFault | None) -> list[Answer]:
-        """What the servos that are at the line's baud do with a packet, and answer."""
-        if frame.is_status:
-            return []
-        named = _named(frame) or {frame.id}
-        for_it = {s.id: s.id in named or BROADCAST in named for s in servos}
-        hearing = [s for s in servos if s.answers and not (for_it[s.id] and _is_deaf(s, fault))]
-        for servo in hearing:
-            servo.heard(is_own=for_it[servo.id])
-        by_id = {s.id: s for s in hearing}
-        if frame.id != BROADCAST:
-            for servo in hearing:
-                if servo.shadow_id == frame.id != servo.id:
-                    servo.obey_shadow(frame)
-            called = [s for s in hearing if s.id == frame.id]
-            return self._answers([(s, s.instruct(frame)) for s in called], fault)
-        return self._to_all(frame, by_id, hearing, fault)
-
-    def _to_all(
-        self,
-        frame: dynamixel.Frame,
-        by_id: dict[int, DynamixelServo],
-        hearing: list[DynamixelServo],
-        fault: ReplyFault | None,
-    ) -> list[Answer]:
-        kind = dynamixel.Instruction
-        if frame.instruction in (kind.SYNC_WRITE, kind.BULK_WRITE):
-            for id, address, data in _written(frame):
-                for servo in hearing:
-                    if servo.id == id:
-                        servo.write(address, data)
-                    elif servo.shadow_id == id:
-                        servo.write(address, data, is_shadow=True)
-            return []
-        if frame.instruction in (kind.SYNC_READ, kind.BULK_READ, kind.FAST_SYNC_READ, kind.FAST_BULK_READ):
-            statuses: list[dynamixel.Status] = []
-            spans = _read(frame)
-            for id, address, length in spans:
-                if id not in by_id or by_id[id].is_mute or by_id[id].value("status_return_level") < 1:
-                    break
-                statuses.append(by_id[id].read(address, length))
-            if frame.instruction in (kind.SYNC_READ, kind.BULK_READ):
-                return self._answers([(by_id[s.id], s) for s in statuses], fault)
-            return self._fast(statuses, spans, by_id, fault)
-        if frame.instruction == kind.PING:
-            return self._answers([(s, s.instruct(frame)) for s in sorted(hearing, key=lambda s: s.id)], fault)
-        for servo in hearing:
-            servo.instruct(frame)
-        return []
-
-    def _fast(
-        self,
-        statuses: list[dynamixel.Status],
-        spans: list[tuple[int, int, int]],
-        by_id: dict[int, DynamixelServo],
-        fault: ReplyFault | None,
-    ) -> list[Answer]:
-        """One packet that each writes a part of: where one is missing it ends there, and is not whole."""
-        if not statuses or sum(n + 4 for _, _, n in spans) + 8 > dynamixel.LONGEST:
-            return []
-        parts = [
-            s._replace(data=s.data.ljust(length, b"\0")) for s, (_, _, length) in zip(statuses, spans, strict=False)
-        ]
-        missing = spans[len(parts) :]
-        packet = dynamixel.fast_status([*parts, *(dynamixel.Status(id, 0, False, bytes(n)) for id, _, n in missing)])
-        lost = sum(n + 4 for _, _, n in missing)
-        first = by_id[statuses[0].id]
-        if fault is not None and fault.kind == "lost" and any(fault.strikes(by_id[s.id]) for s in statuses):
-            return []
-        return [Answer(first, packet[: len(packet) - lost], first.return_delay_s)]
-
-    def _answers(
-        self, statuses: Sequence[tuple[DynamixelServo, dynamixel.Status | None]], fault: ReplyFault | None
-    ) -> list[Answer]:
-        out = []
-        for servo, status in statuses:
-            if status is None or servo.is_mute:
-                continue
-            delay_s = servo.return_delay_s
-            if fault is not None and fault.kind != "deaf" and fault.strikes(servo):
-                if fault.kind == "lost":
-                    continue
-                status = status._replace(
-                    id=fault.id if fault.kind == "id" else status.id,
-                    alert=status.alert or fault.kind == "alert",
-                    data=status.data[:-1] if fault.kind == "short" else status.data,
-                )
-                delay_s += fault.by_s if fault.kind == "late" else 0.0
-            data = dynamixel.status(status.id, status.data, status.error, alert=status.alert)
-            out.append(Answer(servo, data, delay_s))
-        return out
-
-
-class _Feetechs:
-    """How Feetech's servos hear and answer."""
-
-    def __init__(self) -> None:
-        self.stream = feetech.Stream()
-
-    def hear(self, frame: feetech.Frame, servos: Sequence[FeetechServo], fault: ReplyFault | None) -> list[Answer]:
-        """What the servos that are at the line's baud do with a packet, and answer."""
-        named = _named_by_feetech(frame)
-        for_it = {s.id: s.id in named or BROADCAST in named for s in servos}
-        hearing = [s for s in servos if s.answers and not (for_it[s.id] and _is_deaf(s, fault))]
-        by_id = {s.id: s for s in hearing}
-        kind, parameters = feetech.Instruction, frame.parameters
-        if frame.id != BROADCAST:
-            called = [s for s in hearing if s.id == frame.id]
-            return self._answers([(s, s.instruct(frame)) for s in called], fault)
-        if frame.code == kind.SYNC_WRITE and len(parameters) > 2:
-            address, length = parameters[:2]
-            for at in range(2, len(parameters) - length, length + 1):
-                if parameters[at] in by_id:
-                    by_id[parameters[at]].write(address, parameters[at + 1 : at + 1 + length])
-            return []
-        if frame.code == kind.SYNC_READ and len(parameters) > 2 and parameters[1] <= feetech.LONGEST - 6:
-            statuses = []
-            for id in parameters[2:]:
-                if id not in by_id or by_id[id].is_mute:
-                    break
-                statuses.append(by_id[id].read(*parameters[:2]))
-            return self._answers([(by_id[s.id], s) for s in statuses], fault)
-        if frame.code not in (kind.PING, kind.READ):
-            for servo in hearing:
-                servo.instruct(frame)
-        return []
-
-    def _answers(
-        self, statuses: Sequence[tuple[FeetechServo, feetech.Status | None]], fault: ReplyFault | None
-    ) -> list[Answer]:
-        out = []
-        for servo, status in statuses:
-            if status is None or servo.is_mute:
-                continue
-            delay_s = servo.return_delay_s
-            if fault is not None and fault.kind != "deaf" and fault.strikes(servo):
-                if fault.kind == "lost":
-                    continue
-                status = status._replace(
-                    id=fault.id if fault.kind == "id" else status.id,
-                    errors=status.errors | (sum(feetech.ERRORS) if fault.kind == "alert" else 0),
-                    data=status.data[:-1] if fault.kind == "short" else status.data,
-                )
-                delay_s += fault.by_s if fault.kind == "late" else 0.0
-            out.append(Answer(servo, feetech.status(status.id, status.data, status.errors), delay_s))
-        return out
-
-
-def _is_deaf(servo: EmulatedServo, fault: ReplyFault | None) -> bool:
-    return fault is not None and fault.kind == "deaf" and fault.strikes(servo)
-
-
-def _named_by_feetech(frame: feetech.Frame) -> set[int]:
-    """Ids that a packet is for."""
-    p, kind = frame.parameters, feetech.Instruction
-    if frame.code == kind.SYNC_READ:
-        return set(p[2:])
-    if frame.code == kind.SYNC_WRITE and len(p) > 2:
-        return set(p[2 :: p[1] + 1])
-    return {frame.id}
-
-
-def _named(frame: dynamixel.Frame) -> set[int]:
-    """Ids that a group instruction names."""
-    kind = dynamixel.Instruction
-    if frame.instruction in (kind.SYNC_WRITE, kind.BULK_WRITE):
-        return {id for id, _, _ in _written(frame)}
-    if frame.instruction in (kind.SYNC_READ, kind.BULK_READ, kind.FAST_SYNC_READ, kind.FAST_BULK_READ):
-        return {id for id, _, _ in _read(frame)}
-    return set()
-
-
-def _word(data: bytes, at: int) -> int:
-    return int.from_bytes(data[at : at + 2], "little")
-
-
-def _written(frame: dynamixel.Frame) -> list[tuple[int, int, bytes]]:
-    """Id, address and bytes of each write in a sync or bulk write; what is cut short is left out."""
-    data, out = frame.parameters, []
-    if frame.instruction == dynamixel.Instruction.SYNC_WRITE:
-        length = _word(data, 2)
-        for at in range(4, len(data) - length, length + 1):
-            out.append((data[at], _word(data, 0), data[at + 1 : at + 1 + length]))
-        return out
-    at = 0
-    while at + 5 < len(data):
-        length = _word(data, at + 3)
-        if at + 5 + length > len(data):
-            break
-        out.append((data[at], _word(data, at + 1), data[at + 5 : at + 5 + length]))
-        at += 5 + length
-    return out
-
-
-def _read(frame: dynamixel.Frame) -> list[tuple[int, int, int]]:
-    """Id, address and length of each read in a sync or bulk read."""
-    data, kind = frame.parameters, dynamixel.Instruction
-    if frame.instruction in (kind.SYNC_READ, kind.FAST_SYNC_READ):
-        return [(id, _word(data, 0), _word(data, 2)) for id in data[4:]]
-    return [(data[at], _word(data, at + 1), _word(data, at + 3)) for at in range(0, len(data) - 4, 5)]
 
 
 class ServoBus:
@@ -312,10 +97,10 @@ class ServoBus:
         self.servos: list[DynamixelServo] | list[FeetechServo]
         if "dynamixel" in protocols:
             self.servos = [DynamixelServo(s, noted, o) for s, o in zip(servos, outputs, strict=True)]
-            self._protocol = _Dynamixels()
+            self._protocol = Dynamixels()
         else:
             self.servos = [FeetechServo(s, noted, o) for s, o in zip(servos, outputs, strict=True)]
-            self._protocol = _Feetechs()
+            self._protocol = Feetechs()
         self._coming: list[tuple[float, int, Any]] = []  # heaps by time, in order of sending where it is the same
         self._packets: list[tuple[float, int, Any]] = []
         self._going: list[tuple[float, int, bytes]] = []
@@ -342,9 +127,9 @@ class ServoBus:
         for _, frame in self.log:
             if isinstance(frame, dynamixel.Frame):
                 if frame.instruction != dynamixel.Instruction.PING:
-                    counted.update(_named(frame) or {frame.id})
+                    counted.update(named_by_dynamixel(frame) or {frame.id})
             elif frame.code != feetech.Instruction.PING:
-                counted.update(_named_by_feetech(frame))
+                counted.update(named_by_feetech(frame))
         return counted
 
     # ------------------------------------------------------------------ the host's end

@@ -37,7 +37,8 @@ class ServoOptions:
     """A servo, its load and its surroundings.
 
     model, id, firmware, baud   as its registers say
-    bench     motor, stops, supply and what else is behind the bridge; sensor and drive's steps are the model's
+    bench     motor, stops, supply and what else is behind the bridge; sensor and drive's steps are the model's. A motor
+              with parts brakes with the torque off, too: of running free there is no law with them
     seed      of the noise
     registers other values than as shipped, by name
     polarity  +1: positive duty raises the position; -1: lowers it
@@ -141,6 +142,7 @@ class EmulatedServo:
             coasting=True,
         )
         self._may_coast = parameters.real is None
+        self._may_rest = self._may_coast and parameters.motor.bias_V == 0.0
         self.bench = BenchModel(replace(parameters, coasting=self._may_coast), options.seed)
         self._supply_V = parameters.supply_V
         self._saved = bytearray(self.model.end)
@@ -257,7 +259,7 @@ class EmulatedServo:
     def _move_to(self, t_s: float) -> None:
         if t_s > self.t_s:
             bench = self.bench
-            rests = bench.state.v == 0.0 and bench.pin_counts == 0.0 and self._may_coast
+            rests = bench.state.v == 0.0 and bench.pin_counts == 0.0 and self._may_rest
             if not rests or bench.armed_for_s >= 0.0:
                 bench.advance(t_s - self.t_s)
             self.t_s = t_s
