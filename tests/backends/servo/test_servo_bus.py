@@ -74,6 +74,8 @@ def test_behind_one_that_is_absent_none_answers() -> None:
     cut = host.ask(dynamixel.fast_sync_read(132, 4, [1, 9, 2]))
     assert cut and all(isinstance(taken, Skipped) for taken in cut)
     assert host.ask(dynamixel.fast_sync_read(132, 4, [9, 1])) == []
+    asks_253 = dynamixel.Frame(dynamixel.BROADCAST, 0x8A, b"\x84\x00\x04\x00\x01\xfd").encode()
+    assert all(isinstance(taken, Skipped) for taken in host.ask(asks_253))
     other = FeetechHost(*_others(FeetechHost, 2))
     assert _ids(other.ask(feetech.sync_read(56, 2, [2, 1]))) == [2, 1]
     assert _ids(other.ask(feetech.sync_read(56, 2, [1, 9, 2]))) == [1]

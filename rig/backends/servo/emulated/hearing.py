@@ -95,7 +95,7 @@ class Dynamixels:
             s._replace(data=s.data.ljust(length, b"\0")) for s, (_, _, length) in zip(statuses, spans, strict=False)
         ]
         missing = spans[len(parts) :]
-        packet = dynamixel.fast_status([*parts, *(dynamixel.Status(id, 0, False, bytes(n)) for id, _, n in missing)])
+        packet = dynamixel.fast_status([*parts, *(dynamixel.Status(0, 0, False, bytes(n)) for _, _, n in missing)])
         lost = sum(n + 4 for _, _, n in missing)
         first = by_id[statuses[0].id]
         if fault is not None and fault.kind == "lost" and any(fault.strikes(by_id[s.id]) for s in statuses):
