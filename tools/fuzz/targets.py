@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from pymodbus.framer import FramerRTU
 
-from fuzz import structured
+from fuzz import servos, structured
 from rig import config, strict_json
 from rig.backends.driver import Driver, Timeouts
 from rig.backends.modbus.opening import modbus_driver
@@ -449,6 +449,8 @@ TARGETS = {
     "frames": Target(frames_from_device, _frame_seeds),
     "serial-driver": Target(serial_driver, _frame_seeds),
     "modbus-unit": Target(modbus_unit, _unit_seeds),
+    "servo-packets": Target(servos.packets, servos.seeds),
+    "servo-bus": Target(servos.buses, servos.seeds),
     "config": Target(experiment_config, lambda: _config_seeds(campaign=False)),
     "campaign-config": Target(campaign_config, lambda: _config_seeds(campaign=True)),
     "csv": Target(csv_file, _csv_seeds),
