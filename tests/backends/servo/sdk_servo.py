@@ -1,7 +1,7 @@
 """A servo that owes nothing to ours: its maker's package makes its packets and takes them apart; its motor is Euler's.
 
 In virtual time, as a Transport that is a Clock. It is an XL330-M288 or an STS3215 as their tables have them, with what
-a host needs that drives the duty: lock, limit, mode, ramp, watchdog. Addresses are written out here once more on purpose.
+a host needs that drives the duty: lock, limit, mode, ramp, watchdog. Addresses stand here once more on purpose.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import dynamixel_sdk as dxl
 import scservo_sdk as scs
 
-TAU_S, K_RAD_S_V, FRICTION_V, SUPPLY_V = 0.05, 2.0, 0.1, 5.0
+TAU_S, K_RAD_S_V, FRICTION_V = 0.05, 2.0, 0.1
 STEP_S = 1e-4
 BAUD = 1_000_000
 FULL = {"dynamixel": 885, "feetech": 1000}
@@ -37,7 +37,8 @@ class SdkServo:
 
     absolute = True
 
-    def __init__(self, protocol: str) -> None:
+    def __init__(self, protocol: str, supply_V: float = 5.0) -> None:
+        self.supply_V = supply_V
         self.is_dynamixel = protocol == "dynamixel"
         self.full = FULL[protocol]
         self.regs = bytearray(256)
@@ -55,8 +56,8 @@ class SdkServo:
         else:
             scs.PacketHandler(0)  # low byte first: a global of theirs
             for at, value, size in [(3, 777, 2), (5, 1, 1), (8, 1, 1), (11, 4095, 2), (13, 70, 1), (14, 80, 1),
-                                    (15, 40, 1), (16, 1000, 2), (18, 12, 1), (19, 44, 1), (34, 20, 1), (35, 200, 1), (36, 80, 1),
-                                    (44, 1000, 2), (48, 1000, 2), (55, 1, 1)]:  # fmt: skip
+                                    (15, 40, 1), (16, 1000, 2), (18, 12, 1), (19, 44, 1), (34, 20, 1), (35, 200, 1),
+                                    (36, 80, 1), (44, 1000, 2), (48, 1000, 2), (55, 1, 1)]:  # fmt: skip
                 self._put(at, value, size)
 
     def _put(self, at: int, value: int, size: int) -> None:
@@ -117,9 +118,9 @@ class SdkServo:
             goal = min(max(goal, -most), most)
         if torque and abs(goal) == self.full:
             self.has_driven_unasked = True  # no test of ours asks for full duty
-        ramp = 1.977 * self.regs[62] * STEP_S / SUPPLY_V * self.full if self.is_dynamixel else math.inf
+        ramp = 1.977 * self.regs[62] * STEP_S / self.supply_V * self.full if self.is_dynamixel else math.inf
         self.duty = min(max(goal, self.duty - ramp), self.duty + ramp) if torque and not self._stopped else 0.0
-        u_V = self.duty / self.full * SUPPLY_V
+        u_V = self.duty / self.full * self.supply_V
         force_V = u_V - self.v_rad_s / K_RAD_S_V
         if self.v_rad_s == 0.0 and abs(u_V) <= FRICTION_V:
             return
@@ -135,13 +136,13 @@ class SdkServo:
             self._put(124, round(self.duty), 2)
             self._put(128, round(self.v_rad_s / 0.02397), 4)
             self._put(132, counts, 4)
-            self._put(144, round(10 * SUPPLY_V), 2)
+            self._put(144, round(10 * self.supply_V), 2)
             self.regs[146] = 30
         else:
             self._put(56, counts % 4096, 2)
             self._put(58, scs.SCS_TOSCS(round(self.v_rad_s * 4096 / (2.0 * math.pi)), 15), 2)
             self._put(60, scs.SCS_TOSCS(round(self.duty), 10), 2)
-            self.regs[62], self.regs[63] = round(10 * SUPPLY_V), 30
+            self.regs[62], self.regs[63] = round(10 * self.supply_V), 30
 
     # ------------------------------------------------------------------ packets, by their functions
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from sdk_servo import K_RAD_S_V, SUPPLY_V, SdkServo
+from sdk_servo import K_RAD_S_V, SdkServo
 
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.models import MODELS
@@ -48,7 +48,7 @@ def test_a_duty_and_what_comes_of_it(protocol: str) -> None:
     values = model.unpack(status.data, model.telemetry[0])
     assert values[model.roles["applied"]] == -duty and values[model.roles["voltage"]] == 50
     speed = values[model.roles["velocity"]] * model.role("velocity").scale
-    assert speed == pytest.approx(-K_RAD_S_V * (0.4 * SUPPLY_V - 0.1), rel=0.02)
+    assert speed == pytest.approx(-K_RAD_S_V * (0.4 * servo.supply_V - 0.1), rel=0.02)
     write("torque", 0)
     servo.sleep_until(servo.now_s() + 0.01)
     assert servo.duty == 0.0 and not servo.has_driven_unasked
