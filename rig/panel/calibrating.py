@@ -15,7 +15,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 from rig.backends.emulated.errors import EmulationError
 from rig.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
@@ -28,6 +27,7 @@ from rig.faults import Fault
 from rig.live.unrecorded import BusyError, told
 from rig.loop.stop_request import Gone
 from rig.panel.attendance import watched
+from rig.panel.messages import Answer
 from rig.recording.errors import RecordingError
 
 
@@ -51,21 +51,21 @@ class _Page:
         said = self.heard()
         if said.get("skip"):
             raise Skipped("skipped")
-        return str(said.get("answer", ""))
+        return said.get("answer", "")
 
     def steps(self, known: dict[str, str]) -> list[str]:
         """Which of these steps to go through. Raises NotWrittenError if it is none."""
         _tell("ask", words="Which steps?", kind="steps", choices=list(known.items()), skips=False)
         wanted = self.heard().get("steps")
-        chosen = [name for name in known if isinstance(wanted, list) and name in wanted]
+        chosen = [name for name in known if name in (wanted or ())]
         if not chosen:
             raise NotWrittenError("no step was chosen", "tick one or more")
         return chosen
 
-    def heard(self) -> dict[str, Any]:
+    def heard(self) -> Answer:
         """What the page says. Raises NotWrittenError if it ends the calibration, or is gone."""
         line = sys.stdin.readline()
-        said: dict[str, Any] = json.loads(line) if line else {"end": True}
+        said: Answer = json.loads(line) if line else {"end": True}
         if said.get("end"):
             raise NotWrittenError("ended; nothing is written", f"{self._file.name} is as it was")
         return said
