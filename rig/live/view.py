@@ -11,7 +11,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, TypedDict
 
 from rig.config import ConfigError, Experiment, load
 from rig.live.stop_flag import Runner, runner_of
@@ -60,7 +60,7 @@ class LiveRow(NamedTuple):
     flags: int
 
 
-class Estimate(NamedTuple):
+class Estimate(TypedDict):
     """A live estimate: when, and each value with half its 95 % interval; None: not known yet.
 
     remark  the laws that it has, and whether its residual is too large; else empty
@@ -70,10 +70,10 @@ class Estimate(NamedTuple):
     tau_s: tuple[float, float] | None
     K_rad_s_V: tuple[float, float] | None
     fc_V: tuple[float, float] | None
-    remark: str = ""
+    remark: str
 
 
-class SeenFault(NamedTuple):
+class SeenFault(TypedDict):
     """A fault, as the event tells it. Of a stop, ``detail`` says who asked for it."""
 
     t_s: float
@@ -327,17 +327,19 @@ class _Story:
             self.cycle = Cycle(_count(event["number"]), real(event["amplitude_rad"]), real(event["period_s"]))
         elif kind == "live":
             self.estimates.append(
-                Estimate(
-                    t_s,
-                    _with_half(event, "tau_s", "tau_percent"),
-                    _with_half(event, "K_rad_s_V", "K_percent"),
-                    _with_half(event, "fc_V", "fc_percent"),
-                    live_remark(event),
-                )
+                {
+                    "t_s": t_s,
+                    "tau_s": _with_half(event, "tau_s", "tau_percent"),
+                    "K_rad_s_V": _with_half(event, "K_rad_s_V", "K_percent"),
+                    "fc_V": _with_half(event, "fc_V", "fc_percent"),
+                    "remark": live_remark(event),
+                }
             )
         elif kind == "fault" and len(self.faults) < _MOST_FAULTS:
-            words = (_text(event.get(name), _LONGEST_WORDS) for name in ("code", "cause", "detail", "cure"))
-            self.faults.append(SeenFault(t_s, *words))
+            code, cause, detail, cure = (
+                _text(event.get(name), _LONGEST_WORDS) for name in ("code", "cause", "detail", "cure")
+            )
+            self.faults.append(SeenFault(t_s=t_s, code=code, cause=cause, detail=detail, cure=cure))
         elif kind == "link":
             self.link_errors = _count(event["errors"])
 

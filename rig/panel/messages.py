@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NotRequired, TypedDict
 
+from rig.live.view import Estimate, SeenFault
 from rig.results import JsonObject
-
-Half = tuple[float, float]
-"""A value, and half its 95 % interval."""
-
-# ---------------------------------------------------------------------- a config, and what is started with it
 
 
 class Plan(TypedDict):
@@ -45,9 +42,6 @@ class Started(TypedDict):
     run: None
     pid: int
     jog_V: NotRequired[float]
-
-
-# ---------------------------------------------------------------------- past runs
 
 
 class RunRow(TypedDict):
@@ -93,9 +87,6 @@ class Refusal(TypedDict):
     error: dict[str, str]
 
 
-# ---------------------------------------------------------------------- a calibration
-
-
 class Answer(TypedDict, total=False):
     """One of these: an answer, names of steps, that the step is left out, or that the calibration ends."""
 
@@ -118,12 +109,18 @@ class Question(TypedDict):
 
     words: str
     kind: str
-    choices: list[list[str]]
+    choices: Sequence[tuple[str, str]]
     skips: bool
     default: NotRequired[str]
     empty: NotRequired[str]
-    commands: NotRequired[list[list[str]]]
+    commands: NotRequired[Sequence[tuple[str, str]]]
     number: NotRequired[int]
+
+
+class Doing(TypedDict):
+    """What it does now."""
+
+    words: str
 
 
 class CalibrationEnd(TypedDict):
@@ -141,9 +138,6 @@ class CalibrationShown(TypedDict):
     question: Question | None
     end: CalibrationEnd | None
     does: str | None
-
-
-# ---------------------------------------------------------------------- on the WebSocket
 
 
 class Operator(TypedDict):
@@ -168,25 +162,12 @@ class Idle(TypedDict):
     words: str
 
 
-class LiveLimits(TypedDict):
-    """Travel and drive, as the config has them; null: not known, or endless."""
-
-    soft_rad: list[float] | None
-    hard_rad: list[float] | None
-    drive_V: float | None
-
-
-class LivePlanes(TypedDict):
-    """Where the relay switches, and by how much."""
-
-    y_rad: list[float]
-    z_rad_s: list[float]
-    h1_V: float
-    h2_V: float
-
-
 class Live(TypedDict):
-    """The numbers of a run, and its newest rows, column by column."""
+    """The numbers of a run, and its newest rows, column by column.
+
+    limits  soft_rad, hard_rad and drive_V, as the config has them; null: not known, or endless
+    planes  y_rad and z_rad_s, at which the relay switches, by h1_V and h2_V
+    """
 
     type: Literal["live"]
     n: int
@@ -205,32 +186,22 @@ class Live(TypedDict):
     drive_is_off: bool
     is_over: bool
     loop: dict[str, float | None]
-    limits: LiveLimits
-    planes: LivePlanes | None
+    limits: dict[str, list[float] | float | None]
+    planes: dict[str, list[float] | float] | None
 
 
-class LiveEstimate(TypedDict):
-    """A live estimate."""
+class LiveEstimate(Estimate):
+    """A live estimate of a run."""
 
     type: Literal["estimate"]
     run: str
-    t_s: float
-    tau_s: Half | None
-    K_rad_s_V: Half | None
-    fc_V: Half | None
-    remark: str
 
 
-class LiveFault(TypedDict):
-    """A fault."""
+class LiveFault(SeenFault):
+    """A fault of a run."""
 
     type: Literal["fault"]
     run: str
-    t_s: float
-    code: str
-    cause: str
-    detail: str
-    cure: str
 
 
 class RunEnded(TypedDict):

@@ -419,17 +419,11 @@ def _ended_early(over: Ended) -> RunEnded:
 
 
 def _estimate(run: str, one: Estimate) -> LiveEstimate:
-    return {
-        "type": "estimate", "run": run, "t_s": one.t_s, "tau_s": one.tau_s, "K_rad_s_V": one.K_rad_s_V,
-        "fc_V": one.fc_V, "remark": one.remark,
-    }  # fmt: skip
+    return {"type": "estimate", "run": run, **one}
 
 
 def _fault(run: str, one: SeenFault) -> LiveFault:
-    return {
-        "type": "fault", "run": run, "t_s": one.t_s, "code": one.code, "cause": one.cause, "detail": one.detail,
-        "cure": one.cure,
-    }  # fmt: skip
+    return {"type": "fault", "run": run, **one}
 
 
 def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> Stop:
