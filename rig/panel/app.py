@@ -28,7 +28,7 @@ from rig.panel.access import Access, Kind, security_headers
 from rig.panel.aside import answer_of
 from rig.panel.bench import Bench
 from rig.panel.errors import RefusedError
-from rig.panel.messages import Answer, Refusal, Refused, Stop
+from rig.panel.messages import Answer, Refusal, Refused, State, Stop
 from rig.panel.runs import Runs
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S, MOST_SOCKETS, Meter
 from rig.panel.watch import Follower, Watch
@@ -176,20 +176,16 @@ class _Pages:
         """What the page shows before anything moves."""
         self._require_reader(request)
         panel, session = self._panel, self._session(request)
-        return _Json(
-            {
-                "version": VERSION,
-                "config": None if panel.bench.config is None else panel.bench.config.name,
-                "config_path": None if panel.bench.config is None else str(panel.bench.config),
-                "runs_folder": str(panel.bench.out),
-                "run": panel.watch.scene.run,
-                "running": [{"run": one.folder.name, "pid": one.runner.pid} for one in panel.bench.running],
-                "opening": panel.watch.scene.opening,
-                "operator": panel.access.is_operator(session),
-                "has_token": session is not None,
-                "uplot": UPLOT.is_file(),
-            }
-        )
+        config, scene = panel.bench.config, panel.watch.scene
+        shown: State = {
+            "version": VERSION, "config": None if config is None else config.name,
+            "config_path": None if config is None else str(config), "runs_folder": str(panel.bench.out),
+            "run": scene.run,
+            "running": [{"run": one.folder.name, "pid": one.runner.pid} for one in panel.bench.running],
+            "opening": scene.opening, "operator": panel.access.is_operator(session),
+            "has_token": session is not None, "uplot": UPLOT.is_file(),
+        }  # fmt: skip
+        return _Json(shown)
 
     async def take(self, request: Request) -> Response:
         """Make this browser the operator's."""

@@ -44,6 +44,21 @@ class Started(TypedDict):
     jog_V: NotRequired[float]
 
 
+class State(TypedDict):
+    """What a page shows before anything moves. ``running``: name and pid of each run that goes on."""
+
+    version: str
+    config: str | None
+    config_path: str | None
+    runs_folder: str
+    run: str | None
+    running: list[dict[str, str | int]]
+    opening: str | None
+    operator: bool
+    has_token: bool
+    uplot: bool
+
+
 class RunRow(TypedDict):
     """What came of a run. ``estimate``: tau, K and f_c, each with half its 95 % interval."""
 

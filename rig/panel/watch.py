@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Final
 
 from rig.live.stop_flag import Unrecorded, command_of, is_recorded
-from rig.live.view import KEPT_ROWS, Estimate, LiveRow, LiveView, SeenFault, Snapshot
+from rig.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot
 from rig.panel.bench import CALIBRATION, Bench, StopAnswer
-from rig.panel.messages import Live, LiveEstimate, LiveFault, Message, News, RunEnded, Stop
+from rig.panel.messages import Live, Message, News, RunEnded, Stop
 from rig.panel.processes import Ended
 from rig.panel.runs import Runs
 
@@ -344,8 +344,10 @@ class Follower:
             self._number += 1
             self._after_row = rows[-1].number if rows else self._after_row
             messages.append(live(run, self._number, snapshot, rows))
-        messages += [_estimate(run, one) for one in snapshot.estimates[self._estimates :]]
-        messages += [_fault(run, one) for one in snapshot.faults[self._faults :]]
+        for estimate in snapshot.estimates[self._estimates :]:
+            messages.append({"type": "estimate", "run": run, **estimate})
+        for fault in snapshot.faults[self._faults :]:
+            messages.append({"type": "fault", "run": run, **fault})
         self._estimates, self._faults = len(snapshot.estimates), len(snapshot.faults)
         if scene.ended is not None and not self._ended:
             self._ended = True
@@ -416,14 +418,6 @@ def _ended_early(over: Ended) -> RunEnded:
     return {
         "type": "ended", "run": None, "why": why, "verdict": None, "exit": over.status, "words": over.words,
     }  # fmt: skip
-
-
-def _estimate(run: str, one: Estimate) -> LiveEstimate:
-    return {"type": "estimate", "run": run, **one}
-
-
-def _fault(run: str, one: SeenFault) -> LiveFault:
-    return {"type": "fault", "run": run, **one}
 
 
 def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> Stop:
