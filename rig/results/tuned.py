@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import Field
 
-from rig.results.part import Count, Flag, JsonObject, Number, Part, Real, Sometimes, Text
+from rig.results.part import Count, Flag, Number, Part, Real, Sometimes, Text
 
 
 class TunedPid(Part):
@@ -80,5 +82,5 @@ class TunedResult(Part):
     prediction: dict[str, TunedMeasure] = Field(description="measures of the trial by name")
     curves: dict[str, TunedCurve] = Field(description="step, drive (during the step) and tracking (error)")
     responses: tuple[TunedResponse, ...] = Field(description="of the identified motor, then of each corner")
-    law: JsonObject = Field(description="name and options, for the section `law` of a config")
+    law: dict[str, Any] = Field(description="name and options, for the section `law` of a config")
     beyond: Sometimes[Text] = Field(None, description="where the trial goes beyond what the motor was measured over")
