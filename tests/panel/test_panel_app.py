@@ -428,7 +428,9 @@ def test_only_a_command_without_a_run_folder_did_not_start(tmp_path: Path, began
     started.has_folder = began
     panel.bench._started.append(started)
     panel.watch.look()
-    assert [news["why"] for _, news in panel.watch.scene.news] == ([] if began else ["rig run did not start"])
+    told = [news for _, news in panel.watch.scene.news]
+    assert [one["why"] for one in told if one["type"] == "ended"] == ([] if began else ["rig run did not start"])
+    assert all(one["type"] == "ended" for one in told)
 
 
 def test_with_a_password_nothing_is_told_without_it_but_stop_works(out: Path) -> None:
