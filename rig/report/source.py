@@ -235,7 +235,7 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
         else:
             missing.append(f"{SAMPLES} is missing: nothing that was measured can be shown.")
     except RecordingError as error:
-        missing.append(f"{_said(error)}: nothing that was measured can be shown.")
+        missing.append(f"{words_of(error)}: nothing that was measured can be shown.")
     if any(event.kind == "loop_died" for event in events):
         notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
     if recording is not None:  # the estimators compare its clock with the period in meta.json
@@ -243,7 +243,7 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
     return ReportedRun(folder, recording, meta, result, config, events, missing, notes)
 
 
-def _said(error: RecordingError) -> str:
+def words_of(error: RecordingError) -> str:
     """What is wrong with a file of the folder: its name, the line, the cause."""
     return f"{error.path.name}{'' if error.line is None else f' (line {error.line})'} {error.cause}"
 
@@ -260,7 +260,7 @@ def _part(
     try:
         found, said = read(folder)
     except RecordingError as error:
-        missing.append(f"{_said(error)}: {consequence}.")
+        missing.append(f"{words_of(error)}: {consequence}.")
         return None
     if found is None:
         missing.append(f"{name} is missing: {consequence}.")
@@ -274,14 +274,14 @@ def _events(folder: Path, missing: list[str]) -> tuple[RunEvent, ...]:
     try:
         events, notes = read_events(folder, broken=broken)
     except RecordingError as error:
-        missing.append(f"{_said(error)}: events and faults come from the result only.")
+        missing.append(f"{words_of(error)}: events and faults come from the result only.")
         return ()
     if not os.path.lexists(folder / EVENTS):
         missing.append(f"{EVENTS} is missing: events and faults come from the result only.")
     missing.extend(f"{note}." for note in notes)
     if broken:
         count = "1 line is" if len(broken) == 1 else f"{len(broken)} lines are"
-        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {_said(broken[0])}.")
+        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {words_of(broken[0])}.")
     return events
 
 
@@ -290,7 +290,7 @@ def _settings(folder: Path, missing: list[str]) -> Settings:
     try:
         text = read_config_text(folder)
     except RecordingError as error:
-        missing.append(f"{_said(error)}: limits and settings are unknown.")
+        missing.append(f"{words_of(error)}: limits and settings are unknown.")
         return Settings()
     if text is None:
         missing.append(f"{CONFIG} is missing: limits and settings are unknown.")
