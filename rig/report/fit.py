@@ -231,4 +231,5 @@ def kept_or_fitted(run: ReportedRun) -> tuple[Curves | None, str]:
         return read_curves(run.folder, run.rows, run.result.answer), ""
     except RecordingError as error:
         why = words_of(error)
-    return identify([run.rows], choose_law=bool(run.laws)).curves, why
+    answer = run.result.answer
+    return identify([run.rows], choose_law=answer is not None and answer.law is not None).curves, why

@@ -238,8 +238,8 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
         missing.append(f"{words_of(error)}: nothing that was measured can be shown.")
     if any(event.kind == "loop_died" for event in events):
         notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
-    if recording is not None:  # the estimators compare its clock with the period in meta.json
-        recording = replace(recording, source=folder, meta=meta)
+    if recording is not None:  # the estimators read the clock's period and the events, too
+        recording = replace(recording, source=folder, meta=meta, events=events)
     return ReportedRun(folder, recording, meta, result, config, events, missing, notes)
 
 
