@@ -38,7 +38,7 @@ class Curves:
 
     answer        that they are of: its method, laws and numbers say which one it is
     residual_t_s, residual_rad   times, s, and recorded less modelled position, rad; of one length
-    friction_V    friction after each sample of the recursion of least squares, V; empty without one
+    friction_V    friction after each sample of the recursion of least squares, V; nan before there is one; empty: none
     """
 
     answer: Answer
@@ -91,7 +91,7 @@ def write_curves(folder: Path, recording: Recording, curves: Curves) -> None:
             **{name: base64.b64encode(array.astype("<f8").tobytes()).decode() for name, array in arrays.items()},
         }
     ).encode("utf-8")
-    if len(content) <= MOST_BYTES and all(map(_are_drawn, arrays.values())):
+    if len(content) <= MOST_BYTES and all(_is_drawn(name, array) for name, array in arrays.items()):
         write_whole(folder / CURVES, content)
 
 
@@ -124,13 +124,14 @@ def read_curves(folder: Path, recording: Recording, answer: Answer | None) -> Cu
 def _floats(kept: _Kept, name: str) -> Array:
     """An array of the file. Raises ValueError."""
     array = np.frombuffer(base64.b64decode(getattr(kept, name), validate=True), dtype="<f8")
-    if not _are_drawn(array):
+    if not _is_drawn(name, array):
         raise ValueError(f"{name} holds what is no number, or too large")
     return array
 
 
-def _are_drawn(array: Array) -> bool:
-    return bool(np.all(np.abs(array) < LARGEST))
+def _is_drawn(name: str, array: Array) -> bool:
+    small = np.abs(array) < LARGEST
+    return bool(np.all(small | np.isnan(array) if name == "friction_V" else small))
 
 
 def _digest(recording: Recording) -> str:
