@@ -226,7 +226,7 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
         try:
             found = read()
         except RecordingError as error:
-            missing.append(f"{_said(error)}: {otherwise}.")
+            missing.append(f"{words_of(error)}: {otherwise}.")
             return None
         if not os.path.lexists(folder / name):
             missing.append(f"{name} is missing: {otherwise}.")
@@ -241,7 +241,7 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
     missing.extend(f"{note}." for note in event_notes)
     if broken:
         count = "1 line is" if len(broken) == 1 else f"{len(broken)} lines are"
-        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {_said(broken[0])}.")
+        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {words_of(broken[0])}.")
     text = part(CONFIG, lambda: read_config_text(folder), "limits and settings are unknown")
     config = Settings() if text is None else _settings(text, missing)
     recording = part(
@@ -250,15 +250,15 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
         "nothing that was measured can be shown",
     )
     notes = [f"{note}." for note in (*meta_notes, *result_notes)]
-    if recording is not None:  # the estimators compare its clock with the period in meta.json
+    if recording is not None:  # the estimators read the clock's period and the events, too
         notes.extend(f"{SAMPLES}: {note}." for note in recording.notes)
-        recording = replace(recording, source=folder, meta=meta or RunMeta())
+        recording = replace(recording, source=folder, meta=meta or RunMeta(), events=events)
     if any(event.kind == "loop_died" for event in events):
         notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
     return ReportedRun(folder, recording, meta or RunMeta(), result or RunResult(), config, events, missing, notes)
 
 
-def _said(error: RecordingError) -> str:
+def words_of(error: RecordingError) -> str:
     """What is wrong with a file of the folder: its name, the line, the cause."""
     return f"{error.path.name}{'' if error.line is None else f' (line {error.line})'} {error.cause}"
 

@@ -264,7 +264,7 @@ def test_whoever_reads_much_keeps_neither_a_check_nor_a_stop_waiting(
     async def answer_of(module: str, *paths: Path) -> dict[str, Any]:
         if module != "rig.panel.prospect":
             await read.wait()
-        return {}
+        return {"lines": [], "may_run": False, "plan": None}
 
     def hanging() -> list[dict[str, Any]]:
         disk.wait()
