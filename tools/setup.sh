@@ -97,7 +97,7 @@ fetch .venv/bin/uv pip install --no-deps --editable .
 wait "$board"
 
 # the motor's physics, for this machine
-.venv/bin/python -c 'import rig.model.library'
+CC="$COMPILER" .venv/bin/python -c 'import rig.model.library'
 if $for_all; then
     # the second emulator of the Uno's chip, the Pico's, what drives the browser; npm keeps its own stamp of what it has
     # installed

@@ -36,6 +36,8 @@ static const double RUNAWAY_RAD_S = 1e5;
 static const double STEPS_OF_ROW = 500.0;
 static const double STEPS_OF_TAUS = 1000.0;
 
+enum { STAGES = REAL_STAGE_ROWS - 3 };
+
 /* Derivatives of a state by the columns, and room to work in.
  *
  * v, y, f, x       of the state, by column
@@ -48,7 +50,7 @@ typedef struct {
     const double *orders;
     int columns, waves, width;
     double *v, *y, *f, *x;
-    double *w, *given, *level, *stage[8];
+    double *w, *given, *level, *stage[STAGES];
     bool position, cogging, stribeck;
 } slopes;
 
@@ -183,7 +185,7 @@ static void copy_given(const slopes *d)
 }
 
 /* Carries the derivatives of the drive over `h_s`, at whose start it is `faded_V` from its end. */
-static void fade(const real_motor *m, const slopes *d, double faded_V, double h_s)
+static void fade_drive(const real_motor *m, const slopes *d, double faded_V, double h_s)
 {
     if (m->lag_s <= 0.0) {
         copy_given(d);
@@ -428,22 +430,19 @@ static slopes room_for(const real_motor *m, const real_columns *c)
     d.columns = (int)c->columns;
     d.waves = (int)c->waves;
     d.width = REAL_WAVES + 2 * d.waves;
-    double **const states[4] = {&d.v, &d.y, &d.f, &d.x};
-    for (int i = 0; i < 4; i++) {
-        *states[i] = at;
-        at += d.columns;
+    d.v = at;
+    d.y = d.v + d.columns;
+    d.f = d.y + d.columns;
+    d.x = d.f + d.columns;
+    at = d.x + d.columns;
+    for (int i = 0; i < REAL_STAGE_ROWS * d.width; i++) {
+        at[i] = 0.0;
     }
-    double **const rows[3] = {&d.w, &d.given, &d.level};
-    for (int i = 0; i < REAL_STAGE_ROWS; i++) {
-        if (i < 3) {
-            *rows[i] = at;
-        } else {
-            d.stage[i - 3] = at;
-        }
-        for (int k = 0; k < d.width; k++) {
-            at[k] = 0.0;
-        }
-        at += d.width;
+    d.w = at;
+    d.given = d.w + d.width;
+    d.level = d.given + d.width;
+    for (int i = 0; i < STAGES; i++) {
+        d.stage[i] = d.level + (i + 1) * d.width;
     }
     d.position = turns(m);
     d.cogging = cogs(m);
@@ -484,7 +483,7 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
         double edge = j + 1 < edges ? edge_s[j + 1] + m->delay_s : INFINITY;
         while (begun < now || edge <= now) { /* the drive, up to the piece */
             const double until = most(least(edge, now), begun);
-            fade(m, &d, w - staged_V, until - begun);
+            fade_drive(m, &d, w - staged_V, until - begun);
             w = lagged(m, staged_V, w, until - begun);
             begun = until;
             if (edge <= now) {
@@ -513,7 +512,7 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
                     } else {
                         fill(d.v, d.columns, 0.0);
                     }
-                    fade(m, &d, at.w - staged_V, s.duration_s);
+                    fade_drive(m, &d, at.w - staged_V, s.duration_s);
                     if (s.sign != 0.0 && s.sign * (s.end.y - at.x) >= 0.5 * m->backlash_rad) {
                         for (int i = 0; i < d.columns; i++) { /* the play is taken up */
                             d.x[i] = d.y[i] - (d.which[i] == BACKLASH ? 0.5 * s.sign : 0.0);

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.library_build import NAME, LibraryError, compile_library, sources_in
+from rig.errors import LibraryError
+from rig.model.library_build import NAME, CompileError, compile_library, sources_in
 from rig.package import FOLDER
 
 Array = NDArray[np.float64]
@@ -162,7 +163,10 @@ def library_file() -> Path:
     built = FOLDER.parent / "build" / "motor" / NAME
     newest = max(file.stat().st_mtime_ns for file in CLONE.iterdir())
     if not built.is_file() or built.stat().st_mtime_ns < newest:
-        compile_library(sources_in(CLONE), built)
+        try:
+            compile_library(sources_in(CLONE), built)
+        except CompileError as error:
+            raise LibraryError(str(error)) from error
     return built
 
 
@@ -198,14 +202,14 @@ def room(count: int) -> Array:
 
 
 def address(values: NDArray[Any]) -> int:
-    """Where an array is; it has to live as long as the call."""
+    """Where ``values``, of any unit, are; they have to live as long as the call."""
     if values.flags.writeable and values.size:  # a third of the time that the other way takes
         return ctypes.addressof(_START.from_buffer(values.data))
     return int(values.ctypes.data)
 
 
 def filled(values: Array, *shape: int) -> int:
-    """Address of an array that the library fills. Raises ValueError on one of another shape, type or order."""
+    """Address of ``values``, of any unit, which the library fills. Raises ValueError on another shape, type or order."""
     if values.shape != shape or values.dtype != np.float64 or not values.flags.carray:
         raise ValueError(f"a loop fills a contiguous array of doubles of shape {shape}, not {values.shape}")
     return address(values)

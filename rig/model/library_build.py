@@ -25,8 +25,8 @@ NO_COMPILER = (
 )
 
 
-class LibraryError(RuntimeError):
-    """The library cannot be compiled or loaded; the message says what to do."""
+class CompileError(RuntimeError):
+    """The library cannot be compiled; the message says what to do."""
 
 
 def sources_in(folder: Path) -> list[Path]:
@@ -45,11 +45,11 @@ def compiler() -> list[str]:
 def compile_library(sources: Sequence[Path], target: Path) -> None:
     """Compile C files to the library ``target``, in one move: who loads it meanwhile gets the old one or the new one.
 
-    Raises LibraryError without a compiler, or with what it says.
+    Raises CompileError without a compiler, or with what it says.
     """
     command = compiler()
     if not command:
-        raise LibraryError(NO_COMPILER)
+        raise CompileError(NO_COMPILER)
     system = [] if sys.platform == "win32" else ["-fPIC"]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,7 @@ def compile_library(sources: Sequence[Path], target: Path) -> None:
             line = [*command, *OPTIONS, *system, "-o", str(made), *map(str, sources), "-lm"]
             done = subprocess.run(line, capture_output=True, text=True, check=False)
             if done.returncode != 0:
-                raise LibraryError(f"compiling the motor's physics failed: `{shlex.join(line)}`\n{done.stderr.strip()}")
+                raise CompileError(f"compiling the motor's physics failed: `{shlex.join(line)}`\n{done.stderr.strip()}")
             made.replace(target)
     except OSError as error:
-        raise LibraryError(f"the motor's physics cannot be compiled into {target.parent}: {error}") from error
+        raise CompileError(f"the motor's physics cannot be compiled into {target.parent}: {error}") from error

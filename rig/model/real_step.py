@@ -158,7 +158,7 @@ def at_rest(m: RealMotor, frame: Frame, y: float) -> State:
 
 
 def put(m: RealMotor, frame: Frame, at: State, v: float, y: float) -> State:
-    """``at`` with the motor's side elsewhere; the sensor's side follows as far as the play makes it."""
+    """``at`` with the motor's side at ``v``, rad/s, and ``y``, rad; the play decides how far the sensor's follows."""
     return _changed(LIBRARY.real_put, m, frame, at, v, y)
 
 

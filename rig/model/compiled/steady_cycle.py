@@ -69,7 +69,10 @@ def switching_conditions(
 
 
 def reversal_times(theta: Array, gains: tuple[float, float], edges: Array) -> tuple[float, float]:
-    """Times of the reversal in both halves, s; 0 where the motor stops before the RC edge. The rest as ``curve``."""
+    """Times of the reversal in both halves, s; 0 where the motor stops before the RC edge.
+
+    theta, gains, edges   as for ``curve``: edges in s
+    """
     require_size(theta, NUMBERS, "theta")
     times = numbers(0.0, 0.0)
     LIBRARY.cycle_reversal_times(numbers(*theta), byref(_cycle(gains, edges)), times)
