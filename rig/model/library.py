@@ -209,7 +209,7 @@ def address(values: NDArray[Any]) -> int:
 
 
 def filled(values: Array, *shape: int) -> int:
-    """Address of ``values``, of any unit, which the library fills. Raises ValueError on another shape, type or order."""
+    """Address of ``values``, of any unit, which the library fills. Raises ValueError on another shape or type."""
     if values.shape != shape or values.dtype != np.float64 or not values.flags.carray:
         raise ValueError(f"a loop fills a contiguous array of doubles of shape {shape}, not {values.shape}")
     return address(values)
