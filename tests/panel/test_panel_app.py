@@ -406,16 +406,16 @@ def test_each_page_knows_who_drives_and_only_that_one_jogs(watcher: TestClient, 
 
 
 def test_a_page_is_told_what_a_start_says_that_takes_long(tmp_path: Path) -> None:
-    """As the first one after an installation, which compiles the motor's model."""
+    """As the first one after an installation, which builds the firmware of what is emulated."""
     folder = tmp_path / NAME
     folder.mkdir()
     note = {"command": "run", "pid": os.getpid(), "born": born(os.getpid())}
     (folder / f"{'1' * 16}.json").write_text(json.dumps(note))
-    (folder / f"{'1' * 16}.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
+    (folder / f"{'1' * 16}.stderr").write_text("rig: before\nrig: building the Uno's firmware\n")
     watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch
     watch.look()
     (told,) = map(json.loads, Follower(0, _operator=True).due(watch.scene, operator=True, now_s=1.0))
-    assert told == {"type": "idle", "opening": "run", "words": "rig: compiling the motor's model"}
+    assert told == {"type": "idle", "opening": "run", "words": "rig: building the Uno's firmware"}
 
 
 @pytest.mark.parametrize("began", [False, True])
