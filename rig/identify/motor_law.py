@@ -414,7 +414,7 @@ def motor_law(
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
-    of_model = model_error(parts, blocks.cut, predicts.error)
+    of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
