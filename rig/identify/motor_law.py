@@ -18,6 +18,7 @@ from scipy.special import stdtrit
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
+from rig.identify.departures.by_current import instead_of_sag
 from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
@@ -26,6 +27,7 @@ from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.profile import profiles
+from rig.identify.departures.sag import Sag
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
@@ -308,12 +310,13 @@ class Beginning:
         periods_s: Sequence[float | None],
         stated: Sequence[StatedErrors] = (StatedErrors(),),
         level_V: tuple[float, float] | None = None,
+        of: Sequence[str] = (),
     ) -> Beginning:
         """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
         free_delay = any(test.t_u_s is None for test in tests)
         longest = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
         delay_s = longest if free_delay else (0.0, 0.0)
-        whole = Cut.whole(tests, delay_s[1])
+        whole = Cut.whole(tests, delay_s[1], of)
         motor = RealMotor(
             plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
         )._replace(force_sin_V=plain.force_V[0], force_cos_V=plain.force_V[1])
@@ -387,7 +390,7 @@ def motor_law(
     leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
     most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
-    begun = Beginning.of(folded, plain, periods_s, stated, level_V)
+    begun = Beginning.of(folded, plain, periods_s, stated, level_V, names)
     tested = sum(window.t_s.size for window in begun.whole.windows)
     remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     for left in reversed(range(ROUNDS + 1)):
@@ -418,6 +421,8 @@ def motor_law(
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
+    if Sag.name in bare:
+        instead += instead_of_sag(parts, choice.laws, begun.chooser, bare[Sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)

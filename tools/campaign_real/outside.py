@@ -31,6 +31,7 @@ from rich.progress import track
 
 from real_records.siblings import next_record
 from rig.identify import IdentifyError, identify
+from rig.identify.departures.budget import Entry
 from rig.recording.recording import Recording, from_columns
 from shared.cases import spread
 from shared.share import counted
@@ -209,11 +210,13 @@ def _levels(bench: Bench, drive: str, rng: np.random.Generator, rows: int) -> Ar
     number = (t_s / hold_s).astype(int)
     count = int(number[-1]) + 1
     if drive == "loop on steps":
-        return np.asarray(np.where(np.arange(count) % 2 == 0, 1.0, -1.0) * rng.uniform(0.4, 1.0, count))[number]
-    if drive == "steps both ways":
+        found = np.where(np.arange(count) % 2 == 0, 1.0, -1.0) * rng.uniform(0.4, 1.0, count)
+    elif drive == "steps both ways":
         sizes = bench.largest_V * rng.choice([0.4, 0.6, 0.8, 1.0], count)
-        return np.asarray(sizes * np.array([1.0, 0.0, -1.0, 0.0])[np.arange(count) % 4])[number]
-    return np.asarray(bench.largest_V * rng.uniform(-1.0, 1.0, count))[number]
+        found = sizes * np.array([1.0, 0.0, -1.0, 0.0])[np.arange(count) % 4]
+    else:
+        found = bench.largest_V * rng.uniform(-1.0, 1.0, count)
+    return np.asarray(found[number], dtype=np.float64)
 
 
 @njit(cache=True)
@@ -234,7 +237,7 @@ def _simulated(motor, outside, timing, loop, levels, force, out):  # type: ignor
         if closed:
             new = min(max(gain * (goal * levels[k] - read), -most), most)
         out[k, 0], out[k, 1], out[k, 2] = t, read, new
-        n = max(1, int(round(period / step)))
+        n = max(1, round(period / step))
         h = period / n
         for i in range(n):
             if i * h >= delay:
@@ -324,7 +327,8 @@ def _identified(recording: Recording, truth: tuple[float, ...], drive: str) -> t
     scatter = [math.inf if b is None else 0.5 * (b[1] - b[0]) for b in bounds]
     true = np.array(truth)
     grades = tuple((answer.grade.get(name) or answer.grade["fc_V"]).grade for name in NUMBERS)
-    predicts = (1.0, 1.0) if answer.predicts is None else (answer.predicts.error, answer.predicts.linear_error)
+    told = answer.predicts
+    predicts = (1.0, 1.0) if told is None else (float(told.error or 0.0), float(told.linear_error or 0.0))
     return (
         Seen(
             drive,
@@ -338,38 +342,46 @@ def _identified(recording: Recording, truth: tuple[float, ...], drive: str) -> t
             tuple(one.law.name for one in law.found),
             took,
             " | ".join(answer.reasons),
-            tuple(
-                (e.source, *(float(getattr(e, n) / max(abs(v), 1e-12)) for n, v in zip(NUMBERS, value, strict=True)))
-                for e in law.budget.entries
-                if not e.absolute
-            ),
+            tuple((e.source, *_shares(e, value)) for e in law.budget.entries if not e.absolute),
         ),
         found,
     )
+
+
+def _shares(entry: Entry, value: Array) -> tuple[float, float, float]:
+    size = np.maximum(np.abs(value), 1e-12).tolist()
+    return entry.tau_s / size[0], entry.K_rad_s_V / size[1], entry.fc_V / size[2]
 
 
 def figures(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
     """What is counted, how much, and the 95 % interval of the share."""
     seen = [one for row in rows for one in row.records]
     some = [one for one in seen if one.grades]
-    usable = [
-        (one.inside[k], abs(one.error[k])) for one in some for k in range(3) if one.grades[k] != "not known"
-    ]
+    usable = [(one.inside[k], abs(one.error[k])) for one in some for k in range(3) if one.grades[k] != "not known"]
     pairs = [row.following for row in rows if row.following is not None]
     return [
         ("answers", *counted([bool(one.grades) for one in seen])),
         ("refused", *counted([one.verdict == "refused" for one in some])),
         ("numbers that u95 holds, of all", *counted([held for one in some for held in one.inside])),
         ("numbers that u95 holds, of those given", *counted([held for held, _ in usable])),
-        *((f"given: {name}", *counted([one.grades[k] != "not known" for one in some])) for k, name in enumerate(NUMBERS)),
+        *(
+            (f"given: {name}", *counted([one.grades[k] != "not known" for one in some]))
+            for k, name in enumerate(NUMBERS)
+        ),
         (
             "given where the scatter of the fit is below 10 %",
             *counted([one.grades[k] != "not known" for one in some for k in range(3) if one.ci95[k] < 0.1]),
         ),
         ("ok", *counted([one.verdict == "ok" for one in some])),
-        ("ok, and more than 5 % off", *counted([max(map(abs, one.error)) > WRONG for one in some if one.verdict == "ok"])),
+        (
+            "ok, and more than 5 % off",
+            *counted([max(map(abs, one.error)) > WRONG for one in some if one.verdict == "ok"]),
+        ),
         ("given numbers of both days that agree", *counted([held for row in rows for held in row.agree])),
-        ("held-out error at most 1.05 x the linear model's", *counted([o.predicts[0] <= NEXT * o.predicts[1] for o in some])),
+        (
+            "held-out error at most 1.05 x the linear model's",
+            *counted([o.predicts[0] <= NEXT * o.predicts[1] for o in some]),
+        ),
         ("the next record at most 1.05 x the linear model's", *counted([a <= NEXT * b for a, b in pairs])),
         ("within 12 s of CPU", *counted([one.cpu_s <= 12.0 for one in seen])),
     ]

@@ -45,9 +45,7 @@ def bounds(found: Identification, known: Mapping[str, float]) -> dict[str, tuple
     problem = Problem(cut, free, limits_of(free, cut, delay_s), sigma)
     at = with_own_noise(replace(load, problem=problem))
     sensor = replace(at, problem=problem)
-    return {
-        name: (_half(sensor, name, 1.0) / known[name], _half(at, name, unit(at)) / known[name]) for name in NUMBERS
-    }
+    return {name: (_half(sensor, name, 1.0) / known[name], _half(at, name, unit(at)) / known[name]) for name in NUMBERS}
 
 
 def _half(fit: Fit, name: str, variance: float) -> float:

@@ -7,7 +7,7 @@ the sum of both half widths. A law is shared where a sibling that names any law 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -71,11 +71,12 @@ class Compared:
         return [
             self.record,
             {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c", LESS_BIAS: "f_c - a"}[self.name],
-            f"{self.known[0]:.4g}" + (f" ± {100.0 * self.known[1] / abs(self.known[0]):.2g} %" if self.known[1] else ""),
+            f"{self.known[0]:.4g}"
+            + (f" ± {100.0 * self.known[1] / abs(self.known[0]):.2g} %" if self.known[1] else ""),
             f"{self.value:.4g}",
-            _percent(self.u95 / size),
-            _percent(self.bound / size),
-            _percent((self.value - self.known[0]) / self.known[0]),
+            percent(self.u95 / size),
+            percent(self.bound / size),
+            percent((self.value - self.known[0]) / self.known[0]),
             "yes" if self.is_given else "no",
             ("yes" if self.holds else "NO") if self.is_given else "-",
         ]
@@ -84,7 +85,7 @@ class Compared:
 HEAD = ("record", "number", "known", "rig", "±", "± by scatter", "off", "given", "holds")
 
 
-def compared(seen: Seen, numbers: dict[str, tuple[float, float]]) -> Iterator[Compared]:
+def compared(seen: Seen, numbers: Mapping[str, tuple[float, float]]) -> Iterator[Compared]:
     """Each known number of a record beside rig's."""
     answer = seen.answer
     for name, known in numbers.items():
@@ -98,7 +99,7 @@ def compared(seen: Seen, numbers: dict[str, tuple[float, float]]) -> Iterator[Co
         yield Compared(seen.name, seen.motor, name, known, value, u95, bound, seen.given(name) is not None)
 
 
-def by_table(records: Sequence[Seen], known: dict[str, Known]) -> list[Compared]:
+def by_table(records: Sequence[Seen], known: Mapping[str, Known]) -> list[Compared]:
     """The numbers that the README's table gives."""
     return [one for seen in records if seen.name in known for one in compared(seen, known[seen.name].numbers)]
 
@@ -109,7 +110,7 @@ def by_published(records: Sequence[Seen]) -> list[Compared]:
 
 
 def laws_shared(records: Sequence[Seen]) -> tuple[int, int]:
-    """Of the laws of records that name one, each beside each sibling that names one: how many it names, too; of how many."""
+    """Each law of a record beside each sibling that names one: how many the sibling names, too; of how many."""
     shared = count = 0
     for one, other in combinations(records, 2):
         if one.motor != other.motor or one.answer is None or other.answer is None:
@@ -135,7 +136,7 @@ def agreeing(records: Sequence[Seen]) -> tuple[int, int]:
     return agree, count
 
 
-def figures(records: Sequence[Seen], known: dict[str, Known], following: Sequence[Next]) -> list[str]:
+def figures(records: Sequence[Seen], known: Mapping[str, Known], following: Sequence[Next]) -> list[str]:
     """One row: what the issue asks for, over these records."""
     names = {seen.name for seen in records}
     table, published = by_table(records, known), by_published(records)
@@ -146,7 +147,10 @@ def figures(records: Sequence[Seen], known: dict[str, Known], following: Sequenc
     useful = sum(any(s.given(n) is not None for n in (*NUMBERS, LESS_BIAS)) for s in records)
     return [
         *(_of(sum(c.is_given for c in some), len(some)) for some in (table, published)),
-        *(_of(sum(c.is_given and not c.holds for c in some), sum(c.is_given for c in some)) for some in (table, published)),
+        *(
+            _of(sum(c.is_given and not c.holds for c in some), sum(c.is_given for c in some))
+            for some in (table, published)
+        ),
         _of(refused, len(predicted)),
         _of(useful, len(records)),
         _of(*agreeing(records)),
@@ -170,7 +174,7 @@ FIGURES = (
 )
 
 
-def left_out(records: Sequence[Seen], known: dict[str, Known], following: Sequence[Next]) -> list[list[str]]:
+def left_out(records: Sequence[Seen], known: Mapping[str, Known], following: Sequence[Next]) -> list[list[str]]:
     """Rows: each figure over all records, then with each motor left out."""
     motors = list(dict.fromkeys(seen.motor for seen in records))
     columns = [figures(records, known, following)]
@@ -187,5 +191,6 @@ def _of(part: int, whole: int) -> str:
     return f"{part} of {whole}"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """In words: ``3.2 %``; ``unknown`` from ten times the number on."""
     return f"{100.0 * share:.2g} %" if math.isfinite(share) and abs(share) < 10.0 else "unknown"

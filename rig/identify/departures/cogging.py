@@ -30,7 +30,7 @@ class Cogging(Departure):
         return min(0.05, bench.half_drive_V)
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
-        """Orders from one period over the travel on, closer than half a period over it, as far as the samples show them.
+        """Orders from one period over the travel on, closer than half a period over it, as far as samples show them.
 
         Beyond one turn those of poles are whole: a shaft's poles come again after each turn.
         """
