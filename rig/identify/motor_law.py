@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.by_current import instead_of_sag
+from rig.identify.departures.by_current import SagByCurrent, column_of, instead_of_sag
 from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
@@ -418,7 +418,9 @@ def motor_law(
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
-    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
+    bench = begun.chooser.bench
+    outside = [] if any(isinstance(law, Sag) for law in choice.laws) else [(SagByCurrent(), column_of(parts, bench))]
+    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     if Sag.name in bare:

@@ -3,7 +3,8 @@
 A supply or a bridge with a resistance loses what the current takes from it: much while the shaft speeds up, little once
 it turns. Where the records hold few sizes of drive, a sag by the drive alone explains them as well, and then tau, K and
 friction are too large by about the share that the largest drives lose. The motor's model has no such law. So it is
-tried from outside: the drive less what the fitted motion's current takes, and the other numbers fitted to that.
+tried from outside: the drive less what the fitted motion's current takes, and the other numbers fitted to that. Where
+no sag was found, it is one more law that a bench may have.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class SagByCurrent(Departure):
     title = "sag of the drive by the current"
     cause = "a supply with long leads?"
     unit = "1/V"
-    numbers = ()
+    numbers = ("sag_per_V",)
+    one_sided = True
     told_by = "drives of several sizes, with reversals; or the supply's voltage beside them"
 
     def range_of(self, bench: Bench) -> float:
@@ -64,6 +66,14 @@ def instead_of_sag(fit: Fit, laws: Sequence[Departure], chooser: Chooser, bare: 
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
         found.append(InPlace(law, SagByCurrent(), gained(fit, trial), moves))
     return [min(found, key=lambda one: one.rise)]
+
+
+def column_of(fit: Fit, bench: Bench) -> Array:
+    """(n, 1) change of the fit's readings by a sag by the current, rad for 1 per volt."""
+    size = SagByCurrent().range_of(bench) / 3.0
+    cut = by_current(fit, fit.motor.K_rad_s_V, size)
+    change = cut.readings(fit.motor, fit.starts) - fit.problem.cut.readings(fit.motor, fit.starts)
+    return np.asarray(change / size)[:, None]
 
 
 def by_current(fit: Fit, K_rad_s_V: float, size_per_V: float) -> Cut:

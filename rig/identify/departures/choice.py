@@ -526,6 +526,11 @@ class Columns:
         found = cut.derivatives(motor, fit.starts, [index(name) for name in law.numbers])
         return self._white(found.by_number, law.numbers), 1.0
 
+    def of_change(self, change: Array) -> Array:
+        """A change of the readings, (n, 1), rad for 1 of a law, whitened; nothing beside the tests tells of it."""
+        known, white = self._fit.problem.known, self._weighed(change)
+        return white if known is None else np.concatenate((white, np.zeros((known.root.shape[0], change.shape[1]))))
+
     def gain(self, added: Array) -> tuple[float, Array]:
         """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes.
 
