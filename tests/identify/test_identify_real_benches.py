@@ -13,13 +13,14 @@ from rig.identify import identify
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identify.departures.choice import Columns
+from rig.identify.departures.cogging import Cogging
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, by_prediction
 from rig.identify.in_pieces import fit_in_pieces
-from rig.identify.model_error import DRIVES, PIECES, beyond_noise, model_error
+from rig.identify.model_error import DRIVES, LEFT, PIECES, beyond_noise, model_error
 from rig.identify.plausibility import judge_records
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, response
 from rig.recording.recording import from_columns
@@ -183,6 +184,47 @@ def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
     bench = Bench(20.0, 0.6, 12.0, 100.0, 3.0, 0.01, 0.1)
     for law in DEPARTURES:
         assert law.most(bench) >= (12.0 if law.unit == "V" else 10.0 * law.range_of(bench))
+
+
+def test_a_force_over_the_angle_of_any_period_is_found_where_the_travel_shows_it() -> None:
+    """The load hangs behind a gear: 0.9 waves for each radian of the measured shaft."""
+    geared = RealMotor(0.08, 1.2, 0.6, cogging_sin_V=0.5, cogging_cos_V=0.2, cogging_per_rad=0.9)
+    answer = answered(recorded(geared, (3.0, 5.0, 7.0), seed=2))
+    (law,) = answer.law or ()
+    assert law.name == "cogging" and law.numbers["cogging_per_rad"] == pytest.approx(0.9, rel=0.01)
+    assert right(answer, geared, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_waves_over_the_angle_begin_at_one_over_the_travel_and_end_where_rows_no_longer_show_them() -> None:
+    def orders(half_travel_rad: float, path_per_row_rad: float) -> list[float]:
+        bench = Bench(20.0, 0.6, 12.0, 100.0, half_travel_rad, 0.01, path_per_row_rad)
+        return [one["cogging_per_rad"] for one in Cogging().trials(bench)]
+
+    assert orders(0.5, 0.01)[0] == pytest.approx(6.0) and orders(2.0, 0.01)[0] == pytest.approx(1.5)
+    assert max(orders(2.0, 0.01)) > 28.0 and 0.0 < max(orders(2.0, 0.1)) < 15.0
+    assert min(orders(100.0, 0.01)) == 3.0  # more starts than a search bears
+    fast = Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.9)
+    assert not Cogging().fits(fast) and Cogging().fits(Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.1))
+
+
+def test_of_three_recordings_each_is_predicted_from_the_others_unless_it_alone_turns_a_way() -> None:
+    both = [recorded(MOTOR, (3.0, 5.0, 7.0), seed=k, rows=800) for k in range(3)]
+    one_way = [recorded(MOTOR, (3.0, 5.0, 7.0), ways=(1.0,), seed=k, rows=800) for k in range(2)]
+
+    def folds(records: list[Recorded], names: tuple[str, ...]) -> list[int]:
+        tests = [TimeSeries(t_s, y_rad, None, u_V) for t_s, u_V, y_rad in records]
+        return Blocks.of(Cut.whole(tests, 0.01, names), 0.05, (1.0, 6.0)).folds().tolist()
+
+    assert folds(both, ("a", "b", "c")) == [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2]
+    assert folds(both, ("a", "a", "b")) == folds(both, ()) == [0, 1, 2, 3] * 3
+    assert folds([*one_way, both[0]], ("a", "b", "c")) == [0, 1, 2, 3] * 3
+
+
+def test_three_laws_stand_in_for_something_whatever_they_leave() -> None:
+    cut, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0)))
+    fit = solve(start(problem, motor))
+    sources = [[entry.source for entry in model_error(fit, cut.every(1.0), 1.0, laws).lines] for laws in (0, 2, 3)]
+    assert sources == [[], [], [LEFT]]
 
 
 def test_a_quick_reversal_is_no_spike() -> None:

@@ -41,6 +41,7 @@ FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+FINE = 1e-3  # error in blocks of a plain motor that needs no law
 NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
 BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is no noise
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
@@ -211,8 +212,9 @@ class Chooser:
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
         sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
-        so in few blocks alone. Where it leaves white noise, likelihood is right. Laws that only together take as much
-        as is asked stay together.
+        so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand: what is left there is
+        what the readings are off. Where a fit leaves white noise, likelihood is right. Laws that only together take as
+        much as is asked stay together.
         """
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
@@ -224,6 +226,13 @@ class Chooser:
                 known[laws] = np.maximum(blocks.held_out(problem, motor, starts_known=True) - noise, 0.0)
             return known[laws]
 
+        if laws and not fit.problem.noise.white:
+            none = fit.motor
+            for law in laws:
+                none = without(none, law)
+            stays = float(blocks.squares(blocks.stays_rad()).sum())
+            if math.sqrt(float(left((), none).sum()) / max(stays, 1e-300)) < FINE:
+                return self._last(refitted(fit, self.problem(fit.problem.cut, (), math.inf), none), ())
         first = fit, laws
         while laws and not fit.problem.noise.white:
             full = left(laws, fit.motor)
