@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from rig.identify.departures import DEPARTURES
+from rig.identify.departures import DEPARTURES, OUTSIDE
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.by_current import SagByCurrent, column_of, instead_of_sag
 from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
+from rig.identify.departures.outside import instead_of_sag, outside
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.profile import profiles
 from rig.identify.departures.sag import Sag
@@ -197,7 +197,7 @@ class MotorLaw:
         own = (entry for entry in self.budget.entries if not entry.absolute)
         largest = max(own, key=lambda entry: float(getattr(entry, name)))
         known = known_to(name, shares[name])
-        laws = [law for law in DEPARTURES if law.name in largest.laws]
+        laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in largest.laws]
         cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
         if largest.source.startswith(OTHER):
             what = " or ".join(law.title for law in laws)
@@ -215,7 +215,7 @@ class MotorLaw:
         probability, hidden = likely[name]
         if probability <= RISK:
             return
-        laws = [law for law in DEPARTURES if law.name in hidden]
+        laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in hidden]
         risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
         yield (
             f"{TITLES[name]} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; "
@@ -419,8 +419,7 @@ def motor_law(
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
     bench = begun.chooser.bench
-    outside = [] if any(isinstance(law, Sag) for law in choice.laws) else [(SagByCurrent(), column_of(parts, bench))]
-    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside)
+    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside(parts, choice.laws, bench))
     bare = bare_fits(parts, choice.laws, begun.chooser)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     if Sag.name in bare:

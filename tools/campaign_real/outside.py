@@ -273,7 +273,7 @@ def _simulated(motor, outside, timing, loop, levels, force, out):  # type: ignor
                 continue
             total += level
             count += 1
-            next_v = v + h * (K_now * (push - sign * level) - v) / own_tau
+            next_v = v + (K_now * (push - sign * level) - v) * -np.expm1(-h / own_tau)
             if v * next_v < 0.0 or (v != 0.0 and next_v * sign < 0.0):
                 next_v = 0.0
             y += 0.5 * h * (v + next_v)

@@ -1,16 +1,21 @@
-"""A sag that grows with the current, in the place of one that grows with the drive.
+"""Laws that a bench may have and the motor's model has not: what they do to the readings, and in the place of others.
+
+None is fitted. What such a law would move tau, K and friction by is a line of the budget.
 
 A supply or a bridge with a resistance loses what the current takes from it: much while the shaft speeds up, little once
 it turns. Where the records hold few sizes of drive, a sag by the drive alone explains them as well, and then tau, K and
-friction are too large by about the share that the largest drives lose. The motor's model has no such law. So it is
-tried from outside: the drive less what the fitted motion's current takes, and the other numbers fitted to that. Where
-no sag was found, it is one more law that a bench may have.
+friction are too large by about the share that the largest drives lose. So it is tried in the place of a sag: the drive
+less what the fitted motion's current takes, and the other numbers fitted to that.
+
+Behind a soft coupling the reading is, to first order, behind the shaft of a stiff bench by its acceleration over the
+square of the coupling's frequency. A fit takes that for a shorter tau and a longer delay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,27 +27,25 @@ from rig.identify.departures.in_place import InPlace, gained
 from rig.identify.departures.nuisances import OF
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.sag import Sag
+from rig.identify.departures.sag_by_current import SagByCurrent
+from rig.identify.departures.soft_coupling import SoftCoupling
 from rig.recording.series import Steps
 
 Array = NDArray[np.float64]
 
 SIZES = (0.5, 1.0, 1.5)  # of the sag that was found
+FIRST = 1.0 / 3.0  # of the range: the size of a sag by the current whose effect stands for all
 
 
-class SagByCurrent(Departure):
-    """A drive that falls behind as the current grows. It is only tried in the place of a sag."""
+def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[tuple[Departure, Array]]:
+    """Each such law with the change of the fit's readings, (n, 1), rad for 1 of its size.
 
-    name = "sag_by_current"
-    title = "sag of the drive by the current"
-    cause = "a supply with long leads?"
-    unit = "1/V"
-    numbers = ("sag_per_V",)
-    one_sided = True
-    told_by = "drives of several sizes, with reversals; or the supply's voltage beside them"
-
-    def range_of(self, bench: Bench) -> float:
-        """As of a sag."""
-        return Sag().range_of(bench)
+    laws   those of the fit: a sag has its own in its place
+    """
+    found: list[tuple[Departure, Array]] = [(SoftCoupling(), _by_coupling(fit))]
+    if not any(isinstance(law, Sag) for law in laws):
+        found.append((SagByCurrent(), _by_sag(fit, bench)))
+    return found
 
 
 def instead_of_sag(fit: Fit, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
@@ -68,12 +71,22 @@ def instead_of_sag(fit: Fit, laws: Sequence[Departure], chooser: Chooser, bare: 
     return [min(found, key=lambda one: one.rise)]
 
 
-def column_of(fit: Fit, bench: Bench) -> Array:
-    """(n, 1) change of the fit's readings by a sag by the current, rad for 1 per volt."""
-    size = SagByCurrent().range_of(bench) / 3.0
+def _by_sag(fit: Fit, bench: Bench) -> Array:
+    size = FIRST * SagByCurrent().range_of(bench)
     cut = by_current(fit, fit.motor.K_rad_s_V, size)
     change = cut.readings(fit.motor, fit.starts) - fit.problem.cut.readings(fit.motor, fit.starts)
     return np.asarray(change / size)[:, None]
+
+
+def _by_coupling(fit: Fit) -> Array:
+    cut = fit.problem.cut
+    y_rad = cut.y_rad + fit.residual_rad
+    change = np.zeros(y_rad.size)
+    for first, stop in pairwise([*cut.begins.tolist(), y_rad.size]):
+        if stop - first > 2:
+            t_s = cut.t_s[first:stop]
+            change[first:stop] = -np.gradient(np.gradient(y_rad[first:stop], t_s), t_s)
+    return change[:, None]
 
 
 def by_current(fit: Fit, K_rad_s_V: float, size_per_V: float) -> Cut:
