@@ -6,11 +6,15 @@ numbers may be off (a sandwich covariance over pieces, and half the difference b
 drive). Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands for it, but
 not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a velocity. It stands
 for three laws and more, too, whatever they leave: so many stand in for something that no law here describes.
+
+A law of the catalogue is not quite that of a bench. Where a fit with laws leaves white noise, or the rounding to the
+sensor's steps, its laws are the bench's. Where it leaves more, three tenths of what each law moves a number by stand
+for what it is off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -34,6 +38,8 @@ DIFFER = 2.5  # standard deviations by which the halves must differ
 PIECES = "pieces that differ"
 DRIVES = "low and high drive"
 LEFT = "what the model leaves out"
+LIKE = "laws that are only like the bench's"
+ALIKE = 0.3  # of what a law moves a number by, that number's own size at most
 LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
 SHARED = 0.03  # of each number
 MANY_LAWS = 3
@@ -76,6 +82,21 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     if leaves or laws >= MANY_LAWS:
         found.append(Entry(LEFT, *(SHARED * abs(getattr(fit.motor, name)) for name in OF)))
     return ModelError(tuple(found), effect)
+
+
+def only_like(fit: Fit, bare: Iterable[Fit]) -> tuple[Entry, ...]:
+    """The line for laws that leave more than white noise: what they may be off.
+
+    fit    with its noise
+    bare   for each of its laws the fit without it
+    """
+    if fit.problem.noise.white:
+        return ()
+    here = np.array([getattr(fit.motor, name) for name in OF])
+    there = np.array([[getattr(one.motor, name) for name in OF] for one in bare]).reshape(-1, len(OF))
+    moves = np.minimum(np.abs(there - here), np.abs(here))
+    half = ALIKE * np.sqrt((moves**2).sum(axis=0))
+    return (Entry(LIKE, *half.tolist()),) if half.any() else ()
 
 
 def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:

@@ -31,7 +31,7 @@ from rig.identify.departures.sag import Sag
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
-from rig.identify.model_error import model_error
+from rig.identify.model_error import model_error, only_like
 from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.plausibility import one_way
@@ -421,13 +421,14 @@ def motor_law(
     bench = begun.chooser.bench
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside(parts, choice.laws, bench))
     bare = bare_fits(parts, choice.laws, begun.chooser)
+    like = () if begun.chooser.is_rounding(parts) else only_like(parts, bare.values())
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     if Sag.name in bare:
         instead += instead_of_sag(parts, choice.laws, begun.chooser, bare[Sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
-    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
+    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, (*of_model.lines, *like))
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)

@@ -44,7 +44,7 @@ DRIVES = ("loop on steps", "loop on a sine", "steps both ways", "random levels")
 KINDS = ("friction", "force", "coupling", "warming", "load friction", "supply", "random load")
 SENSORS = ("potentiometer", "encoder", "coarse")
 DAYS = 0.025  # standard deviation of gain and friction between days
-STEP_S = 1e-4
+STEP_S = 5e-5
 WRONG = 0.05  # an ok answer that is farther off is wrong
 NEXT = 1.05
 
@@ -245,8 +245,9 @@ def _simulated(motor, outside, timing, loop, levels, force, out):  # type: ignor
             warmth = 1.0 - np.exp(-(t + i * h) / warm_s)
             K_now = K * (1.0 - 0.5 * warm * warmth)
             tau_now = tau * (1.0 - 0.5 * warm * warmth)
-            f = fA * np.sin(fn * y + fphi)
-            level = fc * (1.0 - warm * warmth) * (1.0 + share * np.sin(share_n * y + share_phi)) + by_load * abs(f)
+            middle = y + 0.5 * h * v
+            f = fA * np.sin(fn * middle + fphi)
+            level = fc * (1.0 - warm * warmth) * (1.0 + share * np.sin(share_n * middle + share_phi)) + by_load * abs(f)
             w = u
             current = u - v / K_now
             if u * current > 0.0:

@@ -308,7 +308,7 @@ class Chooser:
                 return fit, laws
             fit, laws = steps[0]
 
-    def _is_rounding(self, fit: Fit) -> bool:
+    def is_rounding(self, fit: Fit) -> bool:
         """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
         return float(np.mean(np.abs(fit.residual_rad) <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
 
@@ -325,7 +325,7 @@ class Chooser:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
         seen = with_own_noise(fit)
         steps_show = fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW
-        if len(laws) >= MOST or steps_show or self._is_rounding(fit):
+        if len(laws) >= MOST or steps_show or self.is_rounding(fit):
             return []  # the sensor's own steps are left, which look like anything
         found = []
         for promise in self.promises(seen, laws)[:TRIED]:
