@@ -39,7 +39,8 @@ PIECES = "pieces that differ"
 DRIVES = "low and high drive"
 LEFT = "what the model leaves out"
 LIKE = "laws that are only like the bench's"
-ALIKE = 0.3  # of what a law moves a number by, that number's own size at most
+ALIKE = 0.3  # of what a law moves a number by
+FARTHEST = 0.5  # of a number: a fit without the law that is farther off has lost its way
 LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
 SHARED = 0.03  # of each number
 MANY_LAWS = 3
@@ -94,7 +95,7 @@ def only_like(fit: Fit, bare: Iterable[Fit]) -> tuple[Entry, ...]:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     there = np.array([[getattr(one.motor, name) for name in OF] for one in bare]).reshape(-1, len(OF))
-    moves = np.minimum(np.abs(there - here), np.abs(here))
+    moves = np.minimum(np.abs(there - here), FARTHEST * np.abs(here))
     half = ALIKE * np.sqrt((moves**2).sum(axis=0))
     return (Entry(LIKE, *half.tolist()),) if half.any() else ()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from rig.identify.departures.choice import Columns
 from rig.identify.departures.cogging import Cogging
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
+from rig.identify.departures.outside import by_current, outside
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, by_prediction
 from rig.identify.in_pieces import fit_in_pieces
-from rig.identify.model_error import DRIVES, LEFT, PIECES, beyond_noise, model_error
+from rig.identify.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
+from rig.identify.noise import Noise
 from rig.identify.plausibility import judge_records
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, response
 from rig.recording.recording import from_columns
@@ -225,6 +228,40 @@ def test_three_laws_stand_in_for_something_whatever_they_leave() -> None:
     fit = solve(start(problem, motor))
     sources = [[entry.source for entry in model_error(fit, cut.every(1.0), 1.0, laws).lines] for laws in (0, 2, 3)]
     assert sources == [[], [], [LEFT]]
+
+
+def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_moves() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
+    fit = solve(start(problem, motor))
+    moved = fit.motor._replace(K_rad_s_V=1.1 * fit.motor.K_rad_s_V, fc_V=9.0 * fit.motor.fc_V)
+    bare = [start(problem, moved)]
+    assert only_like(fit, bare) == ()  # white noise is left: the laws are the bench's
+    fit = replace(fit, problem=replace(problem, noise=Noise(0.1, 4.0)))
+    (line,) = only_like(fit, bare)
+    assert line.source == LIKE and line.tau_s == pytest.approx(0.0, abs=1e-12)
+    assert line.K_rad_s_V == pytest.approx(0.03 * fit.motor.K_rad_s_V)
+    assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)  # a fit that lost its way counts as half
+    assert only_like(fit, []) == ()
+
+
+def test_a_soft_coupling_holds_the_reading_back_by_its_acceleration_and_a_current_takes_of_the_drive() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
+    fit = solve(start(problem, motor))
+    bench = problem.cut.bench(fit.motor, 0.0)
+    changes = {law.name: change for law, change in outside(fit, (), bench)}
+    assert set(changes) == {"soft_coupling", "sag_by_current"}
+    sag = [law for law in DEPARTURES if law.name == "sag"]
+    assert [law.name for law, _ in outside(fit, sag, bench)] == ["soft_coupling"]
+    y_rad, t_s = problem.cut.y_rad + fit.residual_rad, problem.cut.t_s
+    first = slice(0, problem.cut.lengths[0])
+    speed = np.gradient(y_rad[first], t_s[first])
+    back = -np.cumsum(changes["soft_coupling"][first, 0]) * PERIOD_S
+    assert np.corrcoef(back, speed)[0, 1] > 0.99
+    left = by_current(fit, fit.motor.K_rad_s_V, 0.02).windows[0].steps
+    given = problem.cut.windows[0].steps
+    drives = given.u_V[np.searchsorted(given.edge_s, left.edge_s, side="right") - 1]
+    assert np.all(np.abs(left.u_V) <= np.abs(drives) + 1e-12)
+    assert 0.05 < float(np.max(1.0 - left.u_V / drives)) < 0.02 * (7.0 + 7.0)
 
 
 def test_a_quick_reversal_is_no_spike() -> None:
