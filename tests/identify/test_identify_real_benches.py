@@ -216,7 +216,7 @@ def test_of_three_recordings_each_is_predicted_from_the_others_unless_it_alone_t
 
     def folds(records: list[Recorded], names: tuple[str, ...]) -> list[int]:
         tests = [TimeSeries(t_s, y_rad, None, u_V) for t_s, u_V, y_rad in records]
-        return Blocks.of(Cut.whole(tests, 0.01, names), 0.05, (1.0, 6.0)).folds().tolist()
+        return [int(fold) for fold in Blocks.of(Cut.whole(tests, 0.01, names), 0.05, (1.0, 6.0)).folds()]
 
     assert folds(both, ("a", "b", "c")) == [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2]
     assert folds(both, ("a", "a", "b")) == folds(both, ()) == [0, 1, 2, 3] * 3
