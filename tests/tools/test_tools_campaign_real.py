@@ -297,6 +297,9 @@ def test_a_row_outside_the_catalogue_says_what_holds_and_the_figures_count_it() 
         assert held == list(seen.inside)
     told = {what: share for what, share, _ in outside.figures([one])}
     assert told["answers"].startswith("2 of 2") and told["numbers that u95 holds, of all"].split()[2] == "6:"
+    (kind,) = [row for row in outside.by_kind([one]) if row[1]]
+    given = sum(grade != "not known" for seen in one.records for grade in seen.grades)
+    assert kind[:2] == ("random load", given)
     wrong = replace(one, records=(replace(one.records[0], verdict="ok", error=(0.06, 0.0, 0.0)), one.records[1]))
     assert {what: share for what, share, _ in outside.figures([wrong])}["ok, and more than 5 % off"].startswith(
         "1 of 1"

@@ -9,7 +9,7 @@ potentiometer, an encoder, or one with coarse steps.
 It shares no code with ``rig.model``. The measure is not the name of a law: numbers within u95, ok beyond 5 %, motion
 that was not seen, records of one motor beside each other.
 
-    PYTHONPATH=tools python -m campaign_real.outside [--motors 100] [--seed 31] [--rows FILE]
+    PYTHONPATH=tools python -m campaign_real.outside [--motors 100] [--seed 31] [--rows FILE] [--page]
 """
 
 from __future__ import annotations
@@ -34,11 +34,13 @@ from rig.identify import IdentifyError, identify
 from rig.identify.departures.budget import Entry
 from rig.recording.recording import Recording, from_columns
 from shared.cases import spread
+from shared.page import render, today, write
 from shared.share import counted
 from shared.table import markdown
 
 Array = NDArray[np.float64]
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "outside.md"
 NUMBERS = ("tau_s", "K_rad_s_V", "fc_V")
 DRIVES = ("loop on steps", "loop on a sine", "steps both ways", "random levels")
 KINDS = ("friction", "force", "coupling", "warming", "load friction", "supply", "random load")
@@ -388,6 +390,16 @@ def figures(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
     ]
 
 
+def by_kind(rows: Sequence[Row]) -> list[tuple[str, int, str]]:
+    """For each kind that stands first: how many numbers were given, and how many of them u95 holds."""
+    found = []
+    for kind in KINDS:
+        seen = [one for row in rows if row.kinds[0] == kind for one in row.records if one.grades]
+        held = [one.inside[k] for one in seen for k in range(3) if one.grades[k] != "not known"]
+        found.append((kind, len(held), counted(held)[0]))
+    return found
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -395,6 +407,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--rows", type=Path, help="keep the rows here, one JSON object a line")
+    parser.add_argument("--page", action="store_true", help="write docs/evidence/outside.md")
     given = parser.parse_args(argv)
     jobs = [(given.seed, number) for number in range(given.motors)]
     rows = []
@@ -404,6 +417,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             with given.rows.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(one)) + "\n")
     print(markdown(("of motors outside the catalogue", "share", "95 %"), figures(rows)))
+    if given.page:
+        template = Path(__file__).with_name("outside.md.j2")
+        told = {"motors": given.motors, "seed": given.seed, "made": today()}
+        write(PAGE, render(template, rows=figures(rows), kinds=by_kind(rows), **told))
     return 0
 
 
