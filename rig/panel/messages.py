@@ -1,4 +1,7 @@
-"""What the panel tells a page, as JSON: its answers over HTTP, its messages on the WebSocket, a calibration's talk."""
+"""What the panel tells a page, as JSON: its answers over HTTP, its messages on the WebSocket, a calibration's talk.
+
+Plain dicts whose keys mypy checks: nothing is validated or copied, for a page is told 25 times a second.
+"""
 
 from __future__ import annotations
 
