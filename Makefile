@@ -144,10 +144,15 @@ firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/ri
 wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
 	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
 
-dist: .venv/.ready  ## wheel and source as they would be published, checked: dist
-	rm -rf dist
-	RIG_FIRMWARE=required .venv/bin/uv build --quiet -o dist
+WHEELS := manylinux_2_17_x86_64 manylinux_2_17_aarch64 win_amd64 macosx_11_0_arm64 macosx_11_0_x86_64
+
+dist: .venv/.ready  ## source, and a wheel of each platform, as they would be published, checked: dist
+	rm -rf dist build/dist
+	.venv/bin/uv build --quiet --sdist -o dist
+	for platform in $(WHEELS); do RIG_WHEEL=$$platform RIG_FIRMWARE=required RIG_FIRMWARE_BUILD=$(CURDIR)/build/dist \
+	    .venv/bin/uv build --quiet --wheel -o dist || exit 1; done
 	.venv/bin/twine check --strict dist/*
+	.venv/bin/python tools/try_wheels.py dist
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py

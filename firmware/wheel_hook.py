@@ -1,9 +1,10 @@
 """Builds the C library of the motor's physics into a wheel of rig, and if that is asked for the boards' firmware.
 
 hatchling runs it for each wheel. The library takes a second of any C compiler; where there is none, the package ziglang
-brings one, as a requirement of the build. The firmware of every variant, of Uno and Pico, is built only with
-RIG_FIRMWARE=required, as `make wheel` and `make dist` have it. Then both compilers, and uPlot, which draws the panel's
-curves, have to be there. Else an installation is quick, and `rig flash` compiles what it flashes.
+brings one, as a requirement of the build. So it does for a wheel of another platform, which RIG_WHEEL names. The
+firmware of every variant, of Uno and Pico, is built only with RIG_FIRMWARE=required, as `make wheel` and `make dist`
+have it. Then both compilers, and uPlot, which draws the panel's curves, have to be there. Else an installation is
+quick, and `rig flash` compiles what it flashes.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 import sysconfig
 import tempfile
 from pathlib import Path
@@ -25,14 +27,25 @@ UPLOT = "rig/panel/static/vendor/uPlot.esm.js"
 PACKAGES = "make gcc gcc-avr avr-libc binutils-avr gcc-arm-none-eabi binutils-arm-none-eabi"
 
 
+# tag of a wheel: the machine by zig's name, and the library's name there
+PLATFORMS = {
+    "manylinux_2_17_x86_64": ("x86_64-linux-gnu.2.17", "librig_motor.so"),
+    "manylinux_2_17_aarch64": ("aarch64-linux-gnu.2.17", "librig_motor.so"),
+    "win_amd64": ("x86_64-windows-gnu", "rig_motor.dll"),
+    "macosx_11_0_arm64": ("aarch64-macos.11.0", "librig_motor.dylib"),
+    "macosx_11_0_x86_64": ("x86_64-macos.11.0", "librig_motor.dylib"),
+}
+
+
 class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
     """Adds the library, and ``rig/_firmware/prebuilt``: the .hex and .uf2 files and SHA256SUMS."""
 
     PLUGIN_NAME = "custom"
 
     def dependencies(self) -> list[str]:
-        """What this build needs besides: a C compiler, where this machine has none."""
-        return [] if self._library_build().compiler() else ["ziglang>=0.13"]
+        """What this build needs besides: a C compiler, where this machine has none for that platform."""
+        is_here = not os.environ.get("RIG_WHEEL") and self._library_build().compiler()
+        return [] if is_here else ["ziglang>=0.13"]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the library, and the variants if that is asked for. In a clone rig builds the library itself."""
@@ -41,11 +54,16 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         self.folder = Path(tempfile.mkdtemp(prefix="rig-firmware-"))
         build = self._library_build()
         sources = build.sources_in(Path(self.root) / "firmware" / "motor")
-        build.compile_library(sources, self.folder / build.NAME)
-        build_data["force_include"][str(self.folder / build.NAME)] = f"rig/model/{build.NAME}"
+        platform, name, command = sysconfig.get_platform().replace("-", "_").replace(".", "_"), build.NAME, []
+        if wanted := os.environ.get("RIG_WHEEL"):
+            if wanted not in PLATFORMS:
+                raise RuntimeError(f"RIG_WHEEL is {wanted}, and not one of {', '.join(PLATFORMS)}")
+            platform, (machine, name) = wanted, PLATFORMS[wanted]
+            command = [sys.executable, "-m", "ziglang", "cc", "-target", machine]
+        build.compile_library(sources, self.folder / name, command)
+        build_data["force_include"][str(self.folder / name)] = f"rig/model/{name}"
         build_data["pure_python"] = False
-        # the library knows no Python: one wheel of a platform is for each of its versions
-        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        build_data["tag"] = f"py3-none-{platform}"  # the library knows no Python: each of its versions can call it
         if os.environ.get("RIG_FIRMWARE") == "required":
             self._add_firmware(build_data)
 
@@ -68,8 +86,9 @@ class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
         # a make that runs this build has flags and a job server of its own
         environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
         command = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(Path(self.root) / "firmware"), "prebuilt"]
-        subprocess.run([*command, f"BUILD={self.folder}"], check=True, env=environment)
-        build_data["force_include"][str(self.folder / "prebuilt")] = "rig/_firmware/prebuilt"
+        folder = os.environ.get("RIG_FIRMWARE_BUILD") or self.folder  # kept, for the wheels of other platforms
+        subprocess.run([*command, f"BUILD={folder}"], check=True, env=environment)
+        build_data["force_include"][str(Path(folder) / "prebuilt")] = "rig/_firmware/prebuilt"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove what was built: the wheel has it."""

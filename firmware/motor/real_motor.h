@@ -12,7 +12,7 @@
 #ifndef RIG_REAL_MOTOR_H
 #define RIG_REAL_MOTOR_H
 
-/* The numbers, in the order of every vector and Jacobian of them: rig/model/real_step.py says what each is. The last four
+/* The numbers, in the order of every vector and Jacobian of them: rig/model/real_numbers.py says what each is. The last four
  * are the frame that parts over position and time refer to: constants of a fit. `delay_s` is for those who know when a
  * drive acts: no function here applies it but the readings of a record. */
 typedef struct {

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Any, Protocol, TypeVar
 
-from rig.model import real_inverse, real_step
+from rig.model import real_inverse
 from rig.model.motor import Motor, State
 from rig.model.real_motor import PARTS, FramedMotor, moved
+from rig.model.real_numbers import State as RealState
 
 # Parts that no drive makes up for: friction of tomorrow; bristles, which bend less than a sensor sees; and a play, in
 # which the shaft does not feel the drive.
@@ -114,19 +115,19 @@ class RealKnown:
         """As ``KnownMotor``."""
         return real_inverse.position(self.motor, self.frame, reading_rad)
 
-    def at_rest(self, y_rad: float) -> real_step.State:
+    def at_rest(self, y_rad: float) -> RealState:
         """As ``KnownMotor``."""
-        return real_step.State(0.0, y_rad, 0.0, 0.0, y_rad)
+        return RealState(0.0, y_rad, 0.0, 0.0, y_rad)
 
-    def moved(self, state: real_step.State, v_rad_s: float, y_rad: float) -> real_step.State:
+    def moved(self, state: RealState, v_rad_s: float, y_rad: float) -> RealState:
         """As ``KnownMotor``."""
-        return real_step.State(v_rad_s, y_rad, state.f, state.w, y_rad)
+        return RealState(v_rad_s, y_rad, state.f, state.w, y_rad)
 
-    def advance(self, state: real_step.State, u_V: float, dt_s: float) -> real_step.State:
+    def advance(self, state: RealState, u_V: float, dt_s: float) -> RealState:
         """As ``KnownMotor``."""
         return moved(self._framed, state, u_V, dt_s)
 
-    def drive_V(self, state: real_step.State, acceleration_rad_s2: float, direction: float) -> float:
+    def drive_V(self, state: RealState, acceleration_rad_s2: float, direction: float) -> float:
         """As ``KnownMotor``: through the stage, against all forces; of ``direction`` only the sign counts."""
         return real_inverse.drive_for(self.motor, self.frame, (state.v, state.y), acceleration_rad_s2, direction)
 

@@ -42,15 +42,16 @@ def compiler() -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else []
 
 
-def compile_library(sources: Sequence[Path], target: Path) -> None:
+def compile_library(sources: Sequence[Path], target: Path, command: Sequence[str] = ()) -> None:
     """Compile C files to the library ``target``, in one move: who loads it meanwhile gets the old one or the new one.
 
+    command  of a compiler, for another machine maybe; default: of this one's
     Raises CompileError without a compiler, or with what it says.
     """
-    command = compiler()
+    command = command or compiler()
     if not command:
         raise CompileError(NO_COMPILER)
-    system = [] if sys.platform == "win32" else ["-fPIC"]
+    system = [] if target.suffix == ".dll" else ["-fPIC"]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent) as folder:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 
-from rig.model.real_step import Frame, RealMotor, force, level, reading
+from rig.model.real_numbers import Frame, RealMotor
+from rig.model.real_step import force, level, reading
 
 SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and the dead band is crossed within it
 STILL_SHARE = 0.03  # of tau: within it a shaft that has broken away leaves the static level behind

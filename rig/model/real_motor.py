@@ -18,9 +18,9 @@ from rig.model.compiled import real_motion
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_inverse import position
-from rig.model.real_step import Frame as Frame
-from rig.model.real_step import Numbers, State
-from rig.model.real_step import RealMotor as RealMotor
+from rig.model.real_numbers import Frame as Frame
+from rig.model.real_numbers import Numbers, State
+from rig.model.real_numbers import RealMotor as RealMotor
 
 Array = NDArray[np.float64]
 
@@ -225,7 +225,7 @@ class MovingMotor:
 def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float) -> State:
     """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start.
 
-    state   as ``rig.model.real_step.State``
+    state   as ``rig.model.real_numbers.State``
     """
     return real_step.advance(framed.motor, framed.frame, state, u_V, framed.frame.start_s, dt_s)
 

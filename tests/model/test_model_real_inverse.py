@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from rig.model import real_step
 from rig.model.real_inverse import SOFT_SHARE, drive_before_stage, drive_for, position
-from rig.model.real_step import Frame, RealMotor, State, reading, staged, target
+from rig.model.real_numbers import Frame, RealMotor, State
+from rig.model.real_step import reading, staged, target
 
 FRAME = Frame(0.1, 0.6, 0.0, 30.0)
 STAGES = st.fixed_dictionaries(

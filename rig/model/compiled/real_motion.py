@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.model.library import LIBRARY, RealColumns, RealRecord, address, filled, given, numbers, require_size, room
-from rig.model.real_step import Numbers, RealMotor
+from rig.model.real_numbers import Numbers, RealMotor
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
