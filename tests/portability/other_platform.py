@@ -70,6 +70,7 @@ LOADED_BEFORE += (
     "shutil",
     "logging",
     "uuid",
+    "rig.model.library",  # a wheel of that system has its own
 )
 
 
