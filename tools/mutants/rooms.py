@@ -68,6 +68,12 @@ ROOMS = (
         dict.fromkeys(("driver", "client", "requests", "frames"), _MODBUS),
     ),
     Room(
+        "rig/backends/registers",
+        5,
+        ("tests/backends/modbus", "tests/config/test_config_modbus.py"),
+        dict.fromkeys(("driver", "bus"), _MODBUS),
+    ),
+    Room(
         "rig/backends/simulated",
         1,
         ("tests/loop",),
@@ -80,8 +86,8 @@ ROOMS = (
 EQUIVALENT: dict[str, str] = {
     "recording/layout.py allocate: zeros = bytes(1 << 20) # setting the length alone would leave a hole -> zeros = "
     "bytes(1 % 20) # setting the length alone would leave a hole": "the same zeros, in pieces of one byte",
-    "backends/modbus/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # reads "
-    "that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
+    "backends/registers/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # "
+    "reads that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
     "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (
         "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end "
         "is of a time that is no number"
