@@ -6,6 +6,8 @@ import io
 import os
 import sys
 
+from rig import ctrl_c
+
 # The matrices here are thin: a second thread of the linear algebra saves nothing, and spins on the loop's core.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
@@ -22,6 +24,7 @@ def run() -> None:
     """Load the commands and run the one that was asked for."""
     never_stop_at_a_letter()
     try:
+        ctrl_c.begin()
         from rig.cli import main
 
         main()

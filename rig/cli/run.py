@@ -11,7 +11,7 @@ from rich.console import Console
 
 from rig.cli.driving import checked_bench, compiled, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.terminal import show_scatter
@@ -33,6 +33,7 @@ from rig.terminal import show_scatter
     help="With relay.until: begin with the motor of this run folder, or of this result.json.",
 )
 @PACE
+@AS_CHECKED
 @click.option("--verbose", is_flag=True, help="Show the tests, each method with its tracking, and the loop, too.")
 @JSON
 def run(
@@ -41,6 +42,7 @@ def run(
     repeat: int,
     model_run: Path | None,
     pace: float | None,
+    as_checked: str | None,
     verbose: bool,
     as_json: bool,
 ) -> None:
@@ -48,7 +50,7 @@ def run(
 
     The stages: breakaway, search, tests, identify, verify, report.
     """
-    experiment = checked_bench(config_path, pace)
+    experiment = checked_bench(config_path, pace, as_checked)
     known = None
     if model_run is not None:
         if experiment.relay.until is None or experiment.law is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from os import PathLike
@@ -97,7 +98,9 @@ def read(path: Given, *, follows_links: bool = True, takes_pipe: bool = False) -
         line, column = before.count(b"\n") + 1, error.start - (before.rfind(b"\n") + 1) + 1
         problem = Problem((), f"not UTF-8: byte 0x{raw[error.start]:02X}", "save the file as UTF-8")
         raise ConfigError([problem.at(file, line, column)]) from error
-    return parse(text, file)
+    document = parse(text, file)
+    document.digest = hashlib.sha256(raw).hexdigest()
+    return document
 
 
 def _is_campaign(document: Document) -> bool:

@@ -90,10 +90,12 @@ class Document:
     """One file: its plain values (dict, list, str, bool, int, float, None) and where they stand.
 
     A place is (line, column), from 1.
+    digest  SHA-256 of the file's bytes; "" of what is no file
     """
 
     file: str
     data: dict[str, Any] = field(default_factory=dict)
+    digest: str = ""
     _keys: dict[Path, tuple[int, int]] = field(default_factory=dict)
     _values: dict[Path, tuple[int, int]] = field(default_factory=dict)
 

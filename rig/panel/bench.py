@@ -170,14 +170,12 @@ class Bench:
 
     async def check(self) -> dict[str, Any]:
         """What `rig check` says of the config, and a ``confirmation`` with which it may be started."""
-        config = self._own_config()
-        digest = await asyncio.to_thread(_digest, config)
-        found = await answer_of("rig.panel.prospect", config)
+        found = await answer_of("rig.panel.prospect", self._own_config())
+        digest = str(found.pop("digest", None))
         confirmation = None
         if found.get("may_run"):
             confirmation = secrets.token_urlsafe(12)
             self._confirmation = _Confirmation(confirmation, digest, time.monotonic() + _CONFIRMED_FOR_S)
-            self._jog_V = float(found["plan"]["jog_V"])
         return {**found, "confirmation": confirmation}
 
     def start(self, confirmation: object) -> dict[str, Any]:
@@ -188,7 +186,7 @@ class Bench:
             raise RefusedError(409, "this start was not confirmed, or too long ago", "check the config again")
         if _digest(config) != given.digest:
             raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
-        return self._start("run", str(config), *_AS_WATCHED)
+        return self._start("run", str(config), *_AS_WATCHED, "--as-checked", given.digest)
 
     # ------------------------------------------------------------------ calibrate
 
@@ -289,7 +287,8 @@ class Bench:
         if not found.get("may_run"):
             raise RefusedError(409, "rig refuses this config", "press Check and start…: the check says why")
         self._jog_V = float(found["plan"]["jog_V"])
-        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased", *_AS_WATCHED)
+        as_checked = (*_AS_WATCHED, "--as-checked", str(found["digest"]))
+        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased", *as_checked)
         return {**started, "jog_V": self._jog_V}
 
     def end_jog(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import itertools
 import json
 import os
@@ -44,15 +45,15 @@ def refused(what: Callable[[], object]) -> str:
 def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started: list[str] = []
+    started: list[object] = []
     config = tmp_path / "bench.yaml"
     config.write_text("as checked")
 
     async def answer_of(name: str, *paths: Path) -> dict[str, Any]:
-        return {"may_run": True, "plan": {"jog_V": 1.0}}
+        return {"may_run": True, "plan": {"jog_V": 1.0}, "digest": hashlib.sha256(config.read_bytes()).hexdigest()}
 
-    def start(out: Path, command: str, arguments: object) -> StartedProcess:
-        started.append(command)
+    def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
+        started.append((command, arguments[-2:]))
         return StartedProcess(tmp_path, "note.json", command, 1, "", None)
 
     monkeypatch.setattr(module, "answer_of", answer_of)
@@ -71,7 +72,9 @@ def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
     key = asyncio.run(bench.check())["confirmation"]
     monkeypatch.setattr("rig.panel.bench.time.monotonic", lambda: 1e12)
     assert "too long ago" in refused(lambda: bench.start(key))
-    assert started == ["run"]
+    digest = hashlib.sha256(b"as checked").hexdigest()
+    assert started == [("run", ("--as-checked", digest))]  # which it compares with the bytes that it reads
+    assert bench._jog_V == 0.0  # a check changes the drive of no jog that goes on
 
 
 class Lease:

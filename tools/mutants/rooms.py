@@ -17,7 +17,6 @@ ROOMS = (
         24,
         ("tests/control", "tests/loop"),
         {
-            "breakaway_one_way": _REPLAY,
             "laws": ("tests/api/test_api_law.py",),
             "leased": ("tests/control/test_control_leased.py",),
         },
@@ -94,12 +93,6 @@ EQUIVALENT: dict[str, str] = {
     ),
     "control/observer.py MotorObserver._correct: if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s): -> "
     "if len(self._gain[ 1]) == 2 and not math.isnan(sample.v_rad_per_s):": "rows of a matrix are of one length",
-    "control/breakaway_one_way.py OneWayCheck.__init__: self._still_V = 0.0 -> self._still_V = 1.0": (
-        "the rest before the first stroke sets it to 0 before anything reads it"
-    ),
-    "control/breakaway_one_way.py OneWayCheck._rest: self._still_V = 0.0 -> self._still_V = 1.0": (
-        "the first step of the ramp that follows, at 0 V, where the shaft stands, sets it to 0"
-    ),
     "loop/real_time.py real_time: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0) -> "
     "libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 1, 0)": "Linux looks at the first argument of this one alone",
     'loop/runner.py Loop.__init__: self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else '
