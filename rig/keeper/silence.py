@@ -88,22 +88,22 @@ class Kept:
         confirmed, until_s = False, time.monotonic() + _PERSISTS_S
         written = 0
         while written < _ATTEMPTS or not (confirmed or time.monotonic() > until_s):
-            confirmed = self._given(self._stop, _ANSWERS_S) or confirmed
+            # the last order alone stops the device where it refuses those before
+            confirmed = self._given(self._stop, _ANSWERS_S)[-1] or confirmed
             written += 1
         return confirmed
 
     def restore(self) -> bool:
         """Put the device back; whether every order was confirmed, once."""
         until_s = time.monotonic() + _PERSISTS_S
-        while not self._given(self._restore, _RESTORES_S):
+        while not all(self._given(self._restore, _RESTORES_S)):
             if time.monotonic() > until_s:
                 return False
         return True
 
-    def _given(self, orders: Sequence[Order], answers_s: float) -> bool:
-        """Whether every order was confirmed. Each goes out, whatever became of the one before."""
-        confirmed = [self._confirmed(order, answers_s) for order in orders]
-        return all(confirmed)
+    def _given(self, orders: Sequence[Order], answers_s: float) -> list[bool]:
+        """Whether each order was confirmed. Each goes out, whatever became of the one before."""
+        return [self._confirmed(order, answers_s) for order in orders]
 
     def _confirmed(self, order: Order, answers_s: float) -> bool:
         heard = b""
@@ -127,10 +127,12 @@ class Kept:
         words = "stopped it" if stopped else "could not see that it stopped"
         words += " and put its registers back" if restored else ""
         with contextlib.suppress(OSError):
-            if note:
-                Path(note).write_text(words, encoding="utf-8")
             if restored and before:
                 Path(before).unlink(missing_ok=True)
+            if note:
+                fresh = Path(f"{note}.{os.getpid()}")
+                fresh.write_text(words, encoding="utf-8")
+                fresh.replace(note)  # whole, or not there
 
 
 def _orders(pairs: Sequence[Sequence[str]]) -> list[Order]:

@@ -129,8 +129,8 @@ class ServoBackend(LineBackend):
 
         if e.daq.servo is not None and "tick" not in e.daq.servo.table.roles:
             yield (
-                f"{e.daq.servo.model} tells no clock: when within its step it samples and drives is not known, so tau "
-                "may be off by up to 1 ms besides its interval"
+                f"{e.daq.servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
+                "and takes the mean for true; what delays it besides makes tau wrong by as much"
             )
 
     @override

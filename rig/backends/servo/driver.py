@@ -2,7 +2,7 @@
 
 A tick is a read, then a write of the duty that its answer confirms. The servo works in steps of 1 ms: a position is
 that of its last step, a duty acts from its next one. No manual says so. Where the servo tells its clock rig knows the
-steps; else it takes the mean for true.
+steps; else it asks at another place within them in each tick, and takes the mean for true.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: on
 _SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
 _STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
 _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's step, and the way of its answer
+_GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
 _STAGGERED: Final = 24  # readings that find where within its step the servo is
 _TICK_SLACK_S: Final = 0.1  # by which the servo's clock may differ from the host's between two readings
 _ERROR_FAULTS: Final = {
@@ -120,6 +121,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._bad = 0  # readings in a row of heat or of a supply that is out of range
         self._tick: tuple[float, float] | None = None  # the servo's clock, ms, and the host's, s
         self._steps = Steps()
+        self._dithered = 0.0  # share of a step
         self._sampled_at_s = math.nan  # of the last reading's step
 
     # ------------------------------------------------------------------ requests
@@ -360,6 +362,14 @@ class ServoDriver(RegisterDriver[Ask]):
         return self._sampled_at_s if self._steps.is_known else reply.executed_s - 0.5 * STEP_S
 
     @override
+    def _tick_reading(self) -> Reply:
+        """Where the servo tells no clock, at another place within its step each tick: the mean is then the truth."""
+        if not self._steps.is_known:
+            self._dithered = (self._dithered + _GOLDEN) % 1.0
+            self._client.idle(self._dithered * STEP_S)
+        return super()._tick_reading()
+
+    @override
     def _tick_writing(self, units: int) -> None:
         before = self._ramped(self._transport.now_s())
         try:
@@ -369,8 +379,8 @@ class ServoDriver(RegisterDriver[Ask]):
         steps = self._steps
         begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
         self._acted, self._acted_s = before, begins_s
-        # a ramp gives what a step in its middle gives; without one the duty takes a step of the servo to get there
-        way_s = abs(units - before) / self._slope_units_s if math.isfinite(self._slope_units_s) else STEP_S
+        # a ramp gives what a step in its middle gives
+        way_s = abs(units - before) / self._slope_units_s if math.isfinite(self._slope_units_s) else 0.0
         self._t_u_s = begins_s + 0.5 * way_s
 
     def _ramped(self, now_s: float) -> float:

@@ -11,6 +11,7 @@ from rig.config.schema import Daq
 
 BITS_PER_BYTE = 10  # start, 8 data, stop
 TURNAROUND_S = 0.0001  # until its reply begins, with the return delay at 0; assumed, no manual says it
+DITHER_S = 0.001  # of a servo that tells no clock: it is asked at another place within its step each time
 _REQUEST_BYTES = {"dynamixel": 10, "feetech": 6}  # without parameters
 _REPLY_BYTES = {"dynamixel": 11, "feetech": 6}
 _ADDRESS_BYTES = {"dynamixel": 2, "feetech": 1}
@@ -53,6 +54,8 @@ def reading_budget(daq: Daq, servo: Servo) -> LinkBudget:
 
 def _sum(daq: Daq, servo: Servo, baud: int, asked: tuple[Transaction, ...]) -> LinkBudget:
     others = [turnaround_term(len(asked), TURNAROUND_S)]
+    if "tick" not in servo.table.roles:
+        others.append(("up to one step of the servo", DITHER_S))
     delay_s = adapter_delay_s(adapter_of(daq, servo))
     if delay_s > 0.0:
         others.append(("USB adapter", len(asked) * delay_s))

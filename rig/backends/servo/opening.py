@@ -144,8 +144,6 @@ def set_up(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Opened:
     link.put(torque, 0)
     if "watchdog" in model.roles:
         link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
-    if "lock" in model.roles and link.value(model.roles["lock"]) != 1:
-        raise Fault("SERVO_SETUP", "its lock (55) is 0: what rig writes would stay for good")
     link.hold(model.roles["return_delay"], 0)
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
     link.hold(mode, model.pwm_mode)
@@ -219,6 +217,8 @@ def _check_setup(link: ServoLink) -> None:
         bits = link.value(roles["startup"])
         if bits & (_TORQUE_AT_START | _RAM_AT_START):
             raise Fault("SERVO_SETUP", f"{model.role('startup')} reads {bits}: it can drive as soon as it has supply")
+    if "lock" in roles and link.value(roles["lock"]) != 1:
+        raise Fault("SERVO_SETUP", f"{model.role('lock')} is 0: what rig writes would stay for good")
     if "phase" in roles and (bits := link.value(roles["phase"])) & _MANY_TURNS:
         raise Fault("SERVO_SETUP", f"{model.role('phase')} reads {bits}: its position counts turns")
     if "protection" in roles and ~(bits := link.value(roles["protection"])) & _PROTECTS:

@@ -27,6 +27,7 @@ REFUSED: list[tuple[str, str, dict[str, int], str, str]] = [
     ("dynamixel", "its lowest voltage is near", {"min_voltage_limit": 50}, "SERVO_SUPPLY", "too near"),
     ("dynamixel", "its highest voltage is near", {"max_voltage_limit": 50}, "SERVO_SUPPLY", "too near"),
     ("feetech", "its torque is on", {"torque_enable": 1}, "SERVO_IN_USE", "torque is on"),
+    ("feetech", "what is written stays", {"lock": 0}, "SERVO_SETUP", "for good"),
     ("feetech", "its position counts turns", {"phase": 0x10 | 0x0C}, "SERVO_SETUP", "counts turns"),
     ("feetech", "no protection from overload", {"unloading_condition": 0x04}, "SERVO_SETUP", "does not protect"),
     ("feetech", "no protection from heat", {"unloading_condition": 0x20}, "SERVO_SETUP", "does not protect"),
