@@ -131,6 +131,44 @@ def restore(port: str, id: int, baud: int) -> None:
         click.echo(f"put back: {', '.join(f'{name} {value}' for name, value in values.items())}")
 
 
+@servo.command()
+@_PORT
+@_ID
+@_BAUD
+@click.option("--to", type=click.Path(path_type=Path, dir_okay=False), help="File to write. Default: facts-MODEL.json.")
+@_YES
+def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
+    """Try on a servo what no manual says, and write one file to send in.
+
+    Take everything off the horn: it turns, slowly. Of a Feetech it asks you to cut the supply once; not with --yes.
+    """
+    from rig.backends.servo.before import store_of
+    from rig.backends.servo.facts import facts as tried
+    from rig.backends.servo.scan import known_servo
+
+    def powered() -> None:
+        click.prompt(
+            "cut the servo's supply for a second, switch it on, wait a second, then press Enter",
+            default="", show_default=False, prompt_suffix=" ",
+        )  # fmt: skip
+
+    with faults(), opened(port, baud) as line:
+        link = known_servo(line, id, baud)
+        _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
+        found = []
+        for fact in tried(link, store_of(port, id, None), None if yes else powered):
+            click.echo(fact.words)
+            found.append(fact)
+        firmware = link.value(link.model.roles["firmware"])
+    file = to or Path(f"facts-{link.model.name}.json")
+    told = {"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found}
+    try:
+        file.write_text(json_text(told), encoding="utf-8")
+    except OSError as error:
+        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name another file with --to")
+    click.echo(f"{file}: written; send it in (docs/driven.md)")
+
+
 def _ask(question: str, *, yes: bool) -> None:
     if not yes and not click.confirm(question):
         fail(EXIT_BAD_INPUT, "nothing was changed")

@@ -220,6 +220,7 @@ class ServoLink:
     bus        the servo's protocol
     model      its registers
     timeout_s  longest wait for one reply, s
+    now_s      clock of the port, s
     Each method raises Fault LINK_*, SERVO_REFUSED.
     """
 
@@ -227,6 +228,7 @@ class ServoLink:
         self, transport: Transport, client: BusClient[Ask], bus: Bus, model: ServoModel, timeout_s: float
     ) -> None:
         self.client, self.bus, self.model = client, bus, model
+        self.now_s = transport.now_s
         self._timeout_s = timeout_s
         self._pings = BusClient(transport, bus)  # of its own: that nobody answers a ping is no error of the link
 
