@@ -33,8 +33,11 @@ class Keeping:
     def __init__(self, silence_s: float) -> None:
         heard, self.tells = os.pipe()
         self.kept, self.ended = Counted(), []  # type: tuple[Counted, list[bool]]
-        self.thread = threading.Thread(target=lambda: self.ended.append(keep(heard, silence_s, self.kept)))
+        self.thread = threading.Thread(target=self._keep, args=(heard, silence_s), daemon=True)
         self.thread.start()
+
+    def _keep(self, heard: int, silence_s: float) -> None:
+        self.ended.append(keep(heard, silence_s, self.kept))
 
     def over(self) -> bool:
         self.thread.join(20.0)
