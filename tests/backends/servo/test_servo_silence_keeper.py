@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -31,9 +32,9 @@ class Keeping:
     """``keep`` in a thread, and the host's end of its pipe."""
 
     def __init__(self, silence_s: float) -> None:
-        heard, self.tells = os.pipe()
+        self.heard, self.tells = os.pipe()
         self.kept, self.ended = Counted(), []  # type: tuple[Counted, list[bool]]
-        self.thread = threading.Thread(target=self._keep, args=(heard, silence_s), daemon=True)
+        self.thread = threading.Thread(target=self._keep, args=(self.heard, silence_s), daemon=True)
         self.thread.start()
 
     def _keep(self, heard: int, silence_s: float) -> None:
@@ -41,6 +42,7 @@ class Keeping:
 
     def over(self) -> bool:
         self.thread.join(20.0)
+        os.close(self.heard)
         return self.ended[0]
 
 
@@ -76,59 +78,42 @@ def test_a_host_that_is_gone_is_not_one_that_is_done() -> None:
     assert not keeping.over()
 
 
-class Device:
-    """The other end of a link: answers each order as ``answers`` says, in order; the last one for ever."""
-
-    def __init__(self, *answers: bytes) -> None:
-        self.near, self.far = socket.socketpair()
-        self.heard: list[bytes] = []
-        self._answers = list(answers)
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def _serve(self) -> None:
-        while data := self.far.recv(64):
-            self.heard.append(data)
-            answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
-            if answer:
-                self.far.sendall(answer)
-
-    @property
-    def link(self) -> int:
-        return self.near.fileno()
-
-
-@pytest.fixture
-def devices() -> Iterator[list[Device]]:
-    made: list[Device] = []
-    yield made
-    for one in made:
-        one.near.close()
-        one.far.close()
-
-
 ORDERS = (Order(b"duty", b"ok"), Order(b"torque", b"ok"))
 
 
-def test_a_stop_goes_out_three_times_though_the_first_is_confirmed(devices: list[Device]) -> None:
-    devices.append(device := Device(b"ok"))
-    assert Kept(device.link, ORDERS, ()).stop()
+class Scripted(Kept):
+    """A device that confirms each order or not, as ``confirms`` says, in order; the last one for ever."""
+
+    def __init__(self, stop: Sequence[Order], restore: Sequence[Order], confirms: list[bool]) -> None:
+        super().__init__(-1, stop, restore)
+        self.heard: list[bytes] = []
+        self._confirms = confirms
+
+    def _confirmed(self, order: Order, answers_s: float) -> bool:
+        self.heard.append(order.data)
+        time.sleep(1e-3)
+        return self._confirms.pop(0) if len(self._confirms) > 1 else self._confirms[0]
+
+
+def test_a_stop_goes_out_three_times_though_the_first_is_confirmed() -> None:
+    device = Scripted(ORDERS, (), [True])
+    assert device.stop()
     assert device.heard == [b"duty", b"torque"] * 3
 
 
-def test_the_torque_alone_confirms_a_stop(devices: list[Device]) -> None:
-    devices.append(device := Device(b"no", b"ok", b"no", b"ok", b"no", b"ok"))
-    assert Kept(device.link, ORDERS, ()).stop()
+def test_the_torque_alone_confirms_a_stop() -> None:
+    assert Scripted(ORDERS, (), [False, True, False, True, False, True]).stop()
 
 
-def test_what_is_not_confirmed_is_not_called_a_stop_and_is_tried_on(devices: list[Device]) -> None:
-    devices.append(device := Device(b""))
-    assert not Kept(device.link, ORDERS, ()).stop()
+def test_what_is_not_confirmed_is_not_called_a_stop_and_is_tried_on() -> None:
+    device = Scripted(ORDERS, (), [False])
+    assert not device.stop()
     assert len(device.heard) > 6
 
 
-def test_a_restoring_goes_on_until_every_order_is_confirmed(devices: list[Device]) -> None:
-    devices.append(device := Device(b"ok", b"no", b"ok"))
-    assert Kept(device.link, (), ORDERS).restore()
+def test_a_restoring_goes_on_until_every_order_is_confirmed() -> None:
+    device = Scripted((), ORDERS, [True, False, True])
+    assert device.restore()
     assert device.heard == [b"duty", b"torque"] * 2
 
 
