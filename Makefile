@@ -71,10 +71,15 @@ format: .venv/.ready  ## format the Python code
 bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 	PYTHONPATH=tools .venv/bin/python -m bench
 
-campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/evidence/real-motors-table.md; it resumes
+campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/evidence/real-motors-table.md; it resumes; OUTSIDE=100: motors with laws that rig has not: outside.md
+ifdef OUTSIDE
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real.outside --page --motors $(OUTSIDE) \
+	    $(if $(SEED),--seed $(SEED)) $(if $(JOBS),--jobs $(JOBS))
+else
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED)) $(if $(KEEP),--keep) \
 	    $(if $(RUNS),--runs) $(if $(KIND),--kind "$(KIND)") $(if $(RECHECK),--recheck $(RECHECK)) $(if $(PAGE),--page $(PAGE))
+endif
 
 stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/evidence/stopping-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \

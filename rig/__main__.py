@@ -7,6 +7,7 @@ import os
 import sys
 
 from rig import ctrl_c
+from rig.errors import LibraryError
 
 # The matrices here are thin: a second thread of the linear algebra saves nothing, and spins on the loop's core.
 for _library in ("OPENBLAS", "OMP", "MKL"):
@@ -30,6 +31,9 @@ def run() -> None:
         main()
     except KeyboardInterrupt:
         sys.stderr.write("rig: interrupted before the bench was opened; nothing has moved\n")
+        sys.exit(1)
+    except LibraryError as error:
+        sys.stderr.write(f"rig: {error}\n")
         sys.exit(1)
 
 

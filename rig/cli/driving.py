@@ -62,16 +62,6 @@ def say_chip_starts(port: str | None) -> None:
         click.echo("starting the emulated chip: some ten seconds, longer on a busy machine ...", err=True)
 
 
-def compiled(*, designs: bool) -> None:
-    """Load the compiled model before a device is opened: the loop shares the processor with nobody who compiles.
-
-    designs  whether the run designs its tests
-    """
-    from rig.experiment.ready import make_ready
-
-    make_ready(lambda words: click.echo(words, err=True), designs=designs)
-
-
 def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool = True) -> Outcome:
     """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
     from rig.recording.follow import following

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from rig.cli.driving import checked_bench, compiled, perform
+from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
 from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
 from rig.recording.errors import RecordingError
@@ -65,10 +65,6 @@ def run(
             known = known_model(model_run, experiment.drive.max_V)
         except RecordingError as error:
             fail_input(error)
-    from rig.control.laws import OWN
-
-    if experiment.law is None or experiment.law.name in OWN:  # a law of rig steps through the compiled model
-        compiled(designs=experiment.relay.until is not None)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from rig.identify.departures import DEPARTURES
+from rig.identify.departures import DEPARTURES, OUTSIDE
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
@@ -24,12 +24,14 @@ from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Norma
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import bare_fits, gained, in_place
 from rig.identify.departures.nuisances import Nuisances
+from rig.identify.departures.outside import instead_of_sag, outside
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.profile import profiles
+from rig.identify.departures.sag import Sag
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
-from rig.identify.model_error import model_error
+from rig.identify.model_error import model_error, only_like
 from rig.identify.noise import WHITE
 from rig.identify.opinion import RecordingEstimate
 from rig.identify.plausibility import one_way
@@ -195,7 +197,7 @@ class MotorLaw:
         own = (entry for entry in self.budget.entries if not entry.absolute)
         largest = max(own, key=lambda entry: float(getattr(entry, name)))
         known = known_to(name, shares[name])
-        laws = [law for law in DEPARTURES if law.name in largest.laws]
+        laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in largest.laws]
         cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
         if largest.source.startswith(OTHER):
             what = " or ".join(law.title for law in laws)
@@ -213,7 +215,7 @@ class MotorLaw:
         probability, hidden = likely[name]
         if probability <= RISK:
             return
-        laws = [law for law in DEPARTURES if law.name in hidden]
+        laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in hidden]
         risk, allowed = beside(100.0 * probability, 100.0 * RISK), f"{100.0 * RISK:.2g}"
         yield (
             f"{TITLES[name]} is more than {100.0 * PROMISE:.2g} % off with a probability of {risk} %; "
@@ -308,12 +310,13 @@ class Beginning:
         periods_s: Sequence[float | None],
         stated: Sequence[StatedErrors] = (StatedErrors(),),
         level_V: tuple[float, float] | None = None,
+        of: Sequence[str] = (),
     ) -> Beginning:
         """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
         free_delay = any(test.t_u_s is None for test in tests)
         longest = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
         delay_s = longest if free_delay else (0.0, 0.0)
-        whole = Cut.whole(tests, delay_s[1])
+        whole = Cut.whole(tests, delay_s[1], of)
         motor = RealMotor(
             plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
         )._replace(force_sin_V=plain.force_V[0], force_cos_V=plain.force_V[1])
@@ -387,7 +390,7 @@ def motor_law(
     leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
     most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
-    begun = Beginning.of(folded, plain, periods_s, stated, level_V)
+    begun = Beginning.of(folded, plain, periods_s, stated, level_V, names)
     tested = sum(window.t_s.size for window in begun.whole.windows)
     remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     for left in reversed(range(ROUNDS + 1)):
@@ -414,14 +417,18 @@ def motor_law(
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
-    of_model = model_error(parts, blocks.cut, predicts.error)
-    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, begun.chooser.bench)
+    of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
+    bench = begun.chooser.bench
+    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside(parts, choice.laws, bench))
     bare = bare_fits(parts, choice.laws, begun.chooser)
+    like = () if begun.chooser.is_rounding(parts) else only_like(parts, bare.values())
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
+    if Sag.name in bare:
+        instead += instead_of_sag(parts, choice.laws, begun.chooser, bare[Sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
-    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, of_model.lines)
+    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, (*of_model.lines, *like))
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)

@@ -6,17 +6,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from rig import preflight
 from rig.config import ConfigError, Experiment, is_campaign, read
 from rig.panel.aside import give
+from rig.panel.messages import Plan, Prospect
 from rig.preflight.plan import lasts_s
 from rig.preflight.room_to_stop import stopping_terms
 
 
-def prospect(config: Path) -> dict[str, Any]:
-    """``lines`` with a severity each, ``may_run``, and ``plan`` and ``digest`` of the file: null if it is refused."""
+def prospect(config: Path) -> Prospect:
+    """What a page is told before a start."""
     try:
         document = read(config)
         if is_campaign(document):
@@ -31,21 +31,16 @@ def prospect(config: Path) -> dict[str, Any]:
     return {"lines": lines, "may_run": True, "plan": _plan(experiment), "digest": document.digest}
 
 
-def _refused(problems: list[str]) -> dict[str, Any]:
-    return {
-        "lines": [{"severity": "error", "text": line} for line in problems],
-        "may_run": False,
-        "plan": None,
-        "digest": None,
-    }
+def _refused(problems: list[str]) -> Prospect:
+    return {"lines": [{"severity": "error", "text": line} for line in problems], "may_run": False, "plan": None}
 
 
-def _plan(e: Experiment) -> dict[str, Any]:
+def _plan(e: Experiment) -> Plan:
     endless = e.limits.is_endless
     return {
         "name": e.name,
         "largest_drive_V": e.drive.max_V,
-        "jog_V": min(e.breakaway.max_V, e.drive.max_V),  # enough to move any shaft that a run would accept
+        "jog_V": min(e.breakaway.max_V, e.drive.max_V),
         "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e)),
         "soft_rad": None if endless else list(e.limits.soft_rad),
         "hard_rad": None if endless else list(e.limits.hard_rad),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rig.identify.departures import DEPARTURES
+from rig.identify.departures import DEPARTURES, OUTSIDE
 from rig.report.source import ReportedRun
 from rig.results.budget_lines import BudgetLine, budget_lines, that_matter
 
@@ -15,7 +15,7 @@ IN_WORDS = {
     "supply": "motor supply, as stated",
     "calibration": "calibrated angles, as stated",
     "clock": "clock",
-    **{law.name: law.title for law in DEPARTURES},
+    **{law.name: law.title for law in (*DEPARTURES, *OUTSIDE)},
 }
 SMALL = 0.1  # of the sum: smaller lines are left out
 

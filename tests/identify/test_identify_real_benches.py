@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,16 @@ from rig.identify import identify
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identify.departures.choice import Columns
+from rig.identify.departures.cogging import Cogging
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
+from rig.identify.departures.outside import by_current, outside
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, by_prediction
 from rig.identify.in_pieces import fit_in_pieces
-from rig.identify.model_error import DRIVES, PIECES, beyond_noise, model_error
+from rig.identify.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
+from rig.identify.noise import Noise
 from rig.identify.plausibility import judge_records
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, response
 from rig.recording.recording import from_columns
@@ -183,6 +187,81 @@ def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
     bench = Bench(20.0, 0.6, 12.0, 100.0, 3.0, 0.01, 0.1)
     for law in DEPARTURES:
         assert law.most(bench) >= (12.0 if law.unit == "V" else 10.0 * law.range_of(bench))
+
+
+def test_a_force_over_the_angle_of_any_period_is_found_where_the_travel_shows_it() -> None:
+    """The load hangs behind a gear: 0.9 waves for each radian of the measured shaft."""
+    geared = RealMotor(0.08, 1.2, 0.6, cogging_sin_V=0.5, cogging_cos_V=0.2, cogging_per_rad=0.9)
+    answer = answered(recorded(geared, (3.0, 5.0, 7.0), seed=2))
+    (law,) = answer.law or ()
+    assert law.name == "cogging" and law.numbers["cogging_per_rad"] == pytest.approx(0.9, rel=0.01)
+    assert right(answer, geared, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_waves_over_the_angle_begin_at_one_over_the_travel_and_end_where_rows_no_longer_show_them() -> None:
+    def orders(half_travel_rad: float, path_per_row_rad: float) -> list[float]:
+        bench = Bench(20.0, 0.6, 12.0, 100.0, half_travel_rad, 0.01, path_per_row_rad)
+        return [one["cogging_per_rad"] for one in Cogging().trials(bench)]
+
+    assert orders(0.5, 0.01)[0] == pytest.approx(6.0) and orders(2.0, 0.01)[0] == pytest.approx(1.5)
+    assert max(orders(2.0, 0.01)) > 28.0 and 0.0 < max(orders(2.0, 0.1)) < 15.0
+    assert min(orders(100.0, 0.01)) == 3.0  # more starts than a search bears
+    fast = Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.9)
+    assert not Cogging().fits(fast) and Cogging().fits(Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.1))
+
+
+def test_of_three_recordings_each_is_predicted_from_the_others_unless_it_alone_turns_a_way() -> None:
+    both = [recorded(MOTOR, (3.0, 5.0, 7.0), seed=k, rows=800) for k in range(3)]
+    one_way = [recorded(MOTOR, (3.0, 5.0, 7.0), ways=(1.0,), seed=k, rows=800) for k in range(2)]
+
+    def folds(records: list[Recorded], names: tuple[str, ...]) -> list[int]:
+        tests = [TimeSeries(t_s, y_rad, None, u_V) for t_s, u_V, y_rad in records]
+        return [int(fold) for fold in Blocks.of(Cut.whole(tests, 0.01, names), 0.05, (1.0, 6.0)).folds()]
+
+    assert folds(both, ("a", "b", "c")) == [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2]
+    assert folds(both, ("a", "a", "b")) == folds(both, ()) == [0, 1, 2, 3] * 3
+    assert folds([*one_way, both[0]], ("a", "b", "c")) == [0, 1, 2, 3] * 3
+
+
+def test_three_laws_stand_in_for_something_whatever_they_leave() -> None:
+    cut, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0)))
+    fit = solve(start(problem, motor))
+    sources = [[entry.source for entry in model_error(fit, cut.every(1.0), 1.0, laws).lines] for laws in (0, 2, 3)]
+    assert sources == [[], [], [LEFT]]
+
+
+def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_moves() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
+    fit = solve(start(problem, motor))
+    moved = fit.motor._replace(K_rad_s_V=1.1 * fit.motor.K_rad_s_V, fc_V=9.0 * fit.motor.fc_V)
+    bare = [start(problem, moved)]
+    assert only_like(fit, bare) == ()  # white noise is left: the laws are the bench's
+    fit = replace(fit, problem=replace(problem, noise=Noise(0.1, 4.0)))
+    (line,) = only_like(fit, bare)
+    assert line.source == LIKE and line.tau_s == pytest.approx(0.0, abs=1e-12)
+    assert line.K_rad_s_V == pytest.approx(0.03 * fit.motor.K_rad_s_V)
+    assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)  # a fit that lost its way counts as half
+    assert only_like(fit, []) == ()
+
+
+def test_a_soft_coupling_holds_the_reading_back_by_its_acceleration_and_a_current_takes_of_the_drive() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
+    fit = solve(start(problem, motor))
+    bench = problem.cut.bench(fit.motor, 0.0)
+    changes = {law.name: change for law, change in outside(fit, (), bench)}
+    assert set(changes) == {"soft_coupling", "sag_by_current"}
+    sag = [law for law in DEPARTURES if law.name == "sag"]
+    assert [law.name for law, _ in outside(fit, sag, bench)] == ["soft_coupling"]
+    y_rad, t_s = problem.cut.y_rad + fit.residual_rad, problem.cut.t_s
+    first = slice(0, problem.cut.lengths[0])
+    speed = np.gradient(y_rad[first], t_s[first])
+    back = -np.cumsum(changes["soft_coupling"][first, 0]) * PERIOD_S
+    assert np.corrcoef(back, speed)[0, 1] > 0.99
+    left = by_current(fit, fit.motor.K_rad_s_V, 0.02).windows[0].steps
+    given = problem.cut.windows[0].steps
+    drives = given.u_V[np.searchsorted(given.edge_s, left.edge_s, side="right") - 1]
+    assert np.all(np.abs(left.u_V) <= np.abs(drives) + 1e-12)
+    assert 0.05 < float(np.max(1.0 - left.u_V / drives)) < 0.02 * (7.0 + 7.0)
 
 
 def test_a_quick_reversal_is_no_spike() -> None:

@@ -10,6 +10,9 @@ import pytest
 from evidence import evidence
 
 from real_records import __main__ as command
+from real_records.bounds import bounds
+from real_records.known import Known, known_of
+from real_records.scores import FIGURES, Seen, by_table, figures, laws_shared, left_out
 from real_records.siblings import next_record, pairs_that_agree
 from rig.identify import identify
 from rig.identify.identification import Identification
@@ -135,6 +138,61 @@ def test_numbers_of_two_records_agree_within_both_intervals_and_unusable_ones_do
 
     records = {"a": answer(0.10, 0.01), "b": answer(0.12, 0.02), "c": answer(0.20, 0.01), "d": answer(None, 0.5)}
     assert pairs_that_agree(records) == (1, 3)
+
+
+README = """
+| record | predicts | tau, s | K, (rad/s)/V | f_c, V |
+|---|---|---|---|---|
+| one | yes: 0.125, 0.214 | 0.1 ± 88 % (not known) | 5.2 ± 8 % | 1.4 ± 20 % |
+| emps | no: 0.4, 0.5 | 0.453 ± 7 % | 29.2 ± 7 % | 0.304 ± 4 % (f_c - a) |
+"""
+
+
+def test_known_numbers_are_read_from_the_readme_beside_the_records(tmp_path: Path) -> None:
+    (tmp_path / "README.md").write_text(README, encoding="utf-8")
+    known = known_of(tmp_path / "README.md")
+    assert known["one"].predicts and not known["DATA_EMPS"].predicts
+    assert set(known["one"].numbers) == {"K_rad_s_V", "fc_V"}
+    assert known["one"].numbers["K_rad_s_V"] == pytest.approx((5.2, 0.416))
+    assert known["one"].numbers["fc_V"] == pytest.approx((1.4, 0.28))
+    assert set(known["DATA_EMPS"].numbers) == {"tau_s", "K_rad_s_V", "fc_less_bias_V"}
+
+
+@pytest.mark.laws
+def test_figures_count_what_is_given_what_is_off_and_what_siblings_share() -> None:
+    motor = RealMotor(0.1, 5.0, 1.5)
+    first, second, other = (Seen(name, name[0], _record(k, motor), 3.0) for k, name in enumerate(("a1", "a2", "b1")))
+    late = Seen("b2", "b", None, 13.0)
+    known = {
+        "a1": Known(True, {"K_rad_s_V": (5.0, 0.01), "fc_V": (3.0, 0.1)}),
+        "b2": Known(True, {"tau_s": (0.1, 0.0)}),
+    }
+    records = [first, second, other, late]
+    seen = [(one.is_given, one.holds) for one in by_table(records, known)]
+    assert seen == [(True, True), (True, False), (False, False)]
+    row = dict(zip(FIGURES, figures(records, known, []), strict=True))
+    assert row["known by the table: given (3/4 asked)"] == "2 of 3"
+    assert row["by the table: off (0 asked)"] == "1 of 2"
+    assert row["refused, of those that can be predicted (0 asked)"] == "1 of 2"
+    assert row["numbers of siblings that agree (90 % asked)"] == "3 of 3"
+    assert row["within 12 s of CPU (90 % asked)"] == "3 of 4"
+    assert laws_shared(records) == (0, 0)
+    without_b = [cells[3] for cells in left_out(records, known, [])]
+    assert without_b == figures([first, second], known, [])
+
+
+@pytest.mark.usefixtures("plain_motor")
+def test_the_bound_at_the_true_numbers_is_the_scatter_of_the_fit_and_other_numbers_leave_more() -> None:
+    found = _record(1, RealMotor(0.1, 5.0, 1.5))
+    assert found.answer is not None
+    true = bounds(found, {"tau_s": 0.1, "K_rad_s_V": 5.0, "fc_V": 1.5})
+    wrong = bounds(found, {"tau_s": 0.1, "K_rad_s_V": 3.0, "fc_V": 1.5})
+    for name, (sensor, left) in true.items():
+        low, high = found.answer.interval(name) or (0.0, 0.0)
+        own = 0.5 * (high - low) / abs(found.answer.value(name) or 1.0)
+        assert 0.5 * own < sensor < 4.0 * own  # blocks have starts of their own, and a force is free
+        assert left == pytest.approx(sensor, rel=0.5)
+        assert wrong[name][1] > 5.0 * wrong[name][0]
 
 
 def test_without_the_folder_it_says_what_is_missing(

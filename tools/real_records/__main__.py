@@ -1,8 +1,11 @@
 """`make real-records`: what `rig identify` says of records of real motors, and of made ones, one line for each.
 
+After them: each known number beside rig's, what the records can say at most, siblings, the next record, and each figure
+that is asked for, over all motors and with each left out.
+
 RIG_SHARED_DATA names the folder with `real`, `emps` and `cases`. CPU seconds are those of reading and identifying.
 
-    PYTHONPATH=tools python -m real_records [cases|emps|real ...] [--only WORD] [--page]
+    PYTHONPATH=tools python -m real_records [cases|emps|real ...] [--only WORD] [--reasons] [--page]
 """
 
 from __future__ import annotations
@@ -21,6 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.io import loadmat
 
+from real_records.bounds import bounds
+from real_records.known import NUMBERS, PUBLISHED, Known, known_of
+from real_records.scores import HEAD as COMPARED
+from real_records.scores import Seen, by_published, by_table, left_out, left_out_head, percent
 from real_records.siblings import Next, next_record, pairs_that_agree
 from rig.identify import IdentifyError, identify
 from rig.identify.identification import Identification
@@ -29,6 +36,7 @@ from rig.recording.log_format import LogColumn, LogFormat
 from rig.recording.reader import read_all
 from rig.results import Answer
 from shared.page import render, today, write
+from shared.table import markdown
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
 
@@ -151,7 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("RIG_SHARED_DATA must name the folder with real, emps and cases", file=sys.stderr)
         return 2
     rows: list[list[str]] = []
-    by_motor: dict[str, dict[str, Identification]] = {}
+    records: list[Seen] = []
     with tempfile.TemporaryDirectory() as scratch:
         for kind in given.kinds:
             for entry in entries(kind, data, Path(scratch)):
@@ -161,15 +169,15 @@ def main(argv: Sequence[str] | None = None) -> int:
                 row = line(entry.name, found, said, cpu_s)
                 rows.append(row)
                 print(" | ".join(row), flush=True)
-                if found is None or found.answer is None:
-                    continue
-                by_motor.setdefault(entry.motor, {})[entry.name] = found
-                for reason in found.answer.reasons if given.reasons else ():
+                if kind != "cases":
+                    records.append(Seen(entry.name, entry.motor, found, cpu_s))
+                answer = None if found is None else found.answer
+                for reason in answer.reasons if given.reasons and answer is not None else ():
                     print("     -", reason, flush=True)
-    agreed = [agreement(motor, records) for motor, records in by_motor.items() if len(records) > 1]
-    following = [one for records in by_motor.values() for one in next_records(records)]
-    for summary in [*agreed, *map(list, map(next_cells, following))]:
-        print(" | ".join(summary), flush=True)
+    readme = data / "real" / "README.md"
+    tables = tables_of(records, known_of(readme) if readme.exists() else {}) if records else {}
+    for what, (head, cells) in tables.items():
+        print(f"\n{TITLES[what]}\n\n{markdown(head, cells)}", flush=True)
     if given.page:
         cpu = sorted(float(row[-1]) for row in rows)
         text = render(
@@ -177,15 +185,49 @@ def main(argv: Sequence[str] | None = None) -> int:
             made=today(),
             head=HEAD,
             rows=rows,
-            agreed=agreed,
-            following=[next_cells(one) for one in following],
-            better=sum(one.rig <= 1.05 * one.linear for one in following),
-            better_than_arx=sum(one.rig <= 1.05 * one.arx for one in following),
-            pairs=len(following),
+            tables=tables,
             cpu_90=f"{cpu[min(len(cpu) - 1, int(0.9 * len(cpu)))]:.0f}" if cpu else "-",
         )
         write(DOCS / "real-records.md", text)
     return 0
+
+
+TITLES = {
+    "table": "What the README of the records gives as known",
+    "published": "What others published",
+    "bounds": "What a record can say at most: half widths at 95 % at the published numbers, relative to them",
+    "agreed": "Records of one motor: how many usable numbers of two of them agree",
+    "following": "The next record",
+    "figures": "The figures that are asked for",
+}
+Table = tuple[Sequence[str], list[list[str]]]
+
+
+def tables_of(records: Sequence[Seen], known: Mapping[str, Known]) -> dict[str, Table]:
+    """Head and rows of each table of ``TITLES``."""
+    by_motor: dict[str, dict[str, Identification]] = {}
+    for seen in records:
+        if seen.found is not None and seen.answer is not None:
+            by_motor.setdefault(seen.motor, {})[seen.name] = seen.found
+    following = [one for siblings in by_motor.values() for one in next_records(siblings)]
+    at_most = []
+    for seen in records:
+        published = {name: value for name, (value, _) in PUBLISHED.get(seen.motor, {}).items()}
+        if seen.found is None or not all(name in published for name in NUMBERS):
+            continue
+        pairs = bounds(seen.found, published)
+        at_most.append([seen.name, *(f"{percent(own)}, {percent(left)}" for own, left in (pairs[n] for n in NUMBERS))])
+    return {
+        "table": (COMPARED, [one.cells() for one in by_table(records, known)]),
+        "published": (COMPARED, [one.cells() for one in by_published(records)]),
+        "bounds": (("record", "tau: by the sensor, by what is left", "K", "f_c"), at_most),
+        "agreed": (
+            ("motor", "records", "agree", "numbers"),
+            [agreement(motor, siblings) for motor, siblings in by_motor.items() if len(siblings) > 1],
+        ),
+        "following": (("models of", "predict", "rig", "linear", "ARX"), [next_cells(one) for one in following]),
+        "figures": (left_out_head(records), left_out(records, known, following)),
+    }
 
 
 def agreement(motor: str, records: Mapping[str, Identification]) -> list[str]:

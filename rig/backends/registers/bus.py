@@ -89,12 +89,14 @@ class Reply(NamedTuple):
     """A reply that fits its request, and when the device executed that, host time s.
 
     reckoned_s  time that the config gives the exchange
+    at_most_s   from before the request was written: a host that stands still makes it longer, never shorter
     """
 
     pdu: bytes
     executed_s: float
     round_trip_s: float
     reckoned_s: float
+    at_most_s: float
 
 
 class _Sent(NamedTuple):
@@ -132,10 +134,10 @@ class BusClient(Generic[Req]):
         """
         return dict(self._counts)
 
-    def set_pace(self, fastest: Reply) -> None:
-        """Scale the config's exchange times down to the fastest real exchange, from now on."""
-        if fastest.reckoned_s > 0.0:
-            self._pace = min(fastest.round_trip_s / fastest.reckoned_s, 1.0)
+    def set_pace(self, fast: Reply) -> None:
+        """Scale the config's exchange times down to a fast real exchange, from now on."""
+        if fast.reckoned_s > 0.0:
+            self._pace = min(fast.at_most_s / fast.reckoned_s, 1.0)
 
     def misfit(self, detail: str) -> Fault:
         """The fault to raise for a reply whose values do not fit; counted as a bad one."""
@@ -299,7 +301,7 @@ class BusClient(Generic[Req]):
         until_executed_s = self._pace * to_device_s
         if reckoned_s > 0.0:
             until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
-        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s)
+        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s, received_s - sent.from_s)
 
     def _reckoned_s(self, sent_bytes: int, received_bytes: int) -> tuple[float, float]:
         """What an exchange takes by the config: until the device executes it, and until the reply is here."""

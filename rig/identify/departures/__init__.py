@@ -15,6 +15,8 @@ from rig.identify.departures.gain_by_sign import GainBySign
 from rig.identify.departures.lag import Lag
 from rig.identify.departures.linearity import Linearity
 from rig.identify.departures.sag import Sag
+from rig.identify.departures.sag_by_current import SagByCurrent
+from rig.identify.departures.soft_coupling import SoftCoupling
 from rig.identify.departures.static import Static
 from rig.identify.departures.stribeck import Stribeck
 from rig.identify.departures.viscous_by_direction import ViscousByDirection
@@ -36,3 +38,6 @@ DEPARTURES: list[Departure] = [
     Linearity(),
     Drift(),
 ]
+
+OUTSIDE: list[Departure] = [SagByCurrent(), SoftCoupling()]
+"""Laws that a bench may have and the motor's model has not: lines of the budget only."""

@@ -1,8 +1,9 @@
 """How well a motor predicts motion that it has not seen: blocks, each from its first rows on, in folds.
 
 The first rows of a block show where it starts, and how fast. From there the recorded drive alone says what follows. In
-each fold the numbers are fitted to the other blocks. What is left is measured against 'it stays as it was', and beside
-it stands a linear model, which has no friction, in the same folds.
+each fold the numbers are fitted to the other blocks; of three recordings and more, to those of the other recordings.
+What is left is measured against 'it stays as it was', and beside it stands a linear model, which has no friction, in
+the same folds.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ FEWEST_BLOCKS = 8  # but so short that there are as many
 SHORTEST_BLOCK_S = 0.15
 SHOWN_S, SHOWN_ROWS, SHOWN_SHARE = 0.1, 5, 0.34  # of a block: what shows its start
 FOLDS = 4
+FEWEST_RECORDINGS = 3  # of two, one alone would say all
+TURNS = 0.05  # of the whole travel: a recording that moves so far one way turns that way
 FOLD_ITERATIONS = 6
 MOST_ERROR = 0.5  # of a motor that predicts
 THAN_LINEAR, SMALL_ERROR = 1.1, 0.02  # times the linear model's error; smaller ones are no difference
@@ -90,6 +93,23 @@ class Blocks:
         """RMS error of a motor over that of 'it stays as it was'; of a motor that was fitted to all blocks."""
         return _ratio(self.squares(self.off_rad(motor, problem)), self.squares(self.stays_rad()))
 
+    def folds(self) -> NDArray[np.int64]:
+        """(p,) the fold of each block: of several recordings each is predicted from the others, as far as they can.
+
+        They can where the others turn both ways, if all together do.
+        """
+        by_block = np.arange(self.count) % min(FOLDS, self.count)
+        windows, names = self.cut.windows, list(dict.fromkeys(self.cut.of))
+        if len(names) < FEWEST_RECORDINGS:
+            return by_block
+        of_window = np.array([names.index(name) for name in self.cut.of]) % FOLDS
+        span_rad = max(float(np.ptp(window.y_rad)) for window in windows)
+        turns = np.array([_turns(window.y_rad, TURNS * span_rad) for window in windows])
+        for fold in range(int(of_window.max()) + 1):
+            if np.any(turns.any(axis=0) & ~turns[of_window != fold].any(axis=0)):
+                return by_block
+        return np.repeat(of_window, [rows.size for rows in self.cut.rows])
+
     def held_out(self, problem: Problem, motor: RealMotor, *, starts_known: bool = False) -> Array:
         """(p,) sum of squares of each block, rad^2, predicted by the numbers that the others say.
 
@@ -98,9 +118,9 @@ class Blocks:
         starts_known   as ``off_rad``
         """
         found = np.zeros(self.count)
-        folds = min(FOLDS, self.count)
-        for fold in range(folds):
-            held = np.arange(self.count) % folds == fold
+        folds = self.folds()
+        for fold in range(int(folds.max()) + 1):
+            held = folds == fold
             if not held.all():
                 given = replace(problem, cut=self.cut.only(~held), robust_rad=math.inf, noise=WHITE)
                 trained = solve(begin(given, motor), FOLD_ITERATIONS).motor
@@ -109,6 +129,13 @@ class Blocks:
             unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
             found[held] = unseen.squares(unseen.off_rad(trained, problem, starts_known=starts_known))
         return found
+
+
+def _turns(y_rad: Array, least_rad: float) -> tuple[bool, bool]:
+    """Whether the shaft turns forward, and backward, by more than ``least_rad``."""
+    forth = float(np.max(y_rad - np.minimum.accumulate(y_rad)))
+    back = float(np.max(np.maximum.accumulate(y_rad) - y_rad))
+    return forth > least_rad, back > least_rad
 
 
 def share_cut(full: Array, bare: Array, noise: Array) -> float:

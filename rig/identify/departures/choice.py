@@ -41,6 +41,7 @@ FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+FINE = 1e-3  # error in blocks of a plain motor that needs no law
 NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
 BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is no noise
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
@@ -211,8 +212,9 @@ class Chooser:
 
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
         sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
-        so in few blocks alone. Where it leaves white noise, likelihood is right. Laws that only together take as much
-        as is asked stay together.
+        so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand: what is left there is
+        what the readings are off. Where a fit leaves white noise, likelihood is right. Laws that only together take as
+        much as is asked stay together.
         """
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
@@ -224,6 +226,13 @@ class Chooser:
                 known[laws] = np.maximum(blocks.held_out(problem, motor, starts_known=True) - noise, 0.0)
             return known[laws]
 
+        if laws and not fit.problem.noise.white:
+            none = fit.motor
+            for law in laws:
+                none = without(none, law)
+            stays = float(blocks.squares(blocks.stays_rad()).sum())
+            if math.sqrt(float(left((), none).sum()) / max(stays, 1e-300)) < FINE:
+                return self._last(refitted(fit, self.problem(fit.problem.cut, (), math.inf), none), ())
         first = fit, laws
         while laws and not fit.problem.noise.white:
             full = left(laws, fit.motor)
@@ -299,7 +308,7 @@ class Chooser:
                 return fit, laws
             fit, laws = steps[0]
 
-    def _is_rounding(self, fit: Fit) -> bool:
+    def is_rounding(self, fit: Fit) -> bool:
         """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
         return float(np.mean(np.abs(fit.residual_rad) <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
 
@@ -316,7 +325,7 @@ class Chooser:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
         seen = with_own_noise(fit)
         steps_show = fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW
-        if len(laws) >= MOST or steps_show or self._is_rounding(fit):
+        if len(laws) >= MOST or steps_show or self.is_rounding(fit):
             return []  # the sensor's own steps are left, which look like anything
         found = []
         for promise in self.promises(seen, laws)[:TRIED]:
@@ -525,6 +534,11 @@ class Columns:
             return np.concatenate((self._weighed(change[:, None]), beside[:, None])), 0.0
         found = cut.derivatives(motor, fit.starts, [index(name) for name in law.numbers])
         return self._white(found.by_number, law.numbers), 1.0
+
+    def of_change(self, change: Array) -> Array:
+        """A change of the readings, (n, 1), rad for 1 of a law, whitened; nothing beside the tests tells of it."""
+        known, white = self._fit.problem.known, self._weighed(change)
+        return white if known is None else np.concatenate((white, np.zeros((known.root.shape[0], change.shape[1]))))
 
     def gain(self, added: Array) -> tuple[float, Array]:
         """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes.

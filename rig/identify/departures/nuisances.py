@@ -51,8 +51,18 @@ class Nuisances:
     spread: Array
 
     @classmethod
-    def of(cls, fit: Fit, laws: Sequence[Departure], candidates: Sequence[Departure], bench: Bench) -> Nuisances:
-        """Of all ``candidates`` that are not among the ``laws`` of the fit."""
+    def of(
+        cls,
+        fit: Fit,
+        laws: Sequence[Departure],
+        candidates: Sequence[Departure],
+        bench: Bench,
+        outside: Sequence[tuple[Departure, Array]] = (),
+    ) -> Nuisances:
+        """Of all ``candidates`` that are not among the ``laws`` of the fit.
+
+        outside   laws that the motor's model has not, each with the change of the readings, (n, 1), for 1 of its size
+        """
         fit = with_own_noise(fit)
         columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts))
         added: list[Array] = []
@@ -65,6 +75,10 @@ class Nuisances:
                 each.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
                 added.append(column)
                 spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
+        for law, change in outside:
+            each.append(Nuisance(law, len(spreads), 1, 1))
+            added.append(columns.of_change(change))
+            spreads.append(law.range_of(bench) / UNIFORM)
         normal = columns.normal(np.column_stack(added)) if added else columns.base
         variance = unit(fit)
         return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads))

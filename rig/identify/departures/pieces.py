@@ -46,6 +46,7 @@ class Cut:
     most_s    for each, the longest that its pieces may be, s
     resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
     weight    (n,) of each row, 0 or 1; None: every row counts
+    of        for each window the name of its recording; empty: nobody said
     """
 
     windows: tuple[Window, ...]
@@ -54,10 +55,11 @@ class Cut:
     most_s: tuple[float, ...]
     resting: NDArray[np.bool_] | None = None
     weight: Array | None = None
+    of: tuple[str, ...] = ()
 
     @classmethod
-    def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float) -> Cut:
-        """Each test as one piece. Raises IdentifyError if a test is too short."""
+    def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float, of: Sequence[str] = ()) -> Cut:
+        """Each test as one piece; ``of``: the name of each one's recording. Raises IdentifyError: one is too short."""
         windows = tuple(test.predictable(longest_delay_s) for test in tests)
         y = np.concatenate([window.y_rad for window in windows])
         low, high = np.quantile(y, [TAIL, 1.0 - TAIL])
@@ -73,7 +75,7 @@ class Cut:
             before += end - begin
             frames.append(Frame(0.5 * float(low + high), half, start, max(span, 1e-9)))
         whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows))
+        return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows), of=tuple(of))
 
     def each(self, of: Sequence[str]) -> Cut:
         """The same, with a course of time of its own for each recording; ``of``: for each window its recording."""
@@ -101,6 +103,7 @@ class Cut:
             most_s=self.most_s + tuple(most_s for _ in windows),
             resting=None,
             weight=None,
+            of=() if further else self.of,
         )
 
     @classmethod

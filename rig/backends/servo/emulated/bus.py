@@ -2,7 +2,7 @@
 
 The caller gives the time. A servo executes a packet when its last byte has arrived. Answers to one request follow each
 other in its order, each its servo's return delay after the one before; behind one that does not answer none follows.
-What the host sends while an answer is on the wire damages both. A damaged packet is neither executed nor answered.
+What the host sends while an answer is due or on the wire damages both. A damaged packet is not executed nor answered.
 """
 
 from __future__ import annotations

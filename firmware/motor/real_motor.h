@@ -1,12 +1,22 @@
-/* A motor with real parts, in C doubles: what rig/model/real_step.py is in Python, function by function; tests/emulate
- * holds the two together. docs/theory.md 12.1 has the equations.
+/* A motor with its parts: its motion from one event to the next (docs/theory.md 12.1, 12.2 and 12.3).
+ *
+ *     tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),    dy/dt = v,    reading = S(x)
+ *
+ * w is the drive behind its stage, G a force over the position, F the friction, x the position behind the backlash, and
+ * S the sensor's linearity. A part whose numbers are 0 is not there.
+ *
+ * Between two events an exponential Runge-Kutta method of fourth order (Cox and Matthews, J. Comput. Phys. 176, 2002)
+ * takes v and p = y + tau v. It is exact where the right side is constant, as it is for a motor without parts. An event
+ * is an edge of the drive, a reversal, or a shaft that breaks away from rest.
  */
 #ifndef RIG_REAL_MOTOR_H
 #define RIG_REAL_MOTOR_H
 
-/* The numbers of RealMotor and of Frame, by their names there. */
+/* The numbers, in the order of every vector and Jacobian of them: rig/model/real_step.py says what each is. The last four
+ * are the frame that parts over position and time refer to: constants of a fit. `delay_s` is for those who know when a
+ * drive acts: no function here applies it but the readings of a record. */
 typedef struct {
-    double tau_s, K_rad_s_V, fc_V, bias_V;
+    double tau_s, K_rad_s_V, fc_V, bias_V, delay_s;
     double dead_band_V, gain_by_sign, sag_per_V, lag_s;
     double viscous_by_direction_V_s_rad, static_V, stribeck_V, stribeck_rad_s, drag_V_s2_rad2, bristle_V_rad;
     double force_sin_V, force_cos_V, friction_sin_V, friction_cos_V;
@@ -35,6 +45,10 @@ void real_advance(const real_motor *m, real_state *at, double u_V, const double 
 /* Force over position, and the level of the friction in motion at `speed`, at the start, V. */
 double real_force(const real_motor *m, double y);
 double real_level(const real_motor *m, double speed, double y);
+double real_level_at_rest(const real_motor *m, double y); /* that the drive must pass to move the motor from rest */
+
+/* Drive behind dead band, gain by sign and sag, in this order, before the lag. */
+double real_staged(const real_motor *m, double u_V);
 
 /* What the sensor shows where its side is at `x`. */
 double real_reading(const real_motor *m, double x);

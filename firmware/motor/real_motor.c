@@ -3,24 +3,37 @@
 #include <math.h>
 #include <stdbool.h>
 
-/* As in rig/model/real_step.py, where they are explained. */
-static const double LEAST_LEVEL_V = 1e-4;
-static const double LEAST_BEND_RAD = 1e-4;
-static const double SLIDING = 1e-8;
-static const double LEVEL_CHANGES = 60.0;
-static const double BALANCED = 1e-12;
+static const double PI = 3.14159265358979323846;
+static const double LEAST_LEVEL_V = 1e-4;   /* of bristles: their friction is divided by the level */
+static const double LEAST_BEND_RAD = 1e-4;  /* bristles slide after at least this: stiffer ones nobody sees, and take long */
+static const double SLIDING = 1e-8;         /* share of the level that bristles which slide may still lack */
+static const double LEVEL_CHANGES = 60.0;   /* what a level that changes along the way costs, per change within a bend */
+static const double BALANCED = 1e-12;       /* of K times 1 V: bristles that pull less than this rest */
+static const double PRESSED_S = 1e-3;       /* a motor pressed against a stop looks this often whether it still is */
+enum { ROUNDS = 60 };                       /* of the search for an event, which needs about five */
 /* Where double has four bytes, as on an AVR, rounding is coarser: an event within its reach, and longer steps, will do. */
 static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
 static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
-static const double STEP_OF_TAU = 0.05;
-static const double SHORT_LAG_S = 1e-3;
-static const double STEP_OF_LAG = 0.065;
-static const double STEP_OF_TURN = 0.15;
-static const double STEP_OF_BRISTLE = 0.25;
-static const double STEP_OF_SWING = 0.04;
-static const double STEP_OF_STRIBECK = 0.2;
-static const double PRESSED_S = 1e-3; /* a motor pressed against a stop looks this often whether it still is */
-enum { ROUNDS = 60 };
+static const double HUGE_POWER = sizeof(double) < 8u ? 80.0 : 700.0;
+/* Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion. */
+static const double STEP_OF_TAU = 0.05;     /* s/s; any part that changes the right side */
+static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
+static const double STEP_OF_LAG = 0.065;    /* s/s, at 1 V s of fading drive times its time constant; longer the less there is */
+static const double STEP_OF_TURN = 0.15;    /* rad of the phase of a force over position */
+static const double STEP_OF_BRISTLE = 0.25; /* of the length over which bristles bend */
+static const double STEP_OF_SWING = 0.04;   /* rad of the swing of a motor on a spring */
+static const double STEP_OF_STRIBECK = 0.2; /* of the Stribeck velocity; longer beyond its range */
+
+/* fmin and fmax of numbers, which compilers have inline. */
+static double least(double a, double b)
+{
+    return b < a ? b : a;
+}
+
+static double most(double a, double b)
+{
+    return b > a ? b : a;
+}
 
 static bool turns(const real_motor *m)
 {
@@ -81,7 +94,8 @@ static double level(const real_motor *m, double speed, double y, double t_s)
     }
     total += over_travel(m, y, m->friction_sin_V, m->friction_cos_V);
     if (falls(m)) {
-        total += m->stribeck_V * exp(-speed / m->stribeck_rad_s);
+        /* a step that is tried beyond standstill and then cut: not infinite */
+        total += m->stribeck_V * exp(least(-speed / m->stribeck_rad_s, HUGE_POWER));
     }
     return total;
 }
@@ -93,12 +107,12 @@ static double level_at_rest(const real_motor *m, double y, double t_s)
 
 static double level_of_bristles(const real_motor *m, double speed, double y, double t_s)
 {
-    return fmax(level(m, speed, y, t_s), LEAST_LEVEL_V);
+    return most(level(m, speed, y, t_s), LEAST_LEVEL_V);
 }
 
 static double stiffness(const real_motor *m, double level_V)
 {
-    return fmin(m->bristle_V_rad, level_V / LEAST_BEND_RAD);
+    return least(m->bristle_V_rad, level_V / LEAST_BEND_RAD);
 }
 
 static double target(const real_motor *m, double sign, const real_state *at, double t_s)
@@ -172,13 +186,23 @@ static double sliding(const real_motor *m, double sign, const real_state *at, do
     if (m->bristle_V_rad <= 0.0) {
         return 0.0;
     }
-    const double speed = fmax(sign * (at->v + 0.5 * h * (a1 - at->v) / m->tau_s), 0.0);
+    const double speed = most(sign * (at->v + 0.5 * h * (a1 - at->v) / m->tau_s), 0.0);
     const double top = level_of_bristles(m, speed, at->y, t);
     return stiffness(m, top) * speed / top;
 }
 
-/* State after `h` s in the direction `sign`. */
-static real_state moved(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h)
+/* The inner stages of a step: target velocities; from the second on velocity, position and friction of the bristles;
+ * rate of the bristles, 1/s. */
+typedef struct {
+    double a1, a2, a3, a4;
+    double v2, y2, f2, v3, y3, f3, v4, y4, f4;
+    double slide;
+} stages;
+
+static const weights NO_FADING = {1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0}; /* of a step of no time constants */
+
+/* State after `h` s in the direction `sign`, and its stages. */
+static real_state moved(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h, stages *s)
 {
     const double tau = m->tau_s;
     const double c = h / tau;
@@ -187,36 +211,35 @@ static real_state moved(const real_motor *m, double sign, const real_state *at, 
     const double middle = t + 0.5 * h;
     const double p = at->y + tau * at->v;
     real_state in = *at;
-    const double a1 = target(m, sign, &in, t);
-    const double slide = sliding(m, sign, at, a1, t, h);
-    const weights b = m->bristle_V_rad > 0.0 ? weights_of(h * slide) : k; /* without bristles nothing is weighed by it */
+    s->a1 = target(m, sign, &in, t);
+    s->slide = sliding(m, sign, at, s->a1, t, h);
+    const weights b = m->bristle_V_rad > 0.0 ? weights_of(h * s->slide) : NO_FADING;
     const double near_f = 0.5 * h * b.mean;
-    const double n1 = bending(m, sign, &in, t) + slide * in.f;
-    const double v2 = k.half * at->v + near * a1;
-    const double f2 = b.half * at->f + near_f * n1;
-    in.v = v2;
-    in.y = p + 0.5 * h * a1 - tau * in.v;
-    in.f = f2;
+    const double n1 = bending(m, sign, &in, t) + s->slide * in.f;
+    in.v = s->v2 = k.half * at->v + near * s->a1;
+    in.y = s->y2 = p + 0.5 * h * s->a1 - tau * in.v;
+    in.f = s->f2 = b.half * at->f + near_f * n1;
     in.w = lagged(m, staged_V, at->w, 0.5 * h);
-    const double a2 = target(m, sign, &in, middle);
-    const double n2 = bending(m, sign, &in, middle) + slide * in.f;
-    in.v = k.half * at->v + near * a2;
-    in.y = p + 0.5 * h * a2 - tau * in.v;
-    in.f = b.half * at->f + near_f * n2;
-    const double a3 = target(m, sign, &in, middle);
-    const double n3 = bending(m, sign, &in, middle) + slide * in.f;
-    in.v = k.half * v2 + near * (2.0 * a3 - a1);
-    in.y = p + h * a3 - tau * in.v;
-    in.f = b.half * f2 + near_f * (2.0 * n3 - n1);
+    s->a2 = target(m, sign, &in, middle);
+    const double n2 = bending(m, sign, &in, middle) + s->slide * in.f;
+    in.v = s->v3 = k.half * at->v + near * s->a2;
+    in.y = s->y3 = p + 0.5 * h * s->a2 - tau * in.v;
+    in.f = s->f3 = b.half * at->f + near_f * n2;
+    s->a3 = target(m, sign, &in, middle);
+    const double n3 = bending(m, sign, &in, middle) + s->slide * in.f;
+    in.v = s->v4 = k.half * s->v2 + near * (2.0 * s->a3 - s->a1);
+    in.y = s->y4 = p + h * s->a3 - tau * in.v;
+    in.f = s->f4 = b.half * s->f2 + near_f * (2.0 * n3 - n1);
     in.w = lagged(m, staged_V, at->w, h);
-    const double a4 = target(m, sign, &in, t + h);
-    const double n4 = bending(m, sign, &in, t + h) + slide * in.f;
-    in.v = k.keep * at->v + c * (k.b1 * a1 + k.b2 * (a2 + a3) + k.b4 * a4);
-    in.y = p + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * in.v;
+    s->a4 = target(m, sign, &in, t + h);
+    const double n4 = bending(m, sign, &in, t + h) + s->slide * in.f;
+    in.v = k.keep * at->v + c * (k.b1 * s->a1 + k.b2 * (s->a2 + s->a3) + k.b4 * s->a4);
+    in.y = p + h / 6.0 * (s->a1 + 2.0 * (s->a2 + s->a3) + s->a4) - tau * in.v;
     in.f = b.keep * at->f + h * (b.b1 * n1 + b.b2 * (n2 + n3) + b.b4 * n4);
     return in;
 }
 
+/* Largest step in the direction `sign` with a small error; infinite for a motor without parts. */
 static double longest_step(const real_motor *m, double sign, const real_state *at, double staged_V, double t_s)
 {
     double longest = INFINITY;
@@ -226,39 +249,39 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
     double distance = turns(m) ? STEP_OF_TURN : INFINITY;
     double spring = 0.0;
     if (m->lag_s > 0.0 && at->w != staged_V) {
-        longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * fmax(m->lag_s, SHORT_LAG_S), -0.2);
+        longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * most(m->lag_s, SHORT_LAG_S), -0.2);
     }
     if (cogs(m)) {
         if (m->cogging_per_rad != 0.0) {
-            distance = fmin(distance, STEP_OF_TURN / fabs(m->cogging_per_rad));
+            distance = least(distance, STEP_OF_TURN / fabs(m->cogging_per_rad));
         }
         spring += fabs(m->cogging_per_rad) * (fabs(m->cogging_sin_V) + fabs(m->cogging_cos_V));
     }
     if (m->bristle_V_rad > 0.0) {
         const double top = level_of_bristles(m, speed, at->y, t_s);
         const double stiff = stiffness(m, top);
-        double left = fmin(fmax(fabs(1.0 - sign * at->f / top), SLIDING), 2.0);
+        double left = least(most(fabs(1.0 - sign * at->f / top), SLIDING), 2.0);
         left += LEVEL_CHANGES * (fabs(m->friction_sin_V) + fabs(m->friction_cos_V)) / stiff;
         if (falls(m)) {
             left += fabs(m->stribeck_V) * exp(-speed / m->stribeck_rad_s) / top;
         }
-        distance = fmin(distance, STEP_OF_BRISTLE * top / stiff * pow(left, -0.25));
+        distance = least(distance, STEP_OF_BRISTLE * top / stiff * pow(left, -0.25));
         spring += stiff * left;
     }
     if (distance < INFINITY) {
-        longest = fmin(longest, 2.0 * distance / (speed + sqrt(speed * speed + 2.0 * pull * distance) + 1e-9));
+        longest = least(longest, 2.0 * distance / (speed + sqrt(speed * speed + 2.0 * pull * distance) + 1e-9));
     }
     if (spring > 0.0) {
-        longest = fmin(longest, STEP_OF_SWING * sqrt(tau / (m->K_rad_s_V * spring)));
+        longest = least(longest, STEP_OF_SWING * sqrt(tau / (m->K_rad_s_V * spring)));
     }
     if (falls(m)) {
         const double unit = m->stribeck_rad_s;
-        const double fade = exp(fmin(speed / (5.0 * unit), 50.0));
+        const double fade = exp(least(speed / (5.0 * unit), 50.0));
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
-        longest = fmin(longest, STEP_OF_STRIBECK * fade * unit / rate);
+        longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
     if (falls(m) || turns(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
-        longest = fmin(longest, STEP_OF_TAU * tau);
+        longest = least(longest, STEP_OF_TAU * tau);
     }
     return STRETCH * longest;
 }
@@ -270,13 +293,28 @@ static double margin(const real_motor *m, double sign, const real_state *at, dou
     return sign * pull - level_at_rest(m, at->y, t + h);
 }
 
-/* A step of a motor that friction holds, at most `longest_s`: to its end, or to where it breaks away. */
-static double rest(const real_motor *m, real_state *at, double staged_V, double t_s, double longest_s)
+/* Motion in one direction, or rest.
+ * sign         direction: +1, -1; 0 where friction holds the motor
+ * duration_s   how long it lasts
+ * released     direction in which a held motor breaks away at its end; 0: it does not
+ * reverses     whether it ends with the velocity at 0
+ * end, in      state at its end; stages of the method, unless the motor is held
+ */
+typedef struct {
+    double sign, duration_s, released;
+    bool reverses;
+    real_state end;
+    stages in;
+} step;
+
+/* The next step of a motor that friction holds, at most `longest_s`: to its end, or to where it breaks away. */
+static void rest(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
 {
     double h = longest_s;
+    s->released = 0.0;
     if ((m->lag_s > 0.0 || m->drift != 0.0) && m->bristle_V_rad <= 0.0) {
         if (m->lag_s > 0.0 && m->drift != 0.0) {
-            h = fmin(h, fmax(m->lag_s, 1e-3));
+            h = least(h, most(m->lag_s, 1e-3)); /* within it the margin has no second zero */
         }
         for (int side = 0; side < 2; side++) {
             const double sign = side == 0 ? 1.0 : -1.0;
@@ -295,77 +333,93 @@ static double rest(const real_motor *m, real_state *at, double staged_V, double 
                     }
                 }
                 h = high;
+                s->released = sign;
             }
         }
     }
-    at->w = lagged(m, staged_V, at->w, h);
-    return h;
+    s->sign = 0.0;
+    s->duration_s = h;
+    s->reverses = false;
+    s->end = *at;
+    s->end.v = 0.0;
+    s->end.w = lagged(m, staged_V, at->w, h);
 }
 
-/* A step in the direction `sign`, at most `longest_s`: to its end, or to a reversal. Returns how long it lasted. */
-static double go(const real_motor *m, double sign, real_state *at, double staged_V, double t_s, double longest_s)
+/* The next step under the constant drive `staged_V` before its lag: at most `longest_s` long, to an event. */
+static void next_step(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
 {
-    double h = fmin(longest_s, longest_step(m, sign, at, staged_V, t_s));
-    real_state end = moved(m, sign, at, staged_V, t_s, h);
-    if (sign * end.v > 0.0) {
-        *at = end;
-        return h;
+    const double sign = direction(m, at, staged_V, t_s);
+    if (sign == 0.0) {
+        rest(m, at, staged_V, t_s, longest_s, s);
+        return;
     }
-    if (at->v == 0.0) {
-        at->w = end.w;
-        return h;
+    double h = least(longest_s, longest_step(m, sign, at, staged_V, t_s));
+    s->sign = sign;
+    s->released = 0.0;
+    s->reverses = false;
+    s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
+    s->duration_s = h;
+    if (sign * s->end.v > 0.0) {
+        return;
+    }
+    if (at->v == 0.0) { /* rounding sends a motor in balance back: it stays */
+        const double w = s->end.w;
+        s->sign = 0.0;
+        s->end = *at;
+        s->end.w = w;
+        return;
     }
     double low = 0.0;
     double high = h;
     for (int i = 0; i < ROUNDS; i++) {
-        const double slope = sign * (target(m, sign, &end, t_s + h) - end.v) / m->tau_s;
-        double next = slope < 0.0 ? h - sign * end.v / slope : 0.5 * (low + high);
+        const double slope = sign * (target(m, sign, &s->end, t_s + h) - s->end.v) / m->tau_s;
+        double next = slope < 0.0 ? h - sign * s->end.v / slope : 0.5 * (low + high);
         if (!(low < next && next < high)) {
             next = 0.5 * (low + high);
         }
         const double change = fabs(next - h);
         h = next;
-        end = moved(m, sign, at, staged_V, t_s, h);
-        if (change <= EVENT_S || end.v == 0.0) {
+        s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
+        if (change <= EVENT_S || s->end.v == 0.0) {
             break;
         }
-        if (sign * end.v > 0.0) {
+        if (sign * s->end.v > 0.0) {
             low = h;
         } else {
             high = h;
         }
     }
-    end.v = 0.0;
-    *at = end;
-    return h;
+    s->end.v = 0.0;
+    s->duration_s = h;
+    s->reverses = true;
 }
 
-/* Where a step in the direction `sign` of at most `h` s, which ends beyond `stop`, meets it. */
-static double to_stop(const real_motor *m, double sign, real_state *at, double staged_V, double t_s, double h, double stop)
+/* Cuts a step of a motor in motion, which ends beyond `stop`, where it meets it. */
+static void cut(const real_motor *m, const real_state *at, double staged_V, double t_s, double stop, step *s)
 {
     double low = 0.0;
-    double high = h;
+    double high = s->duration_s;
     for (int i = 0; i < ROUNDS; i++) {
         const double middle = 0.5 * (low + high);
-        const real_state there = moved(m, sign, at, staged_V, t_s, middle);
-        if (sign * (there.y - stop) < 0.0) {
+        const real_state there = moved(m, s->sign, at, staged_V, t_s, middle, &s->in);
+        if (s->sign * (there.y - stop) < 0.0) {
             low = middle;
         } else {
             high = middle;
         }
     }
-    *at = moved(m, sign, at, staged_V, t_s, high);
-    at->v = 0.0;
-    at->y = stop;
-    return high;
+    s->end = moved(m, s->sign, at, staged_V, t_s, high, &s->in);
+    s->end.v = 0.0;
+    s->end.y = stop;
+    s->duration_s = high;
 }
 
 static void take_up_play(const real_motor *m, double sign, real_state *at)
 {
     if (sign > 0.0) {
-        at->x = fmax(at->x, at->y - 0.5 * m->backlash_rad);
+        at->x = most(at->x, at->y - 0.5 * m->backlash_rad);
     } else if (sign < 0.0) {
-        at->x = fmin(at->x, at->y + 0.5 * m->backlash_rad);
+        at->x = least(at->x, at->y + 0.5 * m->backlash_rad);
     }
 }
 
@@ -378,7 +432,7 @@ void real_start(const real_motor *m, real_state *at, double y)
     at->f = 0.0;
     if (m->bristle_V_rad > 0.0) {
         const double held = level_of_bristles(m, 0.0, y, m->start_s);
-        at->f = fmin(fmax(at->w + m->bias_V - force(m, y), -held), held);
+        at->f = least(most(at->w + m->bias_V - force(m, y), -held), held);
     }
 }
 
@@ -386,38 +440,33 @@ void real_put(const real_motor *m, real_state *at, double v, double y)
 {
     at->v = v;
     at->y = y;
-    at->x = fmin(fmax(at->x, y - 0.5 * m->backlash_rad), y + 0.5 * m->backlash_rad);
+    at->x = least(most(at->x, y - 0.5 * m->backlash_rad), y + 0.5 * m->backlash_rad);
 }
 
 void real_advance(const real_motor *m, real_state *at, double u_V, const double when[2], const double stops[2])
 {
     const double drive_V = staged(m, u_V);
     double left_s = when[1];
+    step s;
     if (m->lag_s <= 0.0) {
         at->w = drive_V;
     }
     while (left_s > 0.0) {
         const double t = when[0] + when[1] - left_s;
-        const double sign = direction(m, at, drive_V, t);
-        if (sign == 0.0) {
-            left_s -= rest(m, at, drive_V, t, left_s);
-            continue;
-        }
-        const double stop = sign > 0.0 ? stops[1] : stops[0];
-        if (at->v == 0.0 && sign * (at->y - stop) >= 0.0) { /* pressed against it */
-            const double h = fmin(left_s, PRESSED_S);
+        next_step(m, at, drive_V, t, left_s, &s);
+        const double stop = s.sign > 0.0 ? stops[1] : stops[0];
+        if (s.sign != 0.0 && at->v == 0.0 && s.sign * (at->y - stop) >= 0.0) { /* pressed against it */
+            const double h = least(left_s, PRESSED_S);
             at->w = lagged(m, drive_V, at->w, h);
             left_s -= h;
             continue;
         }
-        const real_state before = *at;
-        double h = go(m, sign, at, drive_V, t, left_s);
-        if (sign * (at->y - stop) > 0.0) {
-            *at = before;
-            h = to_stop(m, sign, at, drive_V, t, h, stop);
+        if (s.sign * (s.end.y - stop) > 0.0) {
+            cut(m, at, drive_V, t, stop, &s);
         }
-        take_up_play(m, sign, at);
-        left_s -= h;
+        *at = s.end;
+        take_up_play(m, s.sign, at);
+        left_s -= s.duration_s;
     }
 }
 
@@ -431,11 +480,24 @@ double real_level(const real_motor *m, double speed, double y)
     return level(m, speed, y, m->start_s);
 }
 
+double real_level_at_rest(const real_motor *m, double y)
+{
+    return level_at_rest(m, y, m->start_s);
+}
+
+double real_staged(const real_motor *m, double u_V)
+{
+    return staged(m, u_V);
+}
+
 double real_reading(const real_motor *m, double x)
 {
-    const double pi = 3.14159265358979323846;
+    if (m->linearity_sin1_rad == 0.0 && m->linearity_cos1_rad == 0.0 && m->linearity_sin2_rad == 0.0 &&
+        m->linearity_cos2_rad == 0.0) {
+        return x;
+    }
     const double share = (x - m->centre_rad) / m->half_travel_rad;
-    const double q = pi * share;
-    return x + m->linearity_sin1_rad * (sin(q) - 3.0 / pi * share) + m->linearity_cos1_rad * cos(q) +
-           m->linearity_sin2_rad * (sin(2.0 * q) + 1.5 / pi * share) + m->linearity_cos2_rad * cos(2.0 * q);
+    const double q = PI * share;
+    return x + m->linearity_sin1_rad * (sin(q) - 3.0 / PI * share) + m->linearity_cos1_rad * cos(q) +
+           m->linearity_sin2_rad * (sin(2.0 * q) + 1.5 / PI * share) + m->linearity_cos2_rad * cos(2.0 * q);
 }
