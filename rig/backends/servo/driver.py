@@ -153,6 +153,7 @@ class ServoDriver(RegisterDriver[Ask]):
             self._guardian.beat()
         reply = super()._exchange(request)
         if self._bus.alerts(reply.pdu):
+            self._errors = reply.pdu[0]
             raise self._alert()
         return reply
 
@@ -259,9 +260,10 @@ class ServoDriver(RegisterDriver[Ask]):
         self._steps = Steps()
         if not any(register.name == "tick" for register in self._map.others):
             return
-        for number in range(_STAGGERED):
+        began_s, apart_s = self._transport.now_s(), STEP_S * (2.0 + 1.0 / _STAGGERED)
+        for number in range(_STAGGERED + 1):
+            self._client.wait(began_s + number * apart_s - self._transport.now_s())
             self._values(self._read_span, self._unhurried_reading())
-            self._client.wait(STEP_S * (0.5 + number / _STAGGERED))
 
     @override
     def _check_drive_is_0(self) -> None:

@@ -35,7 +35,7 @@ def protects(bench: Bench) -> None:
 
 
 def alert(bench: Bench) -> None:
-    bench.servo.put(bench.setup.model.roles["errors"], 0x20)
+    bench.bus.bus.reply_fault = ReplyFault("alert", servo=bench.own.id)
 
 
 def gone(bench: Bench) -> None:
@@ -89,14 +89,14 @@ def test_it_is_a_fault_by_its_name_within_two_ticks(
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_an_alert_is_named_by_the_error_register(protocol: str) -> None:
+def test_an_alert_in_an_answer_ends_the_run(protocol: str) -> None:
     bench = Bench(protocol)
     bench.armed()
     for _ in range(3):
         bench.tick(0.3)
     alert(bench)
     fault = bench.fault_within(TICKS, 0.3)
-    assert fault is not None and fault.code in ("SERVO_OVERLOAD", "SERVO_ERROR", "DEVICE_RESET"), fault
+    assert fault is not None and fault.code == {"dynamixel": "SERVO_ERROR", "feetech": "SERVO_HOT"}[protocol]
     bench.driver.safe_stop()
     assert bench.servo.truth().duty == 0.0
 
