@@ -171,6 +171,45 @@ FAULTS: dict[str, FaultEntry] = {
         "lower relay.target.amplitude_rad or relay.gains, or widen limits.hard_rad. If it ran well before, check the "
         "motor's wires",
     ),
+    # smart servos
+    "SERVO_IN_USE": FaultEntry(
+        "the servo's torque is on: somebody drives it",
+        "end the program that drives it, or switch its torque off there; then type `rig run CONFIG` again",
+    ),
+    "SERVO_SETUP": FaultEntry(
+        "the servo is set so that it could move unasked",
+        "change the register that is named here with the maker's program (DYNAMIXEL Wizard, FD), then type `rig run "
+        "CONFIG` again",
+    ),
+    "SERVO_ERROR": FaultEntry(
+        "the servo has an error of its hardware",
+        "take the load off, let it cool, check its supply; then `rig servo reboot PORT ID`, or cut its supply once",
+    ),
+    "SERVO_SUPPLY": FaultEntry(
+        "the servo's supply is not what the config says, or too weak",
+        "measure it at the servo's plug; correct drive.supply_V, or use a stronger supply with a thicker cable",
+    ),
+    "SERVO_HOT": FaultEntry(
+        "the servo is too hot",
+        "let it cool; shorten the test or lower drive.max_V. daq.servo.hot_degC bounds it",
+    ),
+    "SERVO_OVERLOAD": FaultEntry(
+        "the servo protects itself: it gives less duty than rig wrote",
+        "check that nothing holds the horn; lower drive.max_V; `rig servo reboot PORT ID`, or cut its supply once",
+    ),
+    "SERVO_REFUSED": FaultEntry(
+        "the servo refused an instruction",
+        "read its words beside this line; check daq.servo.model, and that no other program talks to it",
+    ),
+    "SERVO_CHANGED": FaultEntry(
+        "rig cannot keep, or put back, what the servo's registers held before",
+        "mend the file that is named here; `rig servo restore PORT ID` puts back what it holds",
+    ),
+    "SERVO_UNWATCHED": FaultEntry(
+        "no process would stop the servo if this one died",
+        "the words beside this line say why its keeper did not start, or ended: too little memory, too few processes "
+        "allowed (`ulimit -u`), or somebody ended it. Mend that, and type `rig run CONFIG` again",
+    ),
     # guard
     "TRAVEL_HARD": FaultEntry(
         "the position is beyond the hard travel limit",

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # these load slowly
 GROUP = "rig.daq"
 BUILT_IN = {
     name: EntryPoint(name, f"rig.backends.{name}.backend:{name.upper()}", GROUP)
-    for name in ("simulated", "serial", "modbus")
+    for name in ("simulated", "serial", "modbus", "servo")
 }
 _REAL = "the time of this device is real, whose pace is 1"
 _EMULATES = "serial"  # what `rig emulate` starts for a config whose device cannot be emulated by itself

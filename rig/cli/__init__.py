@@ -38,6 +38,7 @@ from rig.cli import (
     report,
     run,
     schema,
+    servo,
     survey,
     track,
     tune,
@@ -90,6 +91,7 @@ _GROUPS = {
     ),
     "A bench of your own": (
         init.init,
+        servo.servo,
         rehearse.rehearse,
         flash.flash,
         doctor.doctor,

@@ -33,6 +33,12 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
     encoder = experiment.sensor.encoder
     if encoder is None:
         fail(EXIT_BAD_INPUT, "`rig home` is for an encoder, and this config has a potentiometer", "nothing to set")
+    if experiment.sensor.servo is not None:
+        fail(
+            EXIT_BAD_INPUT,
+            "a servo knows where it stands",
+            "set sensor.servo.zero_counts to its reading at the centre of travel: `rig servo show`",
+        )
     if experiment.limits.is_endless:
         fail(
             EXIT_BAD_INPUT,

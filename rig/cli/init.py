@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
 from rig.config import ConfigError, new_bench
 
 
@@ -49,9 +49,13 @@ from rig.config import ConfigError, new_bench
     help="full: the whole experiment, with limit cycles. quick: tests that end when the motor is known (relay.until). "
     "Default: full.",
 )  # fmt: skip
+@click.option("--servo", metavar="MODEL", help="A smart servo, such as xl330 or sts3215; then no other board.")
+@click.option("--servo-id", type=click.IntRange(0, 252), default=1, show_default=True, help="Its id on its bus.")
 @click.option("--yes", is_flag=True, help="Ask nothing: take the default of what is not given.")
 def init(
     file: Path,
+    servo: str | None,
+    servo_id: int,
     board: str | None,
     sensor: str | None,
     bridge: str | None,
@@ -70,7 +74,16 @@ def init(
 
     To FILE, bench.yaml by default. Asks for what is not given as an option. The config passes `rig check`; its other
     numbers are examples, and its comments say how to measure each. It never replaces a file.
+
+    With --servo it reads the servo at --port; without a port the config is of an emulated one.
     """
+    if servo is not None:
+        _refuse_beside_servo(
+            {"--board": board, "--sensor": sensor, "--bridge": bridge, "--limits": limits, "--turns": turns,
+             "--travel-deg": travel_deg, "--counts-per-turn": counts_per_turn, "--gear": gear, "--tests": tests}
+        )  # fmt: skip
+        _init_servo(file, servo, port, servo_id, supply_V, no_load_rpm)
+        return
     from rig import preflight
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
@@ -182,6 +195,64 @@ def init(
     )
     click.echo("docs/real-bench.md has the wiring and the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
+
+
+def _refuse_beside_servo(given: dict[str, object]) -> None:
+    named = [option for option, value in given.items() if value is not None]
+    if named:
+        fail(EXIT_BAD_INPUT, f"{' and '.join(named)} mean nothing with --servo", "leave them out")
+
+
+def _init_servo(
+    file: Path, name: str, port: str | None, id: int, supply_V: float | None, no_load_rpm: float | None
+) -> None:
+    """A servo's config: what its registers tell is read where it has a port."""
+    from rig import preflight
+    from rig.backends.links.usb_port import is_usb_name, usb_port
+    from rig.backends.servo import first_config
+    from rig.backends.servo.scan import USUAL_BAUDS, scan
+    from rig.cli.servo import opened
+
+    if file.exists():
+        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
+    try:
+        answers = first_config.ServoAnswers(
+            first_config.model_named(name), port, id=id, supply_V=supply_V, no_load_rpm=no_load_rpm
+        )
+        if port is not None:
+            with faults():
+                seen = next(scan(lambda baud: opened(port, baud), USUAL_BAUDS, (id,)), None)
+            if seen is None or seen.model is None:
+                fail(
+                    EXIT_FAILED, f"no servo {id} that rig knows answers at {port}", "`rig servo scan` looks for all ids"
+                )
+            if not seen.model.name.startswith(name):
+                fail(EXIT_BAD_INPUT, f"servo {id} is {seen.model.name}, not {name}", f"--servo {seen.model.name}")
+            for words in seen.objections:
+                click.echo(f"a run would be refused: {words}")
+            adapter = usb_port(port).adapter if is_usb_name(port) else "none"
+            answers = replace(
+                answers,
+                model=seen.model,
+                adapter="ftdi-1ms" if adapter == "ftdi" else adapter,
+                baud=seen.baud,
+                supply_V=round(seen.supply_V, 1) if supply_V is None else supply_V,
+                zero_counts=seen.position % seen.model.counts_per_turn,
+            )
+        with file.open("x", encoding="utf-8") as new:
+            new.write(first_config.text(answers))
+        preflight.check(file)
+    except new_bench.AnswerError as error:
+        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    except OSError as error:
+        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+    except ConfigError as error:
+        fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
+    click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
+    if answers.adapter == "ftdi-1ms":
+        click.echo("the adapter's latency timer must be at 1 ms: `rig doctor` says how")
+    where = "where its shaft stands now" if port is not None else "the middle of its turn"
+    click.echo(f"zero is {where} (sensor.servo.zero_counts); take everything off the horn, then `rig run`")
 
 
 def _command(file: Path, told: dict[str, str | float]) -> str:

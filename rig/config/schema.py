@@ -23,6 +23,7 @@ from pydantic import (
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
+from rig.backends.servo.section import ServoKeys
 from rig.calibration import (
     ALL_COUNTS,
     CALIBRATION_ERROR_RAD,
@@ -53,8 +54,8 @@ class Link(_Section):
 
     driver: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=40)] = Field(
         description="which driver: `simulated`, in virtual time; `serial`, a device with rig's firmware on a serial "
-        "port; `modbus`, a Modbus device; or the name of a plug-in that is installed",
-        examples=["simulated", "serial", "modbus"],
+        "port; `modbus`, a Modbus device; `servo`, a smart servo; or the name of a plug-in that is installed",
+        examples=["simulated", "serial", "modbus", "servo"],
     )
     port: str | None = Field(
         None,
@@ -84,7 +85,7 @@ class LinkTimes(_Section):
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
 
 
-class Daq(ModbusKeys, LinkTimes, SerialKeys, Link):
+class Daq(ServoKeys, ModbusKeys, LinkTimes, SerialKeys, Link):
     """The link to the bench."""
 
     # Its parts are read from right to left: a dumped config and the JSON Schema keep that order of keys.
@@ -153,13 +154,26 @@ class Encoder(_Section):
         return self.sign * 2.0 * math.pi / (self.counts_per_turn * self.gear)
 
 
+_SERVO_COUNTS = 4096  # for a turn of its horn
+
+
+class ServoSensor(_Section):
+    """The sensor of a smart servo, 4096 counts a turn: an encoder that knows where it is."""
+
+    sign: Literal[1, -1] = Field(1, description="-1: the counts fall where the position rises")
+    zero_counts: Annotated[int, Field(ge=0, lt=_SERVO_COUNTS)] = Field(
+        2048, description="position register at 0 rad, the centre of travel"
+    )
+
+
 _LARGEST_COUNTS = 1023
 _RAILS = (5, 1018)
 
 
 class Sensor(_Section):
-    """The position sensor: a potentiometer, which `calibration` describes, or an encoder."""
+    """The position sensor: a potentiometer, which `calibration` describes, an encoder, or a servo's own."""
 
+    servo: ServoSensor | None = Field(None, description="a smart servo's own; it makes the section `encoder`")
     encoder: Encoder | None = Field(None, description="a quadrature encoder, instead of a potentiometer")
     counts_max: Annotated[int, Field(ge=15, le=65535)] | None = Field(
         None, description=f"largest reading of the ADC; default: {_LARGEST_COUNTS}"
@@ -234,9 +248,14 @@ class Sensor(_Section):
 
     @model_validator(mode="after")
     def _one_sensor(self) -> Self:
+        if self.servo is not None:
+            as_encoder = Encoder(counts_per_turn=_SERVO_COUNTS, sign=self.servo.sign)
+            if self.encoder not in (None, as_encoder):  # a run's own config has both
+                raise ValueError("a servo has its own encoder: give `servo` alone")
+            object.__setattr__(self, "encoder", as_encoder)
         if self.encoder is None:
             if self.calibration is None:
-                raise ValueError("needs `calibration`, of a potentiometer, or `encoder`")
+                raise ValueError("needs `calibration`, of a potentiometer, `encoder`, or `servo`")
             for name, value in (("counts_max", _LARGEST_COUNTS), ("rail_counts", _RAILS)):
                 if getattr(self, name) is None:
                     object.__setattr__(self, name, value)  # frozen: this is the one place that completes it

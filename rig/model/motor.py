@@ -8,7 +8,7 @@ friction needs no formula of its own: it lowers tau and K by the same factor (do
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -87,6 +87,10 @@ class Motor:
     def __post_init__(self) -> None:
         if not (self.tau_s > 0.0 and self.K_rad_s_V > 0.0):
             raise ValueError("tau_s and K_rad_s_V must be > 0")
+
+    def __getstate__(self) -> dict[str, object]:
+        """What a copy in another process needs: what was worked out for the library cannot be sent there."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @cached_property
     def tau_eff_s(self) -> float:

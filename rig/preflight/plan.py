@@ -39,7 +39,7 @@ def plan(e: Experiment) -> Iterator[str]:
         f"limits: {_travel_words(e)}; "
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
-    if e.sensor.encoder is not None:
+    if e.sensor.encoder is not None and e.sensor.servo is None:
         yield f"encoder: one loose channel is seen after {_UNSEEN_COUNTS * abs(e.sensor.curve.lsb_rad):.2f} rad"
     if e.limits.is_endless:
         yield f"stopping {stopping_sum(e)}, wherever that is; a person must be able to reach the e-stop"
@@ -65,6 +65,8 @@ def _travel_words(e: Experiment) -> str:
         bound = "no travel limits" if turns is None else f"{turns:g} turns either way, no travel limits"
         return f"{bound}; zero is where a command finds the shaft"
     soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
+    if e.sensor.servo is not None:
+        return f"soft {soft} rad, hard {hard} rad, from {e.sensor.servo.zero_counts} counts of the servo"
     if e.sensor.encoder is not None:
         return f"soft {soft} rad, hard {hard} rad, from the zero that `rig home` sets"
     return f"soft {soft} rad, hard {hard} rad, sensor {bracketed(range_rad(e))} rad"

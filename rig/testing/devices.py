@@ -1,7 +1,7 @@
 """Emulated devices in virtual time, each a ``Transport`` and a ``Clock`` in one, and their faults.
 
-The devices: the firmware compiled for this machine, the Uno's firmware on its emulated chip, and a Modbus I/O block on
-RTU or TCP.
+The devices: the firmware compiled for this machine, the Uno's firmware on its emulated chip, a Modbus I/O block on RTU
+or TCP, and smart servos on a bus.
 """
 
 from rig.backends.emulated.bench import bench_parameters
@@ -15,6 +15,8 @@ from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.opening import emulated_chip
+from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
+from rig.backends.servo.line import emulated_bus
 
 __all__ = [
     "BehindUsb",
@@ -24,8 +26,10 @@ __all__ = [
     "VirtualBoard",
     "VirtualChip",
     "VirtualIoBlock",
+    "VirtualServoBus",
     "VirtualTcpBlock",
     "bench_parameters",
+    "emulated_bus",
     "emulated_chip",
     "emulated_io_block",
 ]

@@ -81,7 +81,7 @@ def test_an_unknown_driver_lists_those_that_there_are(
     line, words = refused(tmp_path, command=command, driver=name)
     assert line == f"driver: {name}"
     assert words == (
-        f"daq.driver: no driver '{name}'; built in: simulated, serial, modbus; plug-ins installed: bare-card, "
+        f"daq.driver: no driver '{name}'; built in: simulated, serial, modbus, servo; plug-ins installed: bare-card, "
         f"virtual-card; {hint}"
     )
 
@@ -199,6 +199,6 @@ def test_a_device_without_a_watchdog_needs_leave(installed: None, tmp_path: Path
 def test_any_name_is_valid_for_editors() -> None:
     schema: Any = json_schema()
     daq = schema["$defs"]["Daq"]["properties"]
-    assert daq["driver"]["examples"] == ["simulated", "serial", "modbus"]
+    assert daq["driver"]["examples"] == ["simulated", "serial", "modbus", "servo"]
     assert "enum" not in daq["driver"]
     assert daq["options"]["anyOf"][0]["additionalProperties"] is True

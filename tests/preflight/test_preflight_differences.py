@@ -79,6 +79,11 @@ def test_the_configs_of_the_project_mean_what_they_did(name: str) -> None:
     assert bench is not None
     if name == "demo-pico.yaml":  # 12 bits
         assert (bench.rad_per_count, bench.centre_counts, bench.counts_max) == (4.2 / 4096, 2048.0, 4095)
+    elif read.sensor.servo is not None:
+        assert (bench.encoder, bench.centre_counts) == (True, 0.0)
+        assert bench.rad_per_count == pytest.approx(math.tau / 4096)
+        assert bench.supply_V == {"servo.yaml": 5.0, "servo-sts3215.yaml": 7.4}[name]
+        return
     elif read.sensor.encoder is None:
         assert (bench.rad_per_count, bench.centre_counts, bench.counts_max) == (4.2 / 1024, 512.0, 1023)
     else:

@@ -10,6 +10,7 @@ from evidence import evidence
 
 from rig.backends.driver import Driver
 from rig.backends.serial.driver import SerialDriver
+from rig.backends.servo.driver import ServoDriver
 from rig.testing import conformance
 
 TESTS = Path(__file__).parent.parent
@@ -22,11 +23,19 @@ def stop_the_board(driver: Driver) -> None:
     driver._exchange.transport.close()
 
 
+def pull_the_bus(driver: Driver) -> None:
+    """The cable of the servo is pulled out at the adapter."""
+    assert isinstance(driver, ServoDriver)
+    driver._transport.close()
+
+
 TestSimulated = conformance.suite(CONFIGS / "quick.yaml", silence=True)
 TestHostBoard = conformance.suite("host-board.yaml", silence=True, cut=stop_the_board)
 TestChip = conformance.suite("chip.yaml", silence=True)
 TestModbusReadWrite = conformance.suite("modbus-read-write.yaml", silence=True)
 TestModbusSeparate = conformance.suite("modbus-separate.yaml", silence=True)
+TestServo = conformance.suite(CONFIGS / "servo.yaml", silence=True, cut=pull_the_bus)
+TestServoWithoutWatchdog = conformance.suite(CONFIGS / "servo-sts3215.yaml", cut=pull_the_bus)
 
 
 @pytest.mark.evidence

@@ -121,6 +121,7 @@ class BusClient(Generic[Req]):
         self._protocol = protocol
         self._pace = 1.0  # share of what the config says that the fastest exchange took, at most 1
         self._quiet_until_s = -math.inf  # a new request must not begin before
+        self._heard = 0  # bytes that came while it was idle
         self._counts = dict.fromkeys(("exchanges", "timeouts", "bad_replies", "exceptions", "stale_bytes"), 0)
 
     @property
@@ -191,6 +192,14 @@ class BusClient(Generic[Req]):
         while (left_s := until_s - self._transport.now_s()) > 0.0:
             self._throw_away(self._transport.read(left_s))
 
+    def idle(self, wait_s: float) -> None:
+        """Ask nothing for so long; what comes meanwhile came before the next request."""
+        until_s = self._transport.now_s() + wait_s
+        while (left_s := until_s - self._transport.now_s()) > 0.0:
+            data = self._transport.read(left_s)
+            self._heard += len(data)
+            self._throw_away(data)
+
     # ------------------------------------------------------------------ bytes
 
     def _send(self, request: Req) -> _Sent:
@@ -204,7 +213,7 @@ class BusClient(Generic[Req]):
 
     def _drain(self) -> int:
         """Throw away what came unasked, and let the line be silent as long as it must; how many bytes."""
-        thrown = 0
+        thrown, self._heard = self._heard, 0
         while True:
             data = self._transport.read(max(self._quiet_until_s - self._transport.now_s(), 0.0))
             if not data:

@@ -128,6 +128,20 @@ class RegisterDriver(ABC, Generic[Req]):
         """Look at what a reading of an armed device says. Raises Fault."""
         self._check_status(values)
 
+    def _check_drive_is_0(self) -> None:
+        """The last look before the device is armed, with drive 0 written. Raises Fault."""
+
+    def _sampled_s(self, reply: Reply) -> float:
+        """When the position of a reading was sampled, s."""
+        return reply.executed_s
+
+    def _acting_V(self, values: Mapping[str, float], reply: Reply) -> float:
+        """The drive that acts since the last write, V: as the device reports it, else as commanded."""
+        units = self._units if self._armed else 0
+        if self._map.applied is not None:
+            units = self._checked(self._map.applied, self._map.drive_units, values["applied"])
+        return self.drive_map.to_volts(units)
+
     # ------------------------------------------------------------------ the life of a run
 
     def arm(self, limits: Limits) -> None:
@@ -156,6 +170,7 @@ class RegisterDriver(ABC, Generic[Req]):
             self.failsafe = DeviceWatchdog(limits.watchdog_s)
         self._units, self._t_u_s = 0, math.nan
         self._driven_s = self._client.patiently(self._writing_drive(0), self._unhurried_s).executed_s
+        self._check_drive_is_0()
         if self._map.control is not None:
             self._client.patiently(self._setting(self._map.control, self._map.arm), self._unhurried_s)
         self._await_armed()
@@ -175,16 +190,13 @@ class RegisterDriver(ABC, Generic[Req]):
         elif self._max_units > 0:  # armed before: a fault in a pause must not go unseen
             self._check_pause(values)
         counts = self._checked(self._map.position, self._map.counts, values["position"])
-        units = self._units if self._armed else 0
-        if self._map.applied is not None:
-            units = self._checked(self._map.applied, self._map.drive_units, values["applied"])
         self._seq = (self._seq + 1) & 0xFFFF
         return Sample(
-            t_s=reply.executed_s,
+            t_s=self._sampled_s(reply),
             y_rad=self.calibration.to_rad(counts),
             y_counts=counts,
             t_u_s=self._t_u_s,
-            u_V=self.drive_map.to_volts(units),
+            u_V=self._acting_V(values, reply),
             seq=self._seq,
         )
 
@@ -199,8 +211,8 @@ class RegisterDriver(ABC, Generic[Req]):
             raise Fault("DEVICE_NOT_ARMED", f"{u_V:.3f} V")
         if abs(units) > self._max_units:
             raise ValueError(f"drive {u_V:g} V is beyond the {self.drive_map.to_volts(self._max_units):g} V armed for")
-        self._units = units
         self._tick_writing(units)
+        self._units = units
 
     def safe_stop(self) -> bool:
         """Drive 0, control to stop, up to three times. True once replies and registers confirm it.

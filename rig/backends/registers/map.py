@@ -81,6 +81,8 @@ class Register(NamedTuple):
         value: int | float = struct.unpack(f">{_LETTERS[self.type]}", data)[0]
         if self.sign_bit is None:
             return value
+        if int(value) >> self.sign_bit > 1:
+            raise ValueError(f"{self} holds {value:#x}, with bits above its sign")
         size = int(value) & ((1 << self.sign_bit) - 1)
         return -size if int(value) >> self.sign_bit & 1 else size
 

@@ -42,11 +42,13 @@ Step = Callable[[Draft], Steps[Draft]]
 def steps_for(e: Experiment) -> dict[str, tuple[str, Step]]:
     """The steps that this bench needs, in their order: what each measures, and the step."""
     sensor: dict[str, tuple[str, Step]] = {"angles": ("centre, and the reading at known angles", angles_step)}
-    if e.sensor.encoder is not None:
+    if e.sensor.servo is not None:
+        sensor = {}
+    elif e.sensor.encoder is not None:
         sensor = {"turn": ("zero, counts per turn and sign of the encoder", turn_step)}
     if not e.limits.is_endless:
         sensor["travel"] = ("the mechanical stops, hard and soft limits", travel_step)
-    return sensor | {
-        "strokes": ("polarity of the drive, and static friction both ways: the motor moves", strokes_step),
-        "dead-band": ("the bridge's dead band: with a voltmeter, the motor taken off", dead_band_step),
-    }
+    sensor["strokes"] = ("polarity of the drive, and static friction both ways: the motor moves", strokes_step)
+    if e.sensor.servo is None:  # its bridge is inside
+        sensor["dead-band"] = ("the bridge's dead band: with a voltmeter, the motor taken off", dead_band_step)
+    return sensor

@@ -24,7 +24,7 @@ from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pt
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.line_faults import Corruption
 from rig.backends.servo.emulated.bus import ServoBus
-from rig.backends.servo.emulated.device import Device, unpacked
+from rig.backends.servo.emulated.device import unpacked
 
 _TRACE_S = 0.01
 _CATCH_UP_S = 0.02  # longest sleep
@@ -94,20 +94,21 @@ def main() -> None:
             pty, name = open_pty()
             if asked.link is not None:
                 stack.enter_context(linked(asked.link, name))
+            # before anybody knows the name, and sets another speed
+            set_at_first = termios.tcgetattr(pty)[5] if device.follows_baud else None
             sys.stdout.write(f"port {name}\n")
             sys.stdout.flush()
             take_priority()
             gc.freeze()
-            _run(bus, device, pty, files, start_s, ends, watches_stdin=asked.exit_with_stdin)
+            _run(bus, set_at_first, pty, files, start_s, ends, watches_stdin=asked.exit_with_stdin)
     except (OSError, EmulationError) as error:
         fail(str(error))
 
 
 def _run(
-    bus: ServoBus, device: Device, pty: int, files: _Files, start_s: float, ends: int, *, watches_stdin: bool
+    bus: ServoBus, set_at_first: int | None, pty: int, files: _Files, start_s: float, ends: int, *, watches_stdin: bool
 ) -> None:
     end_s, stdin = math.inf, sys.stdin.fileno()
-    set_at_first = termios.tcgetattr(pty)[5]
     now_s = time.monotonic() - start_s
     while now_s < end_s:
         waited = [ends, pty, *([stdin] if watches_stdin else [])]
@@ -125,7 +126,7 @@ def _run(
         files.rows_to(now_s)
         if pty in ready:
             speed = termios.tcgetattr(pty)[5]
-            if device.follows_baud and speed != set_at_first and speed in _BAUDS:
+            if set_at_first is not None and speed != set_at_first and speed in _BAUDS:
                 bus.line = replace(bus.line, baud=_BAUDS[speed])
             with contextlib.suppress(BlockingIOError):
                 bus.send(os.read(pty, 4096), now_s)

@@ -1,0 +1,299 @@
+"""Both protocols of servos as what goes over a bus, and the registers of one servo by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from typing_extensions import override
+
+from rig.backends.driver import Transport
+from rig.backends.registers.bus import BusClient, Damaged, Protocol
+from rig.backends.servo import dynamixel, feetech
+from rig.backends.servo.link_budget import BITS_PER_BYTE, TURNAROUND_S
+from rig.backends.servo.models import ServoModel
+from rig.backends.servo.packets import Skipped
+from rig.faults import Fault
+
+REFUSAL = "SERVO_REFUSED"
+PING_S = 0.004  # in which a servo that is there begins to answer a ping
+_PING_BYTES = 10 + 14  # of a ping and its answer
+
+
+class Ask(NamedTuple):
+    """One instruction.
+
+    data     its bytes
+    about    its subject in words, for a fault
+    replies  bytes of data that the answer must hold; None: any number
+    """
+
+    data: bytes
+    about: str
+    replies: int | None = 0
+
+
+class Answer(NamedTuple):
+    """One status: the error byte and the data behind it; its length on the wire."""
+
+    id: int
+    pdu: bytes
+    length: int
+
+
+class Bus(Protocol[Ask]):
+    """One servo on a bus: what it is asked, and what it must answer.
+
+    id, baud  of the servo, of the line
+    echoes    the adapter ties both lines together: the host hears what it sends, and compares it. It is seen at the
+              first answer: of a Feetech an echo could be taken for one
+    """
+
+    refusal = REFUSAL
+    echoes = False
+
+    def __init__(self, id: int, baud: int) -> None:
+        self.id = id
+        self.name = f"servo {id}"
+        self.turnaround_s = TURNAROUND_S
+        self._baud = baud
+        self._sent = b""
+
+    @override
+    def encode(self, request: Ask) -> bytes:
+        self._sent = request.data
+        return request.data
+
+    @override
+    def take(self, data: bytes) -> Answer | None:
+        self.echoes = self.echoes or data.startswith(self._sent)
+        if not self.echoes:
+            return self.answer(data)
+        own = len(self._sent)
+        if data[:own] != self._sent[: len(data)]:
+            raise Damaged(f"the adapter echoed otherwise than was sent: {data[:24].hex(' ')}")
+        found = self.answer(data[own:]) if len(data) > own else None
+        return None if found is None else found._replace(length=own + found.length)
+
+    def answer(self, data: bytes) -> Answer | None:
+        """The answer that bytes begin with; None while it is not whole. Raises Damaged."""
+        raise NotImplementedError
+
+    @override
+    def wire_s(self, n_bytes: int) -> float:
+        return n_bytes * BITS_PER_BYTE / self._baud
+
+    @override
+    def check(self, frame: Answer, request: Ask) -> None:
+        if frame.id != self.id:
+            raise Fault("LINK_UNIT", f"servo {frame.id} answered, servo {self.id} was asked for {request.about}")
+        self.check_error(frame.pdu[0], request)
+        if request.replies is not None and len(frame.pdu) != 1 + request.replies:
+            raise Fault(
+                "LINK_REPLY",
+                f"asked for {request.about}: {len(frame.pdu) - 1} bytes came, not {request.replies}",
+            )
+
+    def check_error(self, error: int, request: Ask) -> None:
+        """Raise Fault SERVO_REFUSED where an error byte says that the servo did not do it."""
+
+    def alerts(self, pdu: bytes) -> bool:
+        """Whether an answer says that the servo has an error of its hardware."""
+        raise NotImplementedError
+
+    def reading(self, address: int, length: int, about: str) -> Ask:
+        """Read bytes."""
+        raise NotImplementedError
+
+    def writing(self, address: int, data: bytes, about: str) -> Ask:
+        """Write bytes, confirmed by an answer."""
+        raise NotImplementedError
+
+    def ping(self, id: int) -> Ask:
+        """Ask whether a servo is there."""
+        raise NotImplementedError
+
+    def reboot(self) -> Ask:
+        """Start the servo anew."""
+        raise NotImplementedError
+
+    def confirmed(self) -> bytes:
+        """The answer to a write that was done, without any error."""
+        raise NotImplementedError
+
+
+class DynamixelBus(Bus):
+    """Protocol 2.0."""
+
+    @override
+    def answer(self, data: bytes) -> Answer | None:
+        found = dynamixel.Stream().feed(data)
+        if not found:
+            return None
+        first = found[0]
+        if isinstance(first, Skipped):
+            raise Damaged(f"{first.why}: {first.data[:24].hex(' ')}")
+        if not first.is_status or not first.parameters:
+            raise Damaged(f"no answer, but instruction {first.instruction:#04x}")
+        return Answer(first.id, first.parameters, len(first.encode()))
+
+    @override
+    def check_error(self, error: int, request: Ask) -> None:
+        code = error & ~dynamixel.ALERT
+        if code:
+            words = dynamixel.ERRORS.get(code, f"error {code}")
+            raise Fault(REFUSAL, f"{request.about}: {words} (error {code})")
+
+    @override
+    def alerts(self, pdu: bytes) -> bool:
+        return bool(pdu[0] & dynamixel.ALERT)
+
+    @override
+    def reading(self, address: int, length: int, about: str) -> Ask:
+        return Ask(dynamixel.read(self.id, address, length), about, length)
+
+    @override
+    def writing(self, address: int, data: bytes, about: str) -> Ask:
+        return Ask(dynamixel.write(self.id, address, data), about)
+
+    @override
+    def ping(self, id: int) -> Ask:
+        return Ask(dynamixel.ping(id), f"servo {id}", 3)
+
+    @override
+    def reboot(self) -> Ask:
+        return Ask(dynamixel.reboot(self.id), "reboot")
+
+    @override
+    def confirmed(self) -> bytes:
+        return dynamixel.status(self.id)
+
+
+class FeetechBus(Bus):
+    """Feetech's protocol. Nothing in an answer tells which request it is for, and one damaged packet in 256 passes."""
+
+    @override
+    def answer(self, data: bytes) -> Answer | None:
+        found = feetech.Stream().feed(data)
+        if not found:
+            return None
+        first = found[0]
+        if isinstance(first, Skipped):
+            raise Damaged(f"{first.why}: {first.data[:24].hex(' ')}")
+        return Answer(first.id, bytes((first.code,)) + first.parameters, len(first.encode()))
+
+    @override
+    def alerts(self, pdu: bytes) -> bool:
+        return pdu[0] != 0
+
+    @override
+    def reading(self, address: int, length: int, about: str) -> Ask:
+        return Ask(feetech.read(self.id, address, length), about, length)
+
+    @override
+    def writing(self, address: int, data: bytes, about: str) -> Ask:
+        return Ask(feetech.write(self.id, address, data), about)
+
+    @override
+    def ping(self, id: int) -> Ask:
+        return Ask(feetech.ping(id), f"servo {id}", 0)
+
+    @override
+    def reboot(self) -> Ask:
+        return Ask(feetech.reboot(self.id), "reboot")
+
+    @override
+    def confirmed(self) -> bytes:
+        return feetech.status(self.id)
+
+
+def bus_of(model: ServoModel, id: int, baud: int) -> Bus:
+    """The protocol that a model speaks."""
+    return DynamixelBus(id, baud) if model.protocol == "dynamixel" else FeetechBus(id, baud)
+
+
+class ServoLink:
+    """Registers of one servo by their names, outside the tick.
+
+    transport  an open port
+    client     asks on its bus
+    bus        the servo's protocol
+    model      its registers
+    timeout_s  longest wait for one reply, s
+    now_s      clock of the port, s
+    Each method raises Fault LINK_*, SERVO_REFUSED.
+    """
+
+    def __init__(
+        self, transport: Transport, client: BusClient[Ask], bus: Bus, model: ServoModel, timeout_s: float
+    ) -> None:
+        self.client, self.bus, self.model = client, bus, model
+        self.now_s = transport.now_s
+        self._timeout_s = timeout_s
+        self._pings = BusClient(transport, bus)  # of its own: that nobody answers a ping is no error of the link
+
+    def value(self, name: str) -> int:
+        """What a register holds."""
+        register = self.model[name]
+        ask = self.bus.reading(register.address, register.size, str(register))
+        data = self.client.patiently(ask, self._timeout_s).pdu[1:]
+        try:
+            return register.unpack(data)
+        except ValueError as error:
+            raise self.client.misfit(str(error)) from error
+
+    def put(self, name: str, value: int) -> None:
+        """Write a register; the reply confirms it."""
+        self.client.patiently(self.write_of(name, value), self._timeout_s)
+
+    def write_of(self, name: str, value: int) -> Ask:
+        """The instruction that writes a register. Raises ValueError where it cannot hold the value."""
+        register = self.model[name]
+        return self.bus.writing(register.address, register.pack(value), str(register))
+
+    def hold(self, name: str, value: int) -> bool:
+        """Have a register hold a value: written only if it holds another, and read back. Whether it was written.
+
+        EEPROM wears out. Raises Fault ARM_READBACK.
+        """
+        if self.value(name) == value:
+            return False
+        self.put(name, value)
+        stored = self.value(name)
+        if stored != value:
+            raise Fault("ARM_READBACK", f"{self.model[name]}: sent {value}, stored {stored}")
+        return True
+
+    def is_there(self, id: int) -> tuple[int, ...] | None:
+        """What a servo of that id answers a ping, as bytes; None where none answers."""
+        own, self.bus.id = self.bus.id, id  # the answer must be from that one
+        try:
+            return tuple(self._pings.asked(self.bus.ping(id), PING_S + self.bus.wire_s(_PING_BYTES)).pdu[1:])
+        except Fault as fault:
+            if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY", REFUSAL):
+                raise
+            return None
+        finally:
+            self.bus.id = own
+
+    def value_of(self, id: int, name: str) -> int | None:
+        """What a register of another servo of this model's kind holds; None where it does not answer so."""
+        own, self.bus.id = self.bus.id, id
+        try:
+            return self.value(name)
+        except Fault as fault:
+            if fault.code == "LINK_LOST":
+                raise
+            return None
+        finally:
+            self.bus.id = own
+
+    def values(self, names: tuple[str, ...]) -> Mapping[str, int]:
+        """What registers hold, one by one."""
+        return {name: self.value(name) for name in names}
+
+
+def servo_link(transport: Transport, model: ServoModel, id: int, baud: int, timeout_s: float = 0.1) -> ServoLink:
+    """The registers of one servo behind an open port, baud in bits per second, for commands."""
+    bus = bus_of(model, id, baud)
+    return ServoLink(transport, BusClient(transport, bus), bus, model, timeout_s)

@@ -1,0 +1,489 @@
+"""A smart servo as a ``Driver``: a device on a register bus, with what servos alone have.
+
+A tick is a read, then a write of the duty that its answer confirms. The servo works in steps of 1 ms: a position is
+that of its last step, a duty acts from its next one. No manual says so. Where the servo tells its clock rig knows the
+steps; else it asks at another place within them in each tick, and takes the mean for true.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Final, Protocol
+
+from typing_extensions import override
+
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
+from rig.backends.registers.bus import LATE_TIMEOUTS, BusClient, Reply
+from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
+from rig.backends.registers.map import Register, RegisterSpan
+from rig.backends.servo.before import BeforeStore, put_back
+from rig.backends.servo.bus import Ask, ServoLink, bus_of
+from rig.backends.servo.opening import ServoSetup, error_words, leave_no_trace, look, set_up
+from rig.backends.servo.registers import ServoMap, servo_map
+from rig.backends.servo.steps import STEP_S, WRAPS, Steps
+from rig.calibration import Scaling
+from rig.faults import Fault
+from rig.signals import Limits, Sample
+
+_REST_COUNTS: Final = 1  # that a shaft at rest may move by
+_REST_S: Final = 0.04  # for which it must
+_COASTS_S: Final = 1.0  # longest wait for rest
+_LOOK_S: Final = 0.005
+_IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: one can be damaged
+_SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
+_STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
+_STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's step, and the way of its answer
+_GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
+_STAGGERED: Final = 24  # readings that find where within its step the servo is
+_TICK_SLACK_S: Final = 0.1  # by which the servo's clock may differ from the host's between two readings
+_ERROR_FAULTS: Final = {
+    "dynamixel": ((0x04, "SERVO_HOT"), (0x20, "SERVO_OVERLOAD"), (0x01, "SERVO_SUPPLY"), (0x08, "DEVICE_SENSOR")),
+    "feetech": (
+        (0x04, "SERVO_HOT"),
+        (0x20, "SERVO_OVERLOAD"),
+        (0x08, "SERVO_OVERLOAD"),
+        (0x01, "SERVO_SUPPLY"),
+        (0x02, "DEVICE_SENSOR"),
+    ),
+}
+
+
+class Guardian(Protocol):
+    """Who stops the servo if this process dies or hangs."""
+
+    @property
+    def has_acted(self) -> bool:
+        """Whether it has stopped the servo because this process was silent."""
+        ...
+
+    def beat(self) -> None:
+        """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
+        ...
+
+    def rest(self) -> None:
+        """Nothing drives: silence is no sign of anything."""
+        ...
+
+    def end(self, *, restored: bool) -> None:
+        """It is needed no more."""
+        ...
+
+
+class ServoDriver(RegisterDriver[Ask]):
+    """A servo on a bus behind a transport. Times of samples are in the transport's clock, s.
+
+    setup     what the config says of it
+    baud      of the bus
+    store     keeps the values that its registers held before
+    guardian  starts who stops the servo if this process dies or hangs; None: in virtual time nobody does
+    The rest is as of ``RegisterDriver``.
+    """
+
+    _map: ServoMap
+
+    def __init__(
+        self,
+        transport: Transport,
+        setup: ServoSetup,
+        baud: int,
+        scaling: Scaling,
+        timeouts: Timeouts,
+        store: BeforeStore,
+        *,
+        guardian: Callable[[ServoLink, BeforeStore], Guardian] | None = None,
+        name: str = "servo",
+        emulated: bool = False,
+        answered: bool = False,
+    ) -> None:
+        bus = bus_of(setup.model, setup.id, baud)
+        super().__init__(
+            transport,
+            BusClient(transport, bus),
+            servo_map(setup.model, setup.zero_counts),
+            scaling,
+            timeouts,
+            name=name,
+            emulated=emulated,
+            answered=answered,
+        )
+        self._bus, self._setup, self._store = bus, setup, store
+        self._link = ServoLink(transport, self._client, bus, setup.model, max(timeouts.reply_s, UNHURRIED_S))
+        self._start_guardian = guardian
+        self._guardian: Guardian | None = None
+        self._is_changed = False  # its registers are not as before
+        self._slope_units_s = math.inf  # by which the duty is ramped
+        self._acted, self._acted_s = 0.0, -math.inf  # duty that acted at a time, steps, s
+        self._position: int | None = None  # as last read
+        self._errors = 0  # error byte of the last answer
+        self._strange = 0  # readings in a row of a duty that is not what was written
+        self._bad = 0  # readings in a row of heat or of a supply that is out of range
+        self._tick: tuple[float, float] | None = None  # the servo's clock, ms, and the host's, s
+        self._steps = Steps()
+        self._dithered = 0.0  # share of a step
+        self._sampled_at_s = math.nan  # of the last reading's step
+
+    # ------------------------------------------------------------------ requests
+
+    @property
+    @override
+    def _refusal(self) -> str:
+        return "SERVO_REFUSED"
+
+    @override
+    def _reading(self, span: RegisterSpan) -> Ask:
+        return self._bus.reading(span.address, span.words, str(span))
+
+    @override
+    def _writing(self, what: Register | RegisterSpan, cells: list[int]) -> Ask:
+        return self._bus.writing(what.address, bytes(cells), str(what))
+
+    @override
+    def _cells(self, reply: Reply) -> Sequence[int]:
+        self._errors = reply.pdu[0]
+        return reply.pdu[1:]
+
+    @override
+    def _exchange(self, request: Ask) -> Reply:
+        """As of ``RegisterDriver``; an answer that tells of an error is a fault by its name."""
+        if self._guardian is not None:
+            if self._guardian.has_acted:
+                raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
+            self._guardian.beat()
+        reply = super()._exchange(request)
+        if self._bus.alerts(reply.pdu):
+            self._errors = reply.pdu[0]
+            raise self._alert()
+        return reply
+
+    # ------------------------------------------------------------------ the life of a run
+
+    @override
+    def open(self) -> DeviceInfo:
+        """Find the servo, look at everything, keep what its registers hold, set it up, prove its watchdog.
+
+        Raises Fault LINK_*, CONFIG_MISMATCH, SECOND_MASTER, and those of ``rig.backends.servo.opening``.
+        """
+        self._until_there()
+        left = leave_no_trace(self._link, self._setup, self._store)
+        remarks = look(self._link, self._setup)
+        self._met = True  # from here on it is ours to stop
+        self._is_changed = True
+        opened = set_up(self._link, self._setup, self._store)
+        self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)
+        self.failsafe = DeviceWatchdog(self._setup.watchdog_s) if opened.has_watchdog else None
+        if opened.slope_V_s is not None:
+            self._slope_units_s = opened.slope_V_s / self._setup.supply_V * self._map.full_units
+        _, round_trip_s = self._introduced()
+        model = self._setup.model
+        self.backend = f"{self._name} (id {self._setup.id}, {model.name}, firmware {opened.firmware})"
+        if self._start_guardian is not None:
+            self._guardian = self._start_guardian(self._link, self._store)
+        return DeviceInfo(
+            build=str(opened.firmware),
+            board=model.name,
+            reset_cause="not told",
+            emulated=self._emulated,
+            round_trip_s=round_trip_s,
+            supply_V=opened.supply_V,
+            drive_units=self._map.full_units,
+            acknowledged=left.acknowledged,
+            remarks=(*left.remarks, *remarks, *opened.remarks),
+        )
+
+    @override
+    def arm(self, limits: Limits) -> None:
+        """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before."""
+        self._tick = None
+        self._strange = self._bad = 0
+        super().arm(limits)
+        self._find_steps()
+        self._acted, self._acted_s = 0.0, self._transport.now_s()
+
+    @override
+    def read(self) -> Sample:
+        """As of ``RegisterDriver``. Raises Fault SERVO_HOT, SERVO_SUPPLY, SERVO_OVERLOAD, SENSOR_JUMP besides."""
+        return super().read()
+
+    @override
+    def safe_stop(self) -> bool:
+        """Duty 0 until the shaft rests, or torque off at once; True once duty 0 and torque off are confirmed."""
+        stopped = super().safe_stop()
+        if self._guardian is not None and stopped:
+            self._guardian.rest()  # the duty is 0
+        return stopped and self._torque_off()
+
+    @override
+    def close(self) -> None:
+        """Stop if armed, put the registers back, and close the port. May be called twice."""
+        if self._armed:
+            self.safe_stop()
+        restored = not self._is_changed
+        if self._is_changed:
+            try:
+                put_back(self._link, self._store.load(self._setup.model) or {})
+                self._store.clear()
+                restored = True
+            except Fault:
+                restored = False  # the file keeps the values: the keeper, or who opens it next, does it
+            self._is_changed = False
+        if self._guardian is not None:
+            guardian, self._guardian = self._guardian, None
+            guardian.end(restored=restored)
+        self._transport.close()
+
+    # ------------------------------------------------------------------ opening and arming
+
+    def _until_there(self) -> None:
+        """Read the model's number until the servo answers, or ``timeouts.open_s`` is over; raises the last fault."""
+        until_s = self._transport.now_s() + self._open_timeout_s
+        while True:
+            try:
+                self._link.value(self._setup.model.roles["model_number"])
+                return
+            except Fault as fault:
+                if fault.code != "LINK_TIMEOUT" or self._transport.now_s() >= until_s:
+                    raise
+
+    @override
+    def _set(self, register: Register, words: list[int]) -> None:
+        """Written only where it holds another value: EEPROM wears out. A watchdog is set from 0."""
+        if self._stored(register) == words:
+            return
+        if register.name == "watchdog":
+            super()._set(register, register.pack(0))
+        super()._set(register, words)
+
+    def _find_steps(self) -> None:
+        """Readings at other places within the servo's step each."""
+        self._steps = Steps()
+        if not any(register.name == "tick" for register in self._map.others):
+            return
+        began_s, apart_s = self._transport.now_s(), STEP_S * (2.0 + 1.0 / _STAGGERED)
+        for number in range(_STAGGERED + 1):
+            self._client.wait(began_s + number * apart_s - self._transport.now_s())
+            self._values(self._read_span, self._unhurried_reading())
+
+    @override
+    def _check_drive_is_0(self) -> None:
+        held = self._map.drive.unpack(self._stored(self._map.drive))
+        if held != 0:
+            raise Fault("ARM_READBACK", f"{self._map.drive}: sent 0, stored {held:g}")
+
+    @override
+    def _await_armed(self) -> None:
+        control = self._map.control
+        assert control is not None
+        if (held := control.unpack(self._stored(control))) != self._map.arm:
+            raise Fault("ARM_READBACK", f"{control}: sent {self._map.arm}, stored {held:g}")
+
+    # ------------------------------------------------------------------ stopping
+
+    @override
+    def _write_stop(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
+        """Duty 0; where the servo takes none, as after its watchdog has acted, torque off first."""
+        try:
+            asked(self._setting(self._map.drive, 0.0), timeout_s)
+        except Fault as fault:
+            if fault.code != self._refusal:
+                raise
+            self._write_torque_off(asked, timeout_s)
+        if not self._setup.brakes:
+            self._write_torque_off(asked, timeout_s)
+        self._units = 0
+
+    def _write_torque_off(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
+        control, watchdog = self._map.control, servo_map(self._setup.model).watchdog
+        assert control is not None
+        asked(self._setting(control, self._map.stop), timeout_s)
+        if watchdog is not None:
+            asked(self._setting(watchdog, 0.0), timeout_s)
+            self._written = [one for one in self._written if one[0].name != "watchdog"]
+        asked(self._setting(self._map.drive, 0.0), timeout_s)
+
+    def _torque_off(self) -> bool:
+        """Wait until the shaft rests, torque off; True once that is read back."""
+        control = self._map.control
+        assert control is not None
+        try:
+            if self._setup.brakes:
+                self._await_rest()
+            self._client.asked(self._setting(control, self._map.stop), self._timeout_s)
+            return control.unpack(self._stored(control)) == self._map.stop
+        except Fault:
+            return False
+
+    def _await_rest(self) -> None:
+        """Until the shaft has stood for a while, or for as long as any shaft takes."""
+        until_s = self._transport.now_s() + _COASTS_S
+        stood_s, stood = self._transport.now_s(), math.nan
+        while (now_s := self._transport.now_s()) < until_s:
+            values = self._values(self._read_span, self._client.asked(self._reading(self._read_span), self._timeout_s))
+            if not abs(values["position"] - stood) <= _REST_COUNTS:
+                stood_s, stood = now_s, values["position"]
+            elif now_s - stood_s >= _REST_S:
+                return
+            self._client.wait(_LOOK_S)
+
+    @override
+    def _settle(self) -> None:
+        if not self._client.is_suspect:
+            return
+        self._client.unheard(self._setting(self._map.drive, 0.0), LATE_TIMEOUTS * self._timeout_s)
+
+    # ------------------------------------------------------------------ what the values mean
+
+    @override
+    def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
+        try:
+            values = super()._values(span, reply)
+        except ValueError as error:
+            raise self._client.misfit(str(error)) from error
+        values["position"] = self._unwrapped(round(values["position"]))
+        if "tick" in values:
+            self._sampled_at_s = self._steps.take(round(values["tick"]), reply.executed_s)
+        return values
+
+    def _unwrapped(self, position: int) -> int:
+        """The position over turns, the first one within half a turn of zero. Raises Fault SENSOR_JUMP."""
+        turn = self._setup.model.counts_per_turn
+        last = self._position
+        if last is None:
+            from_zero = position - self._setup.zero_counts
+            self._position = position - turn * math.floor(from_zero / turn + 0.5)
+            return self._position
+        step = (position - last + turn // 2) % turn - turn // 2
+        if 2 * abs(step) >= turn // 2 and self._armed:
+            raise Fault("SENSOR_JUMP", f"from {last} to {position} counts in one tick: {step / turn:+.2f} turns")
+        self._position = last + step
+        return self._position
+
+    @override
+    def _sampled_s(self, reply: Reply) -> float:
+        return self._sampled_at_s if self._steps.is_known else reply.executed_s - 0.5 * STEP_S
+
+    @override
+    def _tick_reading(self) -> Reply:
+        """Where the servo tells no clock, at another place within its step each tick: the mean is then the truth."""
+        if not self._steps.is_known:
+            self._dithered = (self._dithered + _GOLDEN) % 1.0
+            self._client.idle(self._dithered * STEP_S)
+        return super()._tick_reading()
+
+    @override
+    def _tick_writing(self, units: int) -> None:
+        before = self._ramped(self._transport.now_s())
+        try:
+            super()._tick_writing(units)
+        except Fault as fault:
+            raise self._why_refused(fault) from fault
+        steps = self._steps
+        begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
+        self._acted, self._acted_s = before, begins_s
+        # a ramp gives what a step in its middle gives
+        way_s = abs(units - before) / self._slope_units_s if math.isfinite(self._slope_units_s) else 0.0
+        self._t_u_s = begins_s + 0.5 * way_s
+
+    def _ramped(self, now_s: float) -> float:
+        """Duty at a time by what was written last, steps."""
+        way = self._slope_units_s * max(now_s - self._acted_s, 0.0)
+        if not math.isfinite(way) or abs(self._units - self._acted) <= way:
+            return float(self._units)
+        return self._acted + math.copysign(way, self._units - self._acted)
+
+    @override
+    def _acting_V(self, values: Mapping[str, float], reply: Reply) -> float:
+        """As the servo reports it; where it ramps its duty, what it ramps to: the ramp is in ``t_u_s``."""
+        if self._armed and math.isfinite(self._slope_units_s) and not self._strange:
+            return self.drive_map.to_volts(self._units)
+        return super()._acting_V(values, reply)
+
+    @override
+    def _check_armed(self, values: Mapping[str, float]) -> None:
+        """Whether duty, heat, supply and clock are as they must be. Raises Fault."""
+        self._check_duty(values)
+        self._check_health(values)
+        self._check_tick(values)
+
+    @override
+    def _check_pause(self, values: Mapping[str, float]) -> None:
+        """Whether it still has no error, and nobody has switched its torque on."""
+        if self._bus.alerts(bytes((self._errors,))):
+            raise self._alert()
+        control = self._map.control
+        assert control is not None
+        if control.unpack(self._stored(control)) != self._map.stop:
+            words = f"{control} is on, although rig switched it off"
+            raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
+        self._check_health(values)
+
+    def _check_duty(self, values: Mapping[str, float]) -> None:
+        """A servo that drives otherwise than it was told has restarted, protects itself, or has another master."""
+        now_s = self._transport.now_s()
+        low, high = sorted((self._ramped(now_s - _STAMPED_S), self._ramped(now_s)))
+        is_strange = not low - _STEPS_OFF <= values["applied"] <= high + _STEPS_OFF
+        self._strange = self._strange + 1 if is_strange else 0
+        if not is_strange:
+            return
+        words = f"{self._map.applied} reads {values['applied']:g}, but {self._units} was written"
+        if self._watchdog_has_acted():
+            raise Fault("DEVICE_WATCHDOG", words)
+        if self._strange < _IN_A_ROW:
+            return
+        if self._link.value(self._setup.model.roles["torque"]) == 0:
+            raise Fault("DEVICE_RESET", f"{words}: its torque is off")
+        raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
+
+    def _check_health(self, values: Mapping[str, float]) -> None:
+        model, setup = self._setup.model, self._setup
+        supply_V = values["voltage"] * model.role("voltage").scale
+        hot, weak = values["temperature"] >= setup.hot_degC, supply_V < (1.0 - _SAG_SHARE) * setup.supply_V
+        self._bad = self._bad + 1 if hot or weak else 0
+        if self._bad < _IN_A_ROW:
+            return
+        if hot:
+            raise Fault("SERVO_HOT", f"{values['temperature']:g} degC, daq.servo.hot_degC is {setup.hot_degC}")
+        raise Fault("SERVO_SUPPLY", f"{supply_V:.1f} V, of {setup.supply_V:g} V")
+
+    def _check_tick(self, values: Mapping[str, float]) -> None:
+        """The servo's clock begins anew where it restarts."""
+        if "tick" not in values:
+            return
+        now_s = self._transport.now_s()
+        before, self._tick = self._tick, (values["tick"], now_s)
+        if before is None:
+            return
+        passed_s = STEP_S * ((values["tick"] - before[0]) % WRAPS)
+        if abs(passed_s - (now_s - before[1])) > _TICK_SLACK_S:
+            raise Fault(
+                "DEVICE_RESET",
+                f"its clock went on by {passed_s:.3f} s, the host's by {now_s - before[1]:.3f} s: it has restarted",
+            )
+
+    def _alert(self) -> Fault:
+        """The fault that the servo's error register names. Raises Fault LINK_*."""
+        model = self._setup.model
+        errors = self._errors
+        if model.protocol == "dynamixel" or not errors:
+            errors = self._link.value(model.roles["errors"])
+        words = f"{model.role('errors')} reads {errors}: {error_words(model, errors)}"
+        for bit, code in _ERROR_FAULTS[model.protocol]:
+            if errors & bit:
+                return Fault(code, words)
+        return Fault("SERVO_ERROR", words)
+
+    def _why_refused(self, fault: Fault) -> Fault:
+        """A goal that the servo refuses: its watchdog has acted, or it has restarted in another mode."""
+        if fault.code != self._refusal:
+            return fault
+        if self._watchdog_has_acted():
+            return Fault("DEVICE_WATCHDOG", fault.detail)
+        roles = self._setup.model.roles
+        if self._link.value(roles["mode"]) != self._setup.model.pwm_mode:
+            return Fault("DEVICE_RESET", f"{fault.detail}; it is in another mode")
+        return fault
+
+    def _watchdog_has_acted(self) -> bool:
+        name = self._setup.model.roles.get("watchdog")
+        return name is not None and self._link.value(name) == -1

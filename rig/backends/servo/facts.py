@@ -1,0 +1,219 @@
+"""What no manual says of a servo, tried on it: with a free horn, small duties, and its registers put back.
+
+Not tried: how old a position is, whether its protection acts in PWM mode, and the scale of its position loop's P.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from rig.backends.servo.before import BeforeStore, put_back
+from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_up
+
+_STILL_STEPS: Final = 3  # of the drive: far below what breaks a shaft away
+_TURNS_SHARE: Final = 0.12  # of full duty, under which a free horn turns
+_TURNS_S: Final = 0.3
+_SILENT_S: Final = 0.12  # six units of the watchdog
+_ACTS_S: Final = 0.05
+_TRIES: Final = 20
+_STOPS_S: Final = 0.5
+_LOOK_S: Final = 0.004
+_ABSENT: Final = 251  # an id that hardly any servo has
+_FELL_TO: Final = 0.37  # of the speed
+_HOT_degC: Final = 50
+_DUTIES: Final = range(5, 65, 5)  # steps of a Feetech, of which "50 to 1000" drive
+
+Powered = Callable[[], None]  # asks a person to cut the supply for a second; returns when it is back
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One of them: its name, what was found, and that in words."""
+
+    name: str
+    found: bool | float | str | None
+    words: str
+
+
+def setup_for(link: ServoLink) -> ServoSetup:
+    """The setup of a servo that has no config: as it tells of itself. Raises Fault LINK_*."""
+    model = link.model
+    supply_V = link.value(model.roles["voltage"]) * model.role("voltage").scale
+    most = round(2.0 * _TURNS_SHARE * model.full_drive)
+    return ServoSetup(model, link.bus.id, True, False, _HOT_degC, supply_V, 2048, most, 0.06)
+
+
+def facts(link: ServoLink, store: BeforeStore, powered: Powered | None = None) -> Iterator[Fact]:
+    """Try them one after the other; the registers are put back at the end, whatever happens.
+
+    powered  None: what needs the supply cut is left out
+    Raises Fault as an opening does, and LINK_*.
+    """
+    setup = setup_for(link)
+    leave_no_trace(link, setup, store)
+    look(link, setup)
+    try:
+        opened = set_up(link, setup, store)
+        if "watchdog" in link.model.roles:
+            yield Fact(
+                "watchdog_stops",
+                opened.has_watchdog,
+                "the watchdog takes the duty away" if opened.has_watchdog else "; ".join(opened.remarks[1:]),
+            )
+            yield _fed_by(link)
+            yield _resumes(link)
+        yield _delay(link)
+        yield from _stops(link, has_watchdog=opened.has_watchdog)
+        if link.model.protocol == "feetech":
+            yield _least_duty(link)
+            if powered is not None:
+                yield _keeps_mode(link, powered)
+    finally:
+        put_back(link, store.load(link.model) or {})
+        store.clear()
+
+
+def _still(link: ServoLink, duty: int) -> None:
+    """Torque on with duty 0, then this one."""
+    roles = link.model.roles
+    link.put(roles["drive"], 0)
+    link.put(roles["torque"], 1)
+    link.put(roles["drive"], duty)
+    link.client.wait(_ACTS_S)
+
+
+def _off(link: ServoLink) -> None:
+    """Torque off before a watchdog is cleared: the old goal might act again."""
+    roles = link.model.roles
+    link.put(roles["torque"], 0)
+    if "watchdog" in roles:
+        link.put(roles["watchdog"], 0)
+    link.put(roles["drive"], 0)
+    link.put(roles["torque"], 0)
+
+
+def _fed_by(link: ServoLink) -> Fact:
+    """Whether packets for others feed the watchdog."""
+    roles = link.model.roles
+    _still(link, _STILL_STEPS)
+    try:
+        link.put(roles["watchdog"], 1)
+        pings = round(_SILENT_S / 0.005)
+        for _ in range(pings):
+            link.is_there(_ABSENT)
+        fed = link.value(roles["watchdog"]) != -1
+    finally:
+        _off(link)
+    words = "any packet on the bus feeds the watchdog" if fed else "only packets for this servo feed the watchdog"
+    return Fact("watchdog_fed_by", "any" if fed else "own", words)
+
+
+def _resumes(link: ServoLink) -> Fact:
+    """Whether the old goal acts again once a watchdog that has acted is cleared. The duty is too small to turn it."""
+    roles = link.model.roles
+    _still(link, _STILL_STEPS)
+    try:
+        link.put(roles["watchdog"], 1)
+        link.client.wait(_SILENT_S)
+        link.put(roles["watchdog"], 0)
+        link.client.wait(_ACTS_S)
+        again = link.value(roles["applied"]) != 0
+    finally:
+        _off(link)
+    words = "the old goal acts again once it is cleared" if again else "the old goal does not act again"
+    return Fact("watchdog_resumes", again, words)
+
+
+def _delay(link: ServoLink) -> Fact:
+    """From a duty's packet to the reading that tells it, in the middle of some, s; the reading's own way is in it."""
+    roles, found_s = link.model.roles, []
+    now_s = link.now_s
+    _still(link, 0)
+    try:
+        for number in range(_TRIES):
+            duty = _STILL_STEPS if number % 2 == 0 else -_STILL_STEPS
+            began_s = now_s()
+            link.put(roles["drive"], duty)
+            while link.value(roles["applied"]) != duty and now_s() - began_s < _ACTS_S:
+                pass
+            found_s.append(now_s() - began_s)
+    finally:
+        _off(link)
+    middle_s = statistics.median(found_s)
+    return Fact("duty_told_after_s", round(middle_s, 6), f"a duty is told {1e3 * middle_s:.2f} ms after it was sent")
+
+
+def _stops(link: ServoLink, *, has_watchdog: bool) -> Iterator[Fact]:
+    """How soon a turning horn slows down: at duty 0, with torque off, and by the watchdog."""
+    roles = link.model.roles
+    ways: list[tuple[str, Callable[[], None]]] = [
+        ("duty 0", lambda: link.put(roles["drive"], 0)),
+        ("torque off", lambda: link.put(roles["torque"], 0)),
+    ]
+    if has_watchdog:
+        ways.append(("watchdog", lambda: link.put(roles["watchdog"], 1)))
+    for name, stop in ways:
+        slowed_s = _slowed_s(link, stop, silent=name == "watchdog")
+        key = f"slows_s_{name.replace(' ', '_')}"
+        if slowed_s is None:
+            yield Fact(key, None, f"the horn did not turn under {_TURNS_SHARE:.0%} of full duty")
+        else:
+            yield Fact(key, round(slowed_s, 4), f"{name}: its speed fell to 37 % within {1e3 * slowed_s:.0f} ms")
+
+
+def _slowed_s(link: ServoLink, stop: Callable[[], None], *, silent: bool) -> float | None:
+    """Time until its speed has fallen to 37 %, s; None where it did not turn. A watchdog's own time is in it."""
+    model, now_s = link.model, link.now_s
+    position, turn = model.roles["position"], model.counts_per_turn
+
+    def step(before: int, after: int) -> int:
+        return (after - before + turn // 2) % turn - turn // 2
+
+    _still(link, round(_TURNS_SHARE * model.full_drive))
+    try:
+        link.client.wait(_TURNS_S)
+        first, from_s = link.value(position), now_s()
+        link.client.wait(5.0 * _LOOK_S)
+        last, at_s = link.value(position), now_s()
+        speed = abs(step(first, last)) / (at_s - from_s)
+        if abs(step(first, last)) < 5:
+            return None
+        stop()
+        if silent:  # reading would feed it
+            link.client.wait(0.02)
+        began_s, before, before_s = now_s(), link.value(position), now_s()
+        while now_s() - began_s < _STOPS_S:
+            link.client.wait(_LOOK_S)
+            after, after_s = link.value(position), now_s()
+            if abs(step(before, after)) / (after_s - before_s) < _FELL_TO * speed:
+                return after_s - began_s
+            before, before_s = after, after_s
+        return _STOPS_S
+    finally:
+        _off(link)
+
+
+def _least_duty(link: ServoLink) -> Fact:
+    """The smallest duty that a Feetech drives with."""
+    roles = link.model.roles
+    try:
+        for duty in _DUTIES:
+            _still(link, duty)
+            if link.value(roles["applied"]) != 0:
+                return Fact("least_duty", duty, f"{duty} steps of duty act; {duty - _DUTIES.step} do not")
+    finally:
+        _off(link)
+    return Fact("least_duty", None, f"no duty up to {_DUTIES[-1]} steps acts")
+
+
+def _keeps_mode(link: ServoLink, powered: Powered) -> Fact:
+    """Whether a mode that was written with the lock at 1 is forgotten with the supply."""
+    mode = link.model.roles["mode"]
+    powered()
+    kept = link.value(mode) == link.model.pwm_mode
+    words = "the mode is kept without supply, though the lock is 1" if kept else "the mode is forgotten with the supply"
+    return Fact("lock_keeps_mode", kept, words)

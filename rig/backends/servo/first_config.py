@@ -1,0 +1,98 @@
+"""The first config of a smart servo: the ready config of its protocol, with what is known of this one put in."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from rig.backends.links.usb_adapters import Adapter
+from rig.backends.servo.models import MODELS, ServoModel
+from rig.config import ready
+from rig.config.new_bench import AnswerError
+
+_READY: Final = {"dynamixel": "servo", "feetech": "servo-sts3215"}
+_OWN: Final = {"servo": ("xl330-m288", 5.0, 12.0), "servo-sts3215": ("sts3215", 7.4, 6.0)}  # model, V, rad/s
+_VOLTS: Final = ("max_V", "ramp_V_s")
+_SPEEDS: Final = ("max_speed_rad_s",)
+_SWINGS: Final = ("target: {amplitude_rad",)
+
+
+@dataclass(frozen=True)
+class ServoAnswers:
+    """What is known of the servo.
+
+    model         its name in rig's tables
+    port, baud    where it is; port None: on an emulated bus
+    id            on its bus
+    supply_V      of it; None: as in the ready config
+    no_load_rpm   of the horn at that supply, by its data sheet; None: as in the ready config, of its model alone
+    zero_counts   position register where the shaft is to be 0
+    adapter       between USB and the bus; None: the config names none
+    """
+
+    model: ServoModel
+    port: str | None = None
+    baud: int = 1_000_000
+    id: int = 1
+    supply_V: float | None = None
+    no_load_rpm: float | None = None
+    zero_counts: int = 2048
+    adapter: Adapter | None = None
+
+
+def model_named(name: str) -> ServoModel:
+    """The model of that name, or the first whose name begins so. Raises AnswerError where rig knows none."""
+    found = MODELS.get(name) or next((MODELS[one] for one in sorted(MODELS) if one.startswith(name)), None)
+    if found is None:
+        raise AnswerError(f"rig knows no servo {name!r}", f"one of {', '.join(sorted(MODELS))}")
+    return found
+
+
+def text(answers: ServoAnswers) -> str:
+    """The config. Raises AnswerError where its speed without load is not known."""
+    model = answers.model
+    name = _READY[model.protocol]
+    own, supply_V, speed_rad_s = _OWN[name]
+    own_V = supply_V
+    if answers.supply_V is not None:
+        supply_V = answers.supply_V
+    if answers.no_load_rpm is not None:
+        speed = answers.no_load_rpm * 2.0 * math.pi / 60.0
+    elif model.name == own:
+        speed = speed_rad_s * supply_V / own_V
+    else:
+        raise AnswerError(
+            f"{model.name}: its speed without load is missing", "give --no-load-rpm, from its data sheet, at its supply"
+        )
+    written = ready.text(name)
+    written = _put(written, "name", "bench")
+    written = _put(written, "model", model.name)
+    written = _put(written, "id", str(answers.id))
+    written = _put(written, "baud", str(answers.baud))
+    written = _put(written, "supply_V", f"{supply_V:.4g}")
+    written = _put(written, "no_load_speed_rad_s", f"{speed:.3g}")
+    written = written.replace("  servo: {}  ", f"  servo: {{zero_counts: {answers.zero_counts}}}  ")
+    written = _scaled(written, _VOLTS, supply_V / own_V)
+    written = _scaled(written, _SPEEDS, speed / speed_rad_s)
+    written = _scaled(written, _SWINGS, min(speed / speed_rad_s, 1.0))  # in the same time
+    if answers.port is not None:
+        written = _put(written, "port", answers.port)
+        if answers.adapter is not None:
+            written = written.replace("\nsensor:", f"    adapter: {answers.adapter}\n\nsensor:", 1).replace(
+                "\n\n    ad", "\n    ad"
+            )
+        written = written[: written.index("\nemulated:")] + "\n"
+    return written
+
+
+def _put(written: str, key: str, value: str) -> str:
+    """The first line of that key with another value; its comment stays."""
+    return re.sub(rf"(?m)^( *{key}: )[^\s#]+", lambda found: found.group(1) + value, written, count=1)
+
+
+def _scaled(written: str, keys: tuple[str, ...], by: float) -> str:
+    """Every value of these keys times a factor."""
+    pattern = rf"(?m)^( *(?:{'|'.join(keys)}): )([0-9.]+)"
+    return re.sub(pattern, lambda found: f"{found.group(1)}{float(found.group(2)) * by:.3g}", written)

@@ -1,0 +1,133 @@
+"""The host's side of the process that stops a servo when this one dies or hangs (``rig.keeper.silence``)."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Final
+
+from rig.backends.servo.before import BeforeStore, order_of
+from rig.backends.servo.bus import Ask, ServoLink
+from rig.copies import keep_from_copies, no_longer_own
+from rig.faults import Fault
+
+_STARTS_S: Final = 10.0
+_ENDS_S: Final = 3.0
+_READY: Final = b"ready\n"
+_BEAT, _REST, _DONE = b"b", b"r", b"d"  # as in ``rig.keeper.silence``
+
+
+class ServoKeeper:
+    """The process, and what it is told.
+
+    link        of the servo
+    store       holds the values to put back
+    descriptor  of the open port
+    silence_s   after which it stops the servo
+    Raises Fault SERVO_UNWATCHED where it does not start.
+    """
+
+    def __init__(self, link: ServoLink, store: BeforeStore, descriptor: int, silence_s: float) -> None:
+        self._acted = False
+        heard, self._pipe = os.pipe()
+        os.set_blocking(self._pipe, False)
+        keep_from_copies(self._pipe)
+        orders = {
+            "stop": _orders(link, stop_orders(link)),
+            "restore": _orders(link, order_of(link, store.load(link.model) or {})),
+            "silence_s": silence_s,
+            "before": "" if store.path is None else str(store.path),
+            "note": "" if store.note_path is None else str(store.note_path),
+        }
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "rig.keeper.silence", str(descriptor), str(heard)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                pass_fds=(descriptor, heard),
+                env={**os.environ, "PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"},
+                start_new_session=True,  # Ctrl-C in the terminal is not meant for it
+            )
+        except OSError as error:
+            self._let_go()
+            raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
+        finally:
+            os.close(heard)
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            self._process.stdin.write(json.dumps(orders).encode("ascii") + b"\n")
+            is_ready = select.select([self._process.stdout], [], [], _STARTS_S)[0]
+            if not is_ready or self._process.stdout.read(len(_READY)) != _READY:
+                raise Fault("SERVO_UNWATCHED", "it was not ready in time")
+        except OSError as error:
+            raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
+
+    @property
+    def has_acted(self) -> bool:
+        """Whether it has stopped the servo because this process was silent."""
+        assert self._process.stdout is not None
+        if select.select([self._process.stdout], [], [], 0.0)[0]:
+            self._acted = self._acted or bool(self._process.stdout.read(1))
+        return self._acted
+
+    def beat(self) -> None:
+        """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
+        self._tell(_BEAT)
+
+    def rest(self) -> None:
+        """Nothing drives. What it did before is over."""
+        with contextlib.suppress(Fault):
+            self._tell(_REST)
+        if self.has_acted:
+            self._acted = False
+
+    def end(self, *, restored: bool) -> None:
+        """It is needed no more; where the registers were not put back it tries that first."""
+        if restored:
+            with contextlib.suppress(Fault):
+                self._tell(_DONE)
+        self._let_go()
+        try:
+            self._process.wait(_ENDS_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+
+    def _tell(self, word: bytes) -> None:
+        try:
+            os.write(self._pipe, word)
+        except BlockingIOError:  # it has not had its turn for 64 KiB of ticks: it lives, else the pipe were broken
+            pass
+        except OSError as error:
+            raise Fault("SERVO_UNWATCHED", f"the keeper has ended: {error.strerror}") from error
+
+    def _let_go(self) -> None:
+        no_longer_own(self._pipe)
+        with contextlib.suppress(OSError):
+            os.close(self._pipe)
+
+
+def starter(descriptor: int, silence_s: float) -> Callable[[ServoLink, BeforeStore], ServoKeeper]:
+    """What starts the keeper of a servo on an open port."""
+    return lambda link, store: ServoKeeper(link, store, descriptor, silence_s)
+
+
+def stop_orders(link: ServoLink) -> list[Ask]:
+    """Duty 0, then torque off: where a watchdog that has acted takes no duty, the second does it."""
+    roles = link.model.roles
+    return [link.write_of(roles["drive"], 0), link.write_of(roles["torque"], 0)]
+
+
+def _orders(link: ServoLink, asks: list[Ask]) -> list[tuple[str, str]]:
+    """In hexadecimal digits, with the answer that confirms each."""
+    answer = link.bus.confirmed().hex()
+    return [(ask.data.hex(), answer) for ask in asks]

@@ -1,0 +1,303 @@
+"""What rig makes sure of before a servo may drive: who it is, who uses it, how it is set, what its watchdog does.
+
+Nothing is written before every check has passed and the values of before are on disk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from rig.backends.servo.before import BeforeStore, put_back, values_of
+from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.models import ServoModel, models_of
+from rig.backends.servo.packets import LAST_ID
+from rig.faults import Fault
+
+_SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V may differ
+_LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits
+_LISTENS_S: Final = 0.05  # for another master
+_TORQUE_BY_GOAL, _SLAVE = 0x08, 0x02  # bits of Dynamixel's drive mode
+_TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuration
+_NO_SHADOW: Final = 253  # from here on there is no second id
+_MANY_TURNS: Final = 0x10  # bit of Feetech's phase
+_PROTECTS: Final = 0x24  # bits of Feetech's unloading condition: overload and heat
+_PROOF_STEPS: Final = 3  # of the drive: 0.3 %, far below breakaway
+_PROOF_S: Final = 0.06  # three times the watchdog's time
+_ACTS_S: Final = 0.05  # until the proof's duty shows
+_FASTEST: Final = 255
+
+_ERRORS: Final = {
+    "dynamixel": {0x01: "supply", 0x04: "heat", 0x08: "encoder", 0x10: "shock", 0x20: "overload"},
+    "feetech": {0x01: "supply", 0x02: "sensor", 0x04: "heat", 0x08: "current", 0x20: "overload"},
+}
+
+
+@dataclass(frozen=True)
+class ServoSetup:
+    """What the config says of the servo.
+
+    model, id     who it is
+    fastest_slope its duty is to be ramped as fast as it can
+    brakes        at a stop the duty is 0 until the shaft rests; else the torque goes off at once
+    hot_degC      from here on rig drives no more
+    supply_V      of the servo
+    zero_counts   position register at 0 rad
+    max_units     largest drive of the experiment, steps
+    watchdog_s    silence after which its watchdog acts, s
+    """
+
+    model: ServoModel
+    id: int
+    fastest_slope: bool
+    brakes: bool
+    hot_degC: int
+    supply_V: float
+    zero_counts: int
+    max_units: int
+    watchdog_s: float
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What the opening found.
+
+    firmware       version
+    supply_V       by the servo's register
+    slope_V_s      by which its duty is ramped; None: it acts at once
+    has_watchdog   that it stops the motor has been seen
+    remarks        what people should know
+    """
+
+    firmware: int
+    supply_V: float
+    slope_V_s: float | None
+    has_watchdog: bool
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Left:
+    """What an earlier run has left: for people, and as codes of faults."""
+
+    remarks: tuple[str, ...]
+    acknowledged: tuple[str, ...]
+
+
+def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
+    """Every check that only reads. Returns remarks.
+
+    Raises Fault SECOND_MASTER, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
+    """
+    _check_alone(link)
+    _check_errors(link)
+    _check_setup(link)
+    _check_supply(link, setup)
+    _check_heat(link, setup)
+    _check_torque(link)
+    return _check_others(link, setup)
+
+
+def objections(link: ServoLink) -> tuple[str, ...]:
+    """What ``look`` would refuse whatever the config says, for people. Raises Fault LINK_*."""
+    found = []
+    for check in (_check_errors, _check_setup, _check_torque):
+        try:
+            check(link)
+        except Fault as fault:
+            if not fault.code.startswith("SERVO_") or fault.code == "SERVO_REFUSED":
+                raise
+            found.append(f"{fault.code}: {fault.detail}")
+    return tuple(found)
+
+
+def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Left:
+    """Put back what an earlier run has left changed.
+
+    Raises Fault LINK_*, SERVO_CHANGED; before anything is written CONFIG_MISMATCH where it is another servo, and
+    SECOND_MASTER where somebody talks on the bus.
+    """
+    check_model(link, setup)
+    words = store.note()
+    remarks = (f"the run before has ended without a stop; its keeper {words}",) if words else ()
+    values = store.load(link.model)
+    if values is None:
+        return Left(remarks, ())
+    _check_alone(link)  # somebody else may have taken it over since
+    watchdog = link.model.roles.get("watchdog")
+    acted = ("DEVICE_WATCHDOG",) if watchdog is not None and link.value(watchdog) == -1 else ()
+    put_back(link, values)
+    store.clear()
+    remark = "an earlier run has ended without putting the servo's registers back: rig has done that now"
+    return Left((*remarks, remark), acted)
+
+
+def set_up(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Opened:
+    """Keep the values of before, then set the servo up, torque off, drive 0, and prove its watchdog.
+
+    Raises Fault LINK_*, ARM_READBACK, SERVO_CHANGED, SERVO_REFUSED.
+    """
+    model = setup.model
+    before = values_of(link)
+    store.save(model, setup.id, before)
+    torque, drive, mode, limit = (model.roles[role] for role in ("torque", "drive", "mode", "max_drive"))
+    link.put(torque, 0)
+    if "watchdog" in model.roles:
+        link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
+    link.hold(model.roles["return_delay"], 0)
+    link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
+    link.hold(mode, model.pwm_mode)
+    link.put(drive, 0)
+    if (held := link.value(drive)) != 0:
+        raise Fault("ARM_READBACK", f"{model[drive]}: sent 0, stored {held}")
+    link.put(torque, 0)
+    slope_V_s = _set_slope(link, setup)
+    firmware = link.value(model.roles["firmware"])
+    voltage = model.role("voltage")
+    supply_V = link.value(model.roles["voltage"]) * voltage.scale
+    proven, remark = _prove_watchdog(link)
+    changed = ", ".join(f"{name} {value}" for name, value in before.items())
+    kept = f"; also in {store.path}" if store.path is not None else ""
+    remarks = (f"the servo's registers before this run, which rig puts back: {changed}{kept}", *remark)
+    return Opened(firmware, supply_V, slope_V_s, proven, remarks)
+
+
+def check_model(link: ServoLink, setup: ServoSetup) -> None:
+    """Raise Fault CONFIG_MISMATCH where another servo answers than the config's."""
+    number = link.value(link.model.roles["model_number"])
+    if number != setup.model.number:
+        known = [model.name for model in models_of(number, setup.model.protocol)]
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"servo {setup.id} is {' or '.join(known) or f'of model number {number}, which rig does not know'}, not "
+            f"{setup.model.name} (daq.servo.model)",
+        )
+
+
+def _check_alone(link: ServoLink) -> None:
+    """A master that talks on this bus is heard while rig is silent."""
+    before = link.client.statistics["stale_bytes"]
+    link.client.wait(_LISTENS_S)
+    heard = link.client.statistics["stale_bytes"] - before
+    if heard:
+        raise Fault(
+            "SECOND_MASTER", f"{heard} bytes on the bus within {1e3 * _LISTENS_S:g} ms that rig did not ask for"
+        )
+
+
+def _check_torque(link: ServoLink) -> None:
+    if link.value(link.model.roles["torque"]) != 0:
+        raise Fault("SERVO_IN_USE", f"servo {link.bus.id}: its torque is on")
+
+
+def _check_errors(link: ServoLink) -> None:
+    errors = link.value(link.model.roles["errors"])
+    if errors:
+        raise Fault("SERVO_ERROR", f"{link.model.role('errors')} reads {errors}: {error_words(link.model, errors)}")
+
+
+def error_words(model: ServoModel, errors: int) -> str:
+    """The bits of the error register, for people."""
+    names = _ERRORS[model.protocol]
+    return ", ".join(words for bit, words in names.items() if errors & bit) or "none that rig knows"
+
+
+def _check_setup(link: ServoLink) -> None:
+    """How the servo is set: what lets it drive unasked, or obey somebody else."""
+    model, roles = link.model, link.model.roles
+    if "drive_mode" in roles:
+        bits = link.value(roles["drive_mode"])
+        if bits & _TORQUE_BY_GOAL:
+            raise Fault("SERVO_SETUP", f"{model.role('drive_mode')} reads {bits}: a goal switches its torque on")
+        if bits & _SLAVE:
+            raise Fault("SERVO_SETUP", f"{model.role('drive_mode')} reads {bits}: it follows another servo")
+    if "shadow_id" in roles and (shadow := link.value(roles["shadow_id"])) < _NO_SHADOW and shadow != link.bus.id:
+        raise Fault("SERVO_SETUP", f"{model.role('shadow_id')} reads {shadow}: it obeys that id, too")
+    if "startup" in roles:
+        bits = link.value(roles["startup"])
+        if bits & (_TORQUE_AT_START | _RAM_AT_START):
+            raise Fault("SERVO_SETUP", f"{model.role('startup')} reads {bits}: it can drive as soon as it has supply")
+    if "lock" in roles and link.value(roles["lock"]) != 1:
+        raise Fault("SERVO_SETUP", f"{model.role('lock')} is 0: what rig writes would stay for good")
+    if "phase" in roles and (bits := link.value(roles["phase"])) & _MANY_TURNS:
+        raise Fault("SERVO_SETUP", f"{model.role('phase')} reads {bits}: its position counts turns")
+    if "protection" in roles and ~(bits := link.value(roles["protection"])) & _PROTECTS:
+        raise Fault("SERVO_SETUP", f"{model.role('protection')} reads {bits}: it does not protect itself")
+
+
+def _check_supply(link: ServoLink, setup: ServoSetup) -> None:
+    model = link.model
+    voltage = model.role("voltage")
+    supply_V = link.value(model.roles["voltage"]) * voltage.scale
+    if abs(supply_V - setup.supply_V) > _SUPPLY_SHARE * setup.supply_V + 0.5 * voltage.scale:
+        raise Fault("SERVO_SUPPLY", f"{voltage} reads {supply_V:.1f} V, but drive.supply_V is {setup.supply_V:g} V")
+    low_V = link.value(model.roles["low_voltage"]) * model.role("low_voltage").scale
+    high_V = link.value(model.roles["high_voltage"]) * model.role("high_voltage").scale
+    if not low_V * (1.0 + _LIMIT_SHARE) <= supply_V <= high_V * (1.0 - _LIMIT_SHARE):
+        raise Fault(
+            "SERVO_SUPPLY",
+            f"{supply_V:.1f} V is too near to the servo's own voltage limits, {low_V:.1f} to {high_V:.1f} V",
+        )
+
+
+def _check_heat(link: ServoLink, setup: ServoSetup) -> None:
+    temperature = link.value(link.model.roles["temperature"])
+    if temperature >= setup.hot_degC:
+        raise Fault("SERVO_HOT", f"{temperature} degC, daq.servo.hot_degC is {setup.hot_degC}")
+
+
+def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
+    """Who else is on the bus. Only their second id is read: one that is ours would make them obey rig."""
+    others = [id for id in range(LAST_ID + 1) if id != setup.id and link.is_there(id) is not None]
+    shadow = link.model.roles.get("shadow_id")
+    for id in others:
+        if shadow is not None and link.value_of(id, shadow) == setup.id:
+            raise Fault("SERVO_SETUP", f"servo {id} has {setup.id} as its second id: it would obey rig, too")
+    if not others:
+        return ()
+    return (f"also on this bus: servo {', '.join(map(str, others))}; rig leaves them alone",)
+
+
+def _set_slope(link: ServoLink, setup: ServoSetup) -> float | None:
+    """Set the ramp of the duty, where the servo has one; what it is, V/s."""
+    name = link.model.roles.get("slope")
+    if name is None:
+        return None
+    if setup.fastest_slope:
+        link.hold(name, _FASTEST)
+    return link.value(name) * link.model[name].scale
+
+
+def _prove_watchdog(link: ServoLink) -> tuple[bool, tuple[str, ...]]:
+    """Whether the watchdog takes the duty away, seen at the bridge, not in a register; and what to tell people.
+
+    The duty of the proof is far below what breaks the shaft away. Torque off and the watchdog off when it returns.
+    """
+    roles = link.model.roles
+    if "watchdog" not in roles:
+        return False, ()
+    torque, drive, applied, watchdog = (roles[role] for role in ("torque", "drive", "applied", "watchdog"))
+    link.put(torque, 1)
+    try:
+        link.put(drive, _PROOF_STEPS)
+        waited_s = 0.0
+        while link.value(applied) == 0 and waited_s < _ACTS_S:
+            link.client.wait(0.005)
+            waited_s += 0.005
+        acts = link.value(applied) != 0
+        link.put(watchdog, 1)
+        link.client.wait(_PROOF_S)
+        left, says = link.value(applied), link.value(watchdog)
+    finally:
+        link.put(torque, 0)  # before the watchdog is cleared: the old goal might act again
+        link.put(watchdog, 0)
+        link.put(drive, 0)
+    if acts and left == 0 and says == -1:
+        return True, ()
+    if not acts:
+        why = f"{link.model[applied]} stayed 0 under a duty of {_PROOF_STEPS} steps, so nothing could be seen"
+    elif says == -1:
+        why = f"it says that it has acted, but the duty stayed at {left} steps: the motor drives on"
+    else:
+        why = f"after {1e3 * _PROOF_S:g} ms of silence {link.model[watchdog]} reads {says}, the duty {left} steps"
+    return False, (f"this servo has no watchdog that rig can rely on: {why}",)

@@ -1,0 +1,162 @@
+"""Who is on a bus, whatever model, and what a run would refuse; it changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Final
+
+from rig.backends.driver import Transport
+from rig.backends.registers.bus import BusClient
+from rig.backends.servo.before import BeforeStore, put_back
+from rig.backends.servo.bus import Ask, ServoLink, servo_link
+from rig.backends.servo.models import MODELS, ServoModel, models_of
+from rig.backends.servo.opening import objections
+from rig.backends.servo.packets import LAST_ID
+from rig.faults import Fault
+
+USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200)  # rig's own, and as Dynamixel and many boards are shipped
+_KINDS: Final = (MODELS["xl330-m288"], MODELS["sts3215"])  # one of each protocol: all share where the number is
+_REBOOTS_S: Final = 3.0
+_ATTEMPTS: Final = 3
+
+Opened = Callable[[int], AbstractContextManager[Transport]]  # a port at a baud
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A servo that answered.
+
+    baud, id      where
+    number        its model's
+    model         None: rig does not know the number
+    firmware      version
+    mode          value of its register
+    supply_V, temperature_degC   by its registers
+    errors        value of its register
+    objections    why a run would refuse it
+    """
+
+    baud: int
+    id: int
+    number: int
+    model: ServoModel | None = None
+    firmware: int = 0
+    mode: int = 0
+    supply_V: float = 0.0
+    temperature_degC: int = 0
+    errors: int = 0
+    position: int = 0
+    objections: tuple[str, ...] = ()
+
+
+def scan(opened: Opened, bauds: Iterable[int] = USUAL_BAUDS, ids: Iterable[int] = range(LAST_ID + 1)) -> Iterator[Seen]:
+    """Each servo at each of these bauds. Raises Fault LINK_OPEN, LINK_LOST."""
+    ids = tuple(ids)
+    for baud in bauds:
+        with opened(baud) as port:
+            for kind in _KINDS:
+                for id in ids:
+                    link = servo_link(port, kind, id, baud)
+                    if link.is_there(id) is not None and (seen := _seen(port, link, id, baud)) is not None:
+                        yield seen
+
+
+def _seen(port: Transport, link: ServoLink, id: int, baud: int) -> Seen | None:
+    """What it tells of itself; None where its answers are none of this protocol."""
+    try:
+        number = link.value("model_number")
+        models = models_of(number, link.model.protocol)
+        if not models:
+            return Seen(baud, id, number)
+        model = models[0]
+        own = servo_link(port, model, id, baud)
+        roles = model.roles
+        return Seen(
+            baud,
+            id,
+            number,
+            model,
+            own.value(roles["firmware"]),
+            own.value(roles["mode"]),
+            own.value(roles["voltage"]) * model.role("voltage").scale,
+            own.value(roles["temperature"]),
+            own.value(roles["errors"]),
+            own.value(roles["position"]),
+            objections(own),
+        )
+    except Fault as fault:
+        if fault.code == "LINK_LOST":
+            raise
+        return None
+
+
+def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
+    """The servo of that id by its number. Raises Fault LINK_TIMEOUT for none, CONFIG_MISMATCH for one unknown."""
+    for kind in _KINDS * _ATTEMPTS:  # a busy machine may be late once
+        link = servo_link(port, kind, id, baud)
+        if link.is_there(id) is None:
+            continue
+        number = link.value("model_number")
+        models = models_of(number, kind.protocol)
+        if not models:
+            raise Fault("CONFIG_MISMATCH", f"servo {id} is of model number {number}, which rig does not know")
+        return servo_link(port, models[0], id, baud)
+    raise Fault("LINK_TIMEOUT", f"no servo {id} answers at {baud} baud")
+
+
+def reboot(port: Transport, link: ServoLink) -> None:
+    """Start a servo anew, and wait until it answers. Raises Fault LINK_TIMEOUT, SERVO_REFUSED."""
+    client = BusClient[Ask](port, link.bus)
+    client.asked(link.bus.reboot(), 0.1)
+    until_s = port.now_s() + _REBOOTS_S
+    while link.is_there(link.bus.id) is None:
+        if port.now_s() > until_s:
+            raise Fault("LINK_TIMEOUT", f"servo {link.bus.id} does not answer after its reboot")
+        client.wait(0.05)
+
+
+def set_baud(opened: Opened, link: ServoLink, baud: int) -> None:
+    """Have a servo speak at another baud from now on, kept without supply; then look for it there.
+
+    Raises Fault SERVO_IN_USE, CONFIG_MISMATCH for a baud that it has not, LINK_TIMEOUT.
+    """
+    model, id = link.model, link.bus.id
+    index = next((index for index, one in model.bauds.items() if one == baud), None)
+    if index is None:
+        raise Fault("CONFIG_MISMATCH", f"{model.name} has no {baud} baud: {', '.join(map(str, model.bauds.values()))}")
+    if link.value(model.roles["torque"]) != 0:
+        raise Fault("SERVO_IN_USE", f"servo {id}: its torque is on")
+    lock = model.roles.get("lock")
+    if lock is not None:
+        link.put(lock, 0)  # else the servo forgets it with its supply
+    try:
+        link.put(model.roles["baud"], index)
+    except Fault as fault:
+        if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):  # it may answer at its new baud already
+            raise
+    with opened(baud) as fresh:
+        there = servo_link(fresh, model, id, baud)
+        if not any(there.is_there(id) is not None for _ in range(_ATTEMPTS)):
+            raise Fault("LINK_TIMEOUT", f"servo {id} does not answer at {baud} baud: cut its supply, and scan")
+        if lock is not None:
+            there.put(lock, 1)
+
+
+def restore(link: ServoLink, store: BeforeStore) -> dict[str, int] | None:
+    """Put back what a run has left changed; what it was, or None. Raises Fault SERVO_CHANGED, LINK_*."""
+    values = store.load(link.model)
+    if values is None:
+        return None
+    put_back(link, values)
+    store.clear()
+    return values
+
+
+def all_registers(link: ServoLink) -> Iterator[tuple[str, int, int, str]]:
+    """Name, address, value, and the value with its unit where it has one. Raises Fault LINK_*."""
+    for register in link.model.registers.values():
+        value = link.value(register.name)
+        unit = {"1": "of full"}.get(register.unit, register.unit)
+        yield register.name, register.address, value, f"{value * register.scale:.5g} {unit}" if register.unit else ""

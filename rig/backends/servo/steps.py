@@ -1,0 +1,58 @@
+"""When a servo's steps of 1 ms are, in the host's time, from the clock that it tells with each reading. Pure.
+
+A servo's clock counts whole milliseconds. Readings at different places within its step bound the instant at which its
+clock went on; each later reading keeps the bound true. That the steps of clock, sensor and bridge are one, no manual
+says.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+STEP_S: Final = 1e-3
+WRAPS: Final = 32768  # steps after which the clock begins again
+
+
+class Steps:
+    """The instants of the steps.
+
+    low_s, high_s  between them is the host time of the step that is counted as 0, s
+    count          of the step that was told last
+    """
+
+    def __init__(self) -> None:
+        self.low_s, self.high_s = -math.inf, math.inf
+        self.count = 0
+        self._last: int | None = None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether any reading has told the clock."""
+        return self._last is not None
+
+    @property
+    def _began_s(self) -> float:
+        return 0.5 * (self.low_s + self.high_s)
+
+    def take(self, tick: int, t_s: float) -> float:
+        """A reading that was executed at ``t_s`` told ``tick``. Returns the time of that step, s, at most a step ago.
+
+        A clock that goes at another pace moves the bounds along: the last reading is always right.
+        """
+        self.count += 0 if self._last is None else (tick - self._last) % WRAPS
+        self._last = tick
+        high_s = t_s - self.count * STEP_S
+        low_s = high_s - STEP_S
+        self.low_s, self.high_s = max(self.low_s, low_s), min(self.high_s, high_s)
+        if self.low_s > self.high_s:  # the clocks have moved apart, by no more than what is between the bounds
+            if high_s < self.low_s:
+                self.low_s = self.high_s = high_s
+            else:
+                self.low_s = self.high_s = low_s
+        return self._began_s + self.count * STEP_S
+
+    def next_s(self, t_s: float) -> float:
+        """The first step after a time, s."""
+        since = (t_s - self._began_s) / STEP_S
+        return self._began_s + math.ceil(since) * STEP_S

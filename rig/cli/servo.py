@@ -1,0 +1,231 @@
+"""`rig servo`: smart servos on a bus, before they have a config."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
+from rig.cli.options import JSON
+from rig.recording.folder import json_text
+
+if TYPE_CHECKING:  # pyserial comes with it
+    from rig.backends.links.serial_port import SerialPort
+    from rig.backends.servo.scan import Seen
+
+_BAUD = click.option("--baud", type=int, default=1_000_000, show_default=True, help="Of the bus.")
+_YES = click.option("--yes", is_flag=True, help="Do not ask.")
+_PORT = click.argument("port")
+_ID = click.argument("id", type=click.IntRange(0, 252))
+
+
+@click.group()
+def servo() -> None:
+    """Find, show and set smart servos on a bus.
+
+    Dynamixel with protocol 2, and Feetech STS. None has been driven with rig yet: docs/servo.md.
+    """
+
+
+@servo.command()
+@click.argument("port", required=False)
+@click.option("--baud", "bauds", type=int, multiple=True, help="Of the bus; default: 1000000, 57600, 115200.")
+@JSON
+def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
+    """Show who is on a bus, and what a run would refuse. It changes nothing.
+
+    Without PORT, each serial port of this machine.
+    """
+    from rig.backends.servo.scan import USUAL_BAUDS, scan
+
+    found: list[dict[str, object]] = []
+    for name in [port] if port is not None else _ports():
+        with faults():
+            for seen in scan(lambda baud, name=name: opened(name, baud), bauds or USUAL_BAUDS):  # type: ignore[misc]
+                found.append({"port": name, **_told(seen)})
+                if not as_json:
+                    _say(name, seen)
+    if as_json:
+        click.echo(json_text({"servos": found}), nl=False)
+    elif not found:
+        click.echo("no servo answers: check its supply, the wires and the port, or name another --baud")
+
+
+@servo.command()
+@_PORT
+@_ID
+@_BAUD
+@JSON
+def show(port: str, id: int, baud: int, as_json: bool) -> None:
+    """Show every register of a servo. It changes nothing."""
+    from rig.backends.servo.scan import all_registers, known_servo
+
+    with faults(), opened(port, baud) as line:
+        link = known_servo(line, id, baud)
+        rows = list(all_registers(link))
+    if as_json:
+        click.echo(
+            json_text({"model": link.model.name, "registers": {name: value for name, _, value, _ in rows}}), nl=False
+        )
+        return
+    click.echo(f"{link.model.name}, id {id}")
+    for name, address, value, words in rows:
+        click.echo(f"{address:4} {name:24} {value:8}  {words}")
+
+
+@servo.command()
+@_PORT
+@_ID
+@_BAUD
+@_YES
+def reboot(port: str, id: int, baud: int, yes: bool) -> None:
+    """Start a servo anew, after an error of its hardware. Its torque goes off: what it holds falls."""
+    from rig.backends.servo.scan import known_servo
+    from rig.backends.servo.scan import reboot as start_anew
+
+    with faults(), opened(port, baud) as line:
+        link = known_servo(line, id, baud)
+        _ask(f"reboot {link.model.name}, id {id}? Its torque goes off", yes=yes)
+        start_anew(line, link)
+    click.echo(f"servo {id} answers again")
+
+
+@servo.command("baud")
+@_PORT
+@_ID
+@click.argument("to", type=int)
+@_BAUD
+@_YES
+def set_baud(port: str, id: int, to: int, baud: int, yes: bool) -> None:
+    """Have a servo speak at another baud, TO, for good. --baud is what it speaks at now."""
+    from rig.backends.servo.scan import known_servo
+    from rig.backends.servo.scan import set_baud as change
+
+    with faults(), opened(port, baud) as line:
+        link = known_servo(line, id, baud)
+        _ask(f"set {link.model.name}, id {id}, from {baud} to {to} baud? Other programs must know", yes=yes)
+        change(lambda at: _reopened(line, port, at), link, to)
+    click.echo(f"servo {id} speaks at {to} baud")
+
+
+@servo.command()
+@_PORT
+@_ID
+@_BAUD
+def restore(port: str, id: int, baud: int) -> None:
+    """Put back the registers that a run has left changed. The next run does that by itself."""
+    from rig.backends.servo.before import store_of
+    from rig.backends.servo.scan import known_servo
+    from rig.backends.servo.scan import restore as put_right
+
+    store = store_of(port, id, None)
+    with faults(), opened(port, baud) as line:
+        values = put_right(known_servo(line, id, baud), store)
+    if values is None:
+        click.echo(f"nothing to put back: there is no {store.path}")
+    else:
+        click.echo(f"put back: {', '.join(f'{name} {value}' for name, value in values.items())}")
+
+
+@servo.command()
+@_PORT
+@_ID
+@_BAUD
+@click.option("--to", type=click.Path(path_type=Path, dir_okay=False), help="File to write. Default: facts-MODEL.json.")
+@_YES
+def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
+    """Try on a servo what no manual says, and write one file to send in.
+
+    Take everything off the horn: it turns, slowly. Of a Feetech it asks you to cut the supply once; not with --yes.
+    """
+    from rig.backends.servo.before import store_of
+    from rig.backends.servo.facts import facts as tried
+    from rig.backends.servo.scan import known_servo
+
+    def powered() -> None:
+        click.prompt(
+            "cut the servo's supply for a second, switch it on, wait a second, then press Enter",
+            default="", show_default=False, prompt_suffix=" ",
+        )  # fmt: skip
+
+    with faults(), opened(port, baud) as line:
+        link = known_servo(line, id, baud)
+        _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
+        found = []
+        for fact in tried(link, store_of(port, id, None), None if yes else powered):
+            click.echo(fact.words)
+            found.append(fact)
+        firmware = link.value(link.model.roles["firmware"])
+    file = to or Path(f"facts-{link.model.name}.json")
+    told = {"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found}
+    try:
+        file.write_text(json_text(told), encoding="utf-8")
+    except OSError as error:
+        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name another file with --to")
+    click.echo(f"{file}: written; send it in (docs/driven.md)")
+
+
+def _ask(question: str, *, yes: bool) -> None:
+    if not yes and not click.confirm(question):
+        fail(EXIT_BAD_INPUT, "nothing was changed")
+
+
+@contextmanager
+def opened(port: str, baud: int) -> Iterator[SerialPort]:
+    """A serial port at a baud in bits per second, for the block. Raises Fault LINK_OPEN."""
+    from rig.backends.links.serial_port import SerialPort
+
+    one = SerialPort(port, baud)
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+@contextmanager
+def _reopened(before: SerialPort, port: str, baud: int) -> Iterator[SerialPort]:
+    """The port at another baud, once the one before is closed."""
+    before.close()
+    with opened(port, baud) as one:
+        yield one
+
+
+def _ports() -> list[str]:
+    from rig.backends.serial.flash import serial_ports
+
+    ports = [one.device for one in serial_ports()]
+    if not ports:
+        fail(EXIT_BAD_INPUT, "there is no serial port on USB", "plug the adapter in, or name its PORT")
+    return ports
+
+
+def _told(seen: Seen) -> dict[str, object]:
+    return {
+        "baud": seen.baud,
+        "id": seen.id,
+        "model": None if seen.model is None else seen.model.name,
+        "model_number": seen.number,
+        "firmware": seen.firmware,
+        "mode": seen.mode,
+        "supply_V": round(seen.supply_V, 1),
+        "temperature_degC": seen.temperature_degC,
+        "errors": seen.errors,
+        "refused": list(seen.objections),
+    }
+
+
+def _say(port: str, seen: Seen) -> None:
+    where = f"{Path(port).name}, {seen.baud} baud, id {seen.id}"
+    if seen.model is None:
+        click.echo(f"{where}: model number {seen.number}, which rig does not know")
+        return
+    click.echo(
+        f"{where}: {seen.model.name}, firmware {seen.firmware}, mode {seen.mode}, {seen.supply_V:.1f} V, "
+        f"{seen.temperature_degC} degC"
+    )
+    for words in seen.objections:
+        click.echo(f"  refused: {words}")

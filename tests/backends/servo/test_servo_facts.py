@@ -1,0 +1,66 @@
+"""`rig servo facts` finds what an emulated servo was told to be, and leaves it as it was."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from servo_bench import PROTOCOLS, Bench
+
+from rig.backends.servo.facts import Fact, facts
+
+
+def found(bench: Bench, powered: Any = None) -> dict[str, Fact]:
+    before = bench.registers()
+    told = {fact.name: fact for fact in facts(bench.driver._link, bench.store, powered)}
+    bench.bus.sleep_until(bench.bus.now_s() + 0.5)
+    assert {name: value for name, value in bench.registers().items() if name != "lock"} == {
+        name: value for name, value in before.items() if name != "lock"
+    }
+    assert not bench.servo.is_on and bench.wrong() == []
+    assert bench.store.load(bench.setup.model) is None
+    return told
+
+
+@pytest.mark.parametrize("fed_by", ["any", "own"])
+@pytest.mark.parametrize("resumes", [False, True])
+@pytest.mark.parametrize("stopped", ["brake", "coast"])
+def test_what_a_watchdog_does_is_found(fed_by: str, resumes: bool, stopped: str) -> None:
+    told = found(Bench(watchdog_fed_by=fed_by, resumes=resumes, stopped_by_watchdog=stopped))
+    assert told["watchdog_stops"].found is True
+    assert told["watchdog_fed_by"].found == fed_by
+    assert told["watchdog_resumes"].found is resumes
+
+
+def test_a_watchdog_that_does_not_work_is_told() -> None:
+    told = found(Bench(watchdog_defect=True))
+    assert told["watchdog_stops"].found is False and "drives on" in told["watchdog_stops"].words
+    assert "slows_s_watchdog" not in told
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_how_soon_it_slows_down_and_tells_a_duty(protocol: str) -> None:
+    told = found(Bench(protocol))
+    for name, most_s in (("slows_s_duty_0", 0.5), ("slows_s_torque_off", 0.5), ("duty_told_after_s", 0.01)):
+        seen_s = told[name].found
+        assert isinstance(seen_s, float) and 0.0 < seen_s < most_s
+
+
+def test_a_held_horn_is_told() -> None:
+    bench = Bench()
+    bench.servo.bench.parameters = bench.servo.bench.parameters.__class__(
+        **{**vars(bench.servo.bench.parameters), "stop_rad": (-1e-6, 1e-6)}
+    )
+    assert found(bench)["slows_s_duty_0"].found is None
+
+
+def test_a_feetech_forgets_its_mode_with_its_supply() -> None:
+    bench = Bench("feetech")
+
+    def powered() -> None:
+        bench.bus.power_cycle()
+        bench.bus.sleep_until(bench.bus.now_s() + 1.0)
+
+    told = found(bench, powered)
+    assert told["lock_keeps_mode"].found is False
+    assert told["least_duty"].found is not None

@@ -1,0 +1,167 @@
+"""Whatever happens to a servo that drives: a fault by its name within two ticks, and duty 0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from servo_bench import PROTOCOLS, Bench
+
+from rig.backends.servo.emulated.faults import ReplyFault
+
+TICKS = 3  # the tick under way, and two more
+
+
+def heat(bench: Bench) -> None:
+    bench.servo.temperature_degC = bench.setup.hot_degC + 1.0
+
+
+def weak(bench: Bench) -> None:
+    bench.servo.supply(0.7 * bench.setup.supply_V)
+
+
+def restart(bench: Bench) -> None:
+    bench.servo.power_cycle()
+    bench.servo._awake_s = 0.0  # at once: else it does not answer, which is told as such
+
+
+def torque_off(bench: Bench) -> None:
+    bench.servo._set("torque", 0)
+
+
+def protects(bench: Bench) -> None:
+    real = bench.servo._target
+    bench.servo._target = lambda: 0.2 * real()  # type: ignore[method-assign]  # of this one
+
+
+def alert(bench: Bench) -> None:
+    bench.bus.bus.reply_fault = ReplyFault("alert", servo=bench.own.id)
+
+
+def gone(bench: Bench) -> None:
+    bench.bus.unplug()
+
+
+def mute(bench: Bench) -> None:
+    bench.servo.is_mute = True
+
+
+def another_id(bench: Bench) -> None:
+    bench.bus.bus.reply_fault = ReplyFault("id", servo=bench.own.id, id=9)
+
+
+def short(bench: Bench) -> None:
+    bench.bus.bus.reply_fault = ReplyFault("short", servo=bench.own.id)
+
+
+CASES: list[tuple[Callable[[Bench], None], set[str]]] = [
+    (heat, {"SERVO_HOT"}),
+    (weak, {"SERVO_SUPPLY"}),
+    (restart, {"DEVICE_RESET"}),
+    (torque_off, {"DEVICE_RESET"}),
+    (protects, {"SERVO_OVERLOAD"}),
+    (gone, {"LINK_LOST"}),
+    (mute, {"LINK_TIMEOUT"}),
+    (another_id, {"LINK_UNIT"}),
+    (short, {"LINK_REPLY"}),
+]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize(("happens", "codes"), CASES)
+def test_it_is_a_fault_by_its_name_within_two_ticks(
+    protocol: str, happens: Callable[[Bench], None], codes: set[str]
+) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    for _ in range(6):
+        bench.tick(0.8)
+    happens(bench)
+    fault = bench.fault_within(TICKS, 0.8)
+    assert fault is not None and fault.code in codes, fault
+    bench.driver.safe_stop()
+    if happens in (gone, mute):  # the servo's own watchdog is what is left, where it has one
+        return
+    bench.bus.bus.reply_fault = None
+    assert bench.driver.safe_stop()
+    assert bench.servo.truth().duty == 0.0 and not bench.servo.is_on
+    assert bench.wrong() == []
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_an_alert_in_an_answer_ends_the_run(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    for _ in range(3):
+        bench.tick(0.3)
+    alert(bench)
+    fault = bench.fault_within(TICKS, 0.3)
+    assert fault is not None and fault.code == {"dynamixel": "SERVO_ERROR", "feetech": "SERVO_HOT"}[protocol]
+    bench.driver.safe_stop()
+    assert bench.servo.truth().duty == 0.0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_one_damaged_reading_of_heat_is_no_fault(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.3)
+    heat(bench)
+    bench.tick(0.3)
+    bench.servo.temperature_degC = 25.0
+    assert bench.fault_within(5, 0.3) is None
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_somebody_who_switches_the_torque_on_in_a_pause_ends_the_run(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.3)
+    assert bench.driver.safe_stop()
+    bench.driver.read()
+    bench.servo._set("torque", 1)
+    with pytest.raises(Exception, match="SECOND_MASTER"):
+        bench.driver.read()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_restart_in_a_pause_is_found_when_it_is_armed_again(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.3)
+    assert bench.driver.safe_stop()
+    restart(bench)
+    with pytest.raises(Exception, match="DEVICE_RESET"):
+        bench.driver.arm(bench.limits)
+    assert not bench.servo.is_on and bench.wrong() == []
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_stop_brakes_to_rest_before_the_torque_goes_off_unless_it_is_to_coast(protocol: str, brakes: bool) -> None:
+    bench = Bench(protocol, setup={"brakes": brakes})
+    bench.armed()
+    for _ in range(8):
+        bench.tick(bench.limits.max_u_V)
+    speed = abs(bench.servo.truth().v_rad_per_s)
+    seen: list[float] = []
+    real = bench.servo._set
+
+    def put(name: str, value: int) -> None:
+        real(name, value)
+
+    torque = bench.servo.model.role("torque")
+    bench.servo.on_output = None
+    watched = bench.bus.write
+
+    def write(data: bytes) -> None:
+        ask = bench.driver._bus.writing(torque.address, bytes((0,)), "")
+        if data == ask.data and not seen:
+            seen.append(abs(bench.servo.truth().v_rad_per_s))
+        watched(data)
+
+    bench.bus.write = write  # type: ignore[method-assign]  # of this bus alone
+    assert bench.driver.safe_stop() and put is not None
+    assert speed > 0.5
+    assert (seen[0] < 0.02 * speed) == brakes
+    assert not bench.servo.is_on

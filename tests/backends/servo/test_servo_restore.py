@@ -1,0 +1,144 @@
+"""After any end a servo's registers are those of before, and no other servo on the bus was touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from evidence import evidence
+from servo_bench import BYSTANDERS, PROTOCOLS, Bench
+
+from rig.backends.servo.before import BeforeStore
+from rig.faults import Fault
+
+NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
+MOST_WRITES = 2  # of each register of the EEPROM: changed, and put back
+LAST_STEP = 60  # of the writes of an opening and a run: all of them are fewer
+
+
+class Killed(BaseException):
+    """The command ends here, as by kill -9: nothing that is written in Python runs any more."""
+
+
+def owned(bench: Bench) -> dict[str, int]:
+    """As of before, but what a mode change sets by itself."""
+    return bench.registers()
+
+
+def run(bench: Bench) -> None:
+    bench.armed()
+    for k in range(8):
+        bench.tick(0.4 if k % 4 < 2 else -0.4)
+    bench.driver.safe_stop()
+    bench.driver.arm(bench.limits)
+    bench.tick(0.2)
+    bench.driver.safe_stop()
+    bench.driver.close()
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_run_leaves_every_register_as_it_was_and_writes_little(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.servo.put("position_p_gain", 123)  # somebody's own tuning
+    before, others = owned(bench), [bytes(servo._active) for servo in bench.bystanders]
+    run(bench)
+    assert owned(bench) == before
+    written = bench.servo.eeprom_writes
+    assert not written.keys() & NEVER
+    assert all(count <= MOST_WRITES for count in written.values()), written
+    assert [bytes(s._active[:64]) for s in bench.bystanders] == [one[:64] for one in others]
+    assert all(s.eeprom_writes.total() == 0 and not s.is_on for s in bench.bystanders)
+    assert bench.wrong() == []
+    assert bench.store.load(bench.setup.model) is None
+    # of the others it read the second id, once each, where they can have one
+    seen = bench.bus.bus.addressed()
+    assert {id: seen[id] for id in BYSTANDERS} == dict.fromkeys(BYSTANDERS, 1 if protocol == "dynamixel" else 0)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_second_run_writes_no_more_than_the_first(protocol: str) -> None:
+    bench = Bench(protocol)
+    run(bench)
+    first = bench.servo.eeprom_writes.copy()
+    bench.another()
+    run(bench)
+    assert all(count <= 2 * first[name] for name, count in bench.servo.eeprom_writes.items())
+
+
+def killed_at(protocol: str, step: int, tmp_path: Path) -> bool:
+    """End a run just before its write of that number, then run again. Whether there was such a write."""
+    store = BeforeStore(tmp_path / f"servo-{step}.json")
+    bench = Bench(protocol, store=store)
+    bench.servo.put("position_p_gain", 123)
+    before = owned(bench)
+    left = step
+    real = bench.bus.write
+
+    def write(data: bytes) -> None:
+        nonlocal left
+        if data[7 if protocol == "dynamixel" else 4] == 3:  # an instruction that writes
+            left -= 1
+            if left < 0:
+                raise Killed
+        real(data)
+
+    bench.bus.write = write  # type: ignore[method-assign]  # of this bus alone
+    try:
+        run(bench)
+    except Killed:
+        pass
+    else:
+        return False
+    bench.bus.write = real  # type: ignore[method-assign]
+    bench.bus.sleep_until(bench.bus.now_s() + 0.5)
+    bench.store = BeforeStore(store.path)  # another process
+    bench.another()
+    run(bench)
+    assert owned(bench) == before, step
+    assert not bench.servo.is_on and bench.wrong() == []
+    assert not bench.servo.eeprom_writes.keys() & NEVER
+    return True
+
+
+@pytest.mark.parametrize(("protocol", "step"), [
+    *((p, s) for p in PROTOCOLS for s in (0, 1, 4, 7, 12)),
+    *evidence(*((p, s) for p in PROTOCOLS for s in range(LAST_STEP) if s not in (0, 1, 4, 7, 12))),
+])  # fmt: skip
+def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, step: int, tmp_path: Path) -> None:
+    there = killed_at(protocol, step, tmp_path)
+    assert there or step > 12
+
+
+def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    bench = Bench(store=BeforeStore(tmp_path / "file" / "servo.json"))
+    with pytest.raises(Fault, match="SERVO_CHANGED"):
+        bench.opened()
+    assert bench.servo.eeprom_writes.total() == 0 and bench.servo.of("mode") == 3
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"model": "xl330-m288"}', '{"model": "sts3215", "registers": {}}',
+                                  '{"model": "xl330-m288", "registers": {"id": 3}}'])  # fmt: skip
+def test_a_file_that_is_damaged_or_of_another_servo_is_not_believed(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "servo.json"
+    path.write_text(text)
+    bench = Bench(store=BeforeStore(path))
+    with pytest.raises(Fault, match="SERVO_CHANGED"):
+        bench.opened()
+    bench.driver.safe_stop()
+    bench.driver.close()
+    assert path.read_text() == text and bench.servo.eeprom_writes.total() == 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_values_that_another_servo_left_are_not_written_to_this_one(protocol: str, tmp_path: Path) -> None:
+    """A servo of another model has come to the same port and id: nothing is written before that is seen."""
+    store = BeforeStore(tmp_path / "servo.json")
+    bench = Bench(protocol, store=store)
+    bench.armed()
+    name = {"dynamixel": "xl330-m077", "feetech": "sts3250"}[protocol]
+    other = Bench(protocol, store=BeforeStore(store.path), model=name)
+    with pytest.raises(Fault, match="CONFIG_MISMATCH"):
+        other.opened()
+    other.driver.close()
+    assert other.servo.eeprom_writes.total() == 0 and store.load(bench.setup.model) is not None

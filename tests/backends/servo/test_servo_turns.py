@@ -1,0 +1,66 @@
+"""The position over turns: the first within half a turn of zero, the others beside it, and no jump unseen."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bench import PROTOCOLS, Bench
+
+from rig.backends.servo.steps import STEP_S, WRAPS, Steps
+from rig.faults import Fault
+
+COUNT_RAD = 2.0 * math.pi / 4096
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("zero_counts", [0, 100, 2048, 4000])
+def test_a_shaft_that_crosses_the_end_of_its_turn_is_followed(protocol: str, zero_counts: int) -> None:
+    bench = Bench(protocol, setup={"zero_counts": zero_counts}, zero_counts=zero_counts)
+    bench.servo.place(-1.0)
+    bench.armed()
+    for k in range(80):
+        bench.servo.place(-1.0 + 0.025 * k)
+        bench.bus.sleep_until(bench.bus.now_s() + 0.002)
+        sample = bench.driver.read()
+        assert sample.y_rad == pytest.approx(bench.servo.truth().y_rad, abs=1.01 * COUNT_RAD)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_more_than_half_a_turn_in_a_tick_is_a_jump(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.0)
+    bench.servo.place(0.7 * math.pi)
+    with pytest.raises(Fault, match="SENSOR_JUMP"):
+        for _ in range(2):
+            bench.tick(0.0)
+
+
+@given(
+    began_s=st.floats(0.0, 1e-3),
+    gaps_s=st.lists(st.floats(1e-4, 0.02), min_size=30, max_size=60),
+    first=st.integers(0, WRAPS - 1),
+)
+def test_the_steps_of_a_servo_are_found_from_its_clock(began_s: float, gaps_s: list[float], first: int) -> None:
+    """Bounds hold the truth; the time of a reading's step is no more than a step before it."""
+    steps, t_s = Steps(), 0.1
+    for gap_s in gaps_s:
+        t_s += gap_s
+        number = math.floor((t_s - began_s) / STEP_S)
+        told_s = steps.take((first + number) % WRAPS, t_s)
+        assert t_s - STEP_S - 1e-9 <= told_s <= t_s + 1e-9
+        true_s = began_s + number * STEP_S
+        assert abs(told_s - true_s) <= 0.5 * (steps.high_s - steps.low_s) + 1e-9
+        assert t_s - 1e-9 <= steps.next_s(t_s) <= t_s + STEP_S + 1e-9
+
+
+def test_a_clock_of_another_pace_is_followed() -> None:
+    steps, began_s = Steps(), 0.0004
+    for k in range(3000):
+        t_s = 0.1 + 0.01 * k
+        number = math.floor((t_s - began_s) / (STEP_S * 1.0002))
+        told_s = steps.take(number % WRAPS, t_s)
+        assert t_s - STEP_S - 1e-9 <= told_s <= t_s + 1e-9

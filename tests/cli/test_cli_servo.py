@@ -1,0 +1,120 @@
+"""`rig servo` and `rig init --servo` on an emulated bus behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from rig import config
+from rig.backends.servo.emulated.servo import ServoOptions
+from rig.backends.servo.emulated.servo_board import ServoBoard
+from rig.cli import main
+from rig.preflight import check
+
+pytestmark = pytest.mark.realtime
+
+SERVOS = [
+    ServoOptions(model="xl330-m288", id=1),
+    ServoOptions(model="xl330-m077", id=7, registers={"drive_mode": 8}),
+]
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    with ServoBoard() as board:
+        board.start(SERVOS)
+        yield board.port
+
+
+def said(*arguments: str, status: int = 0) -> str:
+    done = CliRunner().invoke(main, list(arguments), catch_exceptions=False)
+    assert done.exit_code == status, done.output
+    return done.output
+
+
+def test_a_scan_shows_every_servo_and_what_would_be_refused(port: str) -> None:
+    servos = json.loads(said("servo", "scan", port, "--baud", "1000000", "--json"))["servos"]
+    assert [(one["id"], one["model"]) for one in servos] == [(1, "xl330-m288"), (7, "xl330-m077")]
+    assert servos[0]["refused"] == [] and "SERVO_SETUP" in servos[1]["refused"][0]
+    assert servos[0]["supply_V"] == 5.0
+    text = said("servo", "scan", port, "--baud", "1000000")
+    assert "id 7: xl330-m077" in text and "refused: SERVO_SETUP" in text
+
+
+def test_a_scan_at_another_baud_finds_nobody(port: str) -> None:
+    assert "no servo answers" in said("servo", "scan", port, "--baud", "57600")
+
+
+def test_all_registers_are_shown(port: str) -> None:
+    registers = json.loads(said("servo", "show", port, "7", "--json"))["registers"]
+    assert registers["drive_mode"] == 8 and registers["model_number"] == 1190
+    assert "operating_mode" in said("servo", "show", port, "1")
+
+
+def test_who_says_no_changes_nothing(port: str) -> None:
+    done = CliRunner().invoke(main, ["servo", "baud", port, "1", "57600"], input="n\n")
+    assert done.exit_code == 2 and "nothing was changed" in done.output
+    assert json.loads(said("servo", "show", port, "1", "--json"))["registers"]["baud_rate"] == 3
+
+
+def test_a_servo_speaks_at_another_baud_from_then_on(port: str) -> None:
+    assert "speaks at 57600 baud" in said("servo", "baud", port, "1", "57600", "--yes")
+    (one,) = json.loads(said("servo", "scan", port, "--baud", "57600", "--json"))["servos"]
+    assert one["id"] == 1
+    assert "no 12345 baud" in said("servo", "baud", port, "7", "12345", "--yes", status=1)
+
+
+def test_a_reboot_and_nobody_to_reboot(port: str) -> None:
+    assert "answers again" in said("servo", "reboot", port, "1", "--yes")
+    assert "no servo 3 answers" in said("servo", "reboot", port, "3", "--yes", status=1)
+
+
+def test_there_is_nothing_to_put_back(port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert "nothing to put back" in said("servo", "restore", port, "1")
+
+
+def test_what_a_run_has_left_is_put_back(port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    file = tmp_path / "rig" / f"servo-{Path(port).name}-1.json"
+    file.parent.mkdir()
+    file.write_text(json.dumps({"model": "xl330-m288", "id": 1, "registers": {"pwm_limit": 300}}))
+    assert "put back: pwm_limit 300" in said("servo", "restore", port, "1")
+    assert json.loads(said("servo", "show", port, "1", "--json"))["registers"]["pwm_limit"] == 300
+    assert not file.exists()
+
+
+@pytest.mark.parametrize(("arguments", "driver_model"), [
+    (("--servo", "xl330-m288"), "xl330-m288"),
+    (("--servo", "sts3215"), "sts3215"),
+    (("--servo", "xm430-w350", "--supply-V", "12", "--no-load-rpm", "46"), "xm430-w350"),
+    (("--servo", "xl430", "--supply-V", "11.1", "--no-load-rpm", "57"), "xl430-w250"),
+])  # fmt: skip
+def test_a_first_config_passes_the_check(arguments: tuple[str, ...], driver_model: str, tmp_path: Path) -> None:
+    file = tmp_path / "bench.yaml"
+    said("init", str(file), *arguments)
+    experiment, _ = check(file)
+    assert experiment.daq.servo is not None and experiment.daq.servo.model == driver_model
+    assert experiment.daq.port == "emulated"
+
+
+def test_a_first_config_knows_what_the_servo_tells(port: str, tmp_path: Path) -> None:
+    file = tmp_path / "bench.yaml"
+    said("init", str(file), "--servo", "xl330", "--port", port)
+    e = config.load(file)
+    assert e.daq.servo is not None and e.sensor.servo is not None
+    assert (e.daq.port, e.daq.servo.model, e.daq.servo.id, e.drive.supply_V) == (port, "xl330-m288", 1, 5.0)
+    assert e.emulated is None and e.sensor.servo.zero_counts == 2048
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("--servo", "ax-12"), "rig knows no servo"),
+    (("--servo", "xm430-w350"), "give --no-load-rpm"),
+    (("--servo", "xl330", "--board", "uno"), "mean nothing with --servo"),
+])  # fmt: skip
+def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    assert words in said("init", str(tmp_path / "bench.yaml"), *arguments, status=2)

@@ -1,0 +1,119 @@
+"""The rules of a servo's config: one mistake, one line; which combinations of servo and load may run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from rig import config
+from rig.config import ConfigError
+from rig.preflight import check
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+def changed(tmp_path: Path, name: str = "servo", **sections: Any) -> Path:
+    """A ready config with keys of its sections changed; None takes one out."""
+    data = yaml.safe_load((CONFIG / f"{name}.yaml").read_text(encoding="utf-8"))
+    for section, keys in sections.items():
+        if not isinstance(keys, dict):
+            data[section] = keys
+            continue
+        one = data.setdefault(section, {})
+        for key, value in keys.items():
+            inner = one.setdefault(key, {}) if isinstance(value, dict) else one
+            if isinstance(value, dict):
+                inner.update(value)
+            elif value is None:
+                inner.pop(key)
+            else:
+                inner[key] = value
+    path = tmp_path / "bench.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def problems(path: Path) -> list[str]:
+    try:
+        check(path)
+    except ConfigError as error:
+        return str(error).splitlines()
+    return []
+
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"daq": {"port": None}}, "needs a port"),
+    ({"daq": {"port": "emulated-chip"}}, "no emulated-chip for `driver: servo`"),
+    ({"daq": {"servo": {"model": "ax-12"}}}, "no servo 'ax-12'"),
+    ({"daq": {"servo": {"id": 253}}}, "252"),
+    ({"daq": {"baud": 250000}}, "has no 250000 baud"),
+    ({"daq": {"baud": 57600}}, "too slow for the period"),
+    ({"daq": {"watchdog_s": 0.05}}, "no whole number of 0.02 s"),
+    ({"daq": {"timeout_s": 0.02}}, "longer than the period"),
+    ({"daq": {"adapter": "ftdi"}}, "daq.servo.adapter"),
+    ({"drive": {"supply_V": 12.0}}, "takes 3.1 to 7 V"),
+    ({"drive": {"bridge": "pwm-dir"}}, "its bridge inside"),
+    ({"limits": {"hard_rad": [-3.2, 3.2]}}, "within one turn alone"),
+    ({"tachometer": {"rad_s_per_count": 0.1}}, "position alone"),
+]
+
+
+@pytest.mark.parametrize(("sections", "words"), REFUSED)
+def test_one_mistake_is_one_line(sections: dict[str, Any], words: str, tmp_path: Path) -> None:
+    said = problems(changed(tmp_path, **sections))
+    assert len(said) == 1 and words in said[0], said
+
+
+def test_a_sensor_beside_the_servos_own_is_refused(tmp_path: Path) -> None:
+    path = changed(tmp_path, sensor={"encoder": {"counts_per_turn": 64}})
+    assert any("give `servo` alone" in line for line in problems(path))
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    data["sensor"] = {"encoder": {"counts_per_turn": 4096}}
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    assert any("has a sensor of its own" in line for line in problems(path))
+
+
+@pytest.mark.parametrize("name", ["servo", "servo-sts3215"])
+def test_a_runs_own_config_is_read_again(name: str, tmp_path: Path) -> None:
+    e = config.load(CONFIG / f"{name}.yaml")
+    (tmp_path / "config.yaml").write_text(config.dump(e), encoding="utf-8")
+    assert config.load(tmp_path / "config.yaml") == e
+
+
+def test_a_feetech_needs_leave_to_run_without_a_watchdog(tmp_path: Path) -> None:
+    said = problems(changed(tmp_path, "servo-sts3215", daq={"accept_no_watchdog": False}))
+    assert len(said) == 1 and "keeper on this machine" in said[0]
+
+
+@pytest.mark.parametrize(("name", "accepts", "attached", "switch", "max_V", "words"), [
+    ("servo", False, "nothing", None, 1.6, ""),
+    ("servo", False, "load", None, 1.6, ""),
+    ("servo", False, "joint", None, 1.6, ""),  # the watchdog is proven, or the run ends before it drives
+    ("servo", True, "joint", None, 1.6, "put a switch"),
+    ("servo", True, "joint", "the red one", 1.6, ""),
+    ("servo-sts3215", True, "nothing", None, 3.0, ""),
+    ("servo-sts3215", True, "load", None, 3.0, ""),
+    ("servo-sts3215", True, "joint", None, 3.0, "put a switch"),
+    ("servo-sts3215", True, "joint", "the red one", 3.0, ""),
+])  # fmt: skip
+def test_which_combinations_run(
+    name: str, accepts: bool, attached: str, switch: str | None, max_V: float, words: str, tmp_path: Path
+) -> None:
+    servo = {"attached": attached} | ({} if switch is None else {"supply_switch": switch})
+    said = problems(
+        changed(tmp_path, name, daq={"accept_no_watchdog": accepts, "servo": servo}, drive={"max_V": max_V})
+    )
+    assert (words == "" and said == []) or (len(said) == 1 and words in said[0]), said
+
+
+def test_a_load_without_a_watchdog_bounds_the_drive(tmp_path: Path) -> None:
+    daq = {"accept_no_watchdog": True, "servo": {"attached": "load"}}
+    path = changed(tmp_path, daq=daq, drive={"max_V": 4.8}, motor={"no_load_speed_rad_s": 40.0})
+    said = [line for line in problems(path) if "could leave limits.hard_rad" in line]
+    assert len(said) == 1
+    most_V = float(said[0].rpartition("at most ")[2].split()[0])
+    path = changed(tmp_path, daq=daq, drive={"max_V": most_V}, motor={"no_load_speed_rad_s": 40.0})
+    assert not any("could leave" in line for line in problems(path))
