@@ -126,8 +126,9 @@ def test_without_its_packages_it_says_what_to_install(
     config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "joblib", None)
-    monkeypatch.delitem(sys.modules, "rig.campaign.runner", raising=False)
-    monkeypatch.delitem(sys.modules, "rig.campaign.session", raising=False)
+    for name in ("runner", "session"):
+        monkeypatch.delitem(sys.modules, f"rig.campaign.{name}", raising=False)
+        monkeypatch.delattr(f"rig.campaign.{name}", raising=False)
     result = rig("campaign", config, "--out", tmp_path)
     assert result.exit_code == 2
     assert "the package joblib, which is not installed" in result.stderr
