@@ -6,6 +6,9 @@ import io
 import os
 import sys
 
+from rig import ctrl_c
+from rig.errors import LibraryError
+
 # The matrices here are thin: a second thread of the linear algebra saves nothing, and spins on the loop's core.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
@@ -22,11 +25,15 @@ def run() -> None:
     """Load the commands and run the one that was asked for."""
     never_stop_at_a_letter()
     try:
+        ctrl_c.begin()
         from rig.cli import main
 
         main()
     except KeyboardInterrupt:
         sys.stderr.write("rig: interrupted before the bench was opened; nothing has moved\n")
+        sys.exit(1)
+    except LibraryError as error:
+        sys.stderr.write(f"rig: {error}\n")
         sys.exit(1)
 
 

@@ -158,9 +158,6 @@ def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, o
     checked, _ = preflight.check(config)
     require_device_file(checked.daq.port)
     if law is None:
-        from rig.experiment.ready import make_ready  # scipy comes with it
-
-        make_ready(lambda words: sys.stderr.write(f"{words}\n"), designs=checked.relay.until is not None)
         return _as_run(experiment.run(checked, Path(out)))
     own = Timed(law, duration_s, type(law).__name__)
     # the run folder keeps the config: it must not name a law that did not run

@@ -264,7 +264,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LAW_TIME": FaultEntry(
         "the law of your own took longer than it may",
-        "make its step quicker: do what is slow (imports, files, compiling with numba) once, before the run, in its "
+        "make its step quicker: do what is slow (imports, files) once, before the run, in its "
         "__init__. A law that needs more time on purpose: raise loop.law_cpu_s. A simulation shows what the law does "
         "without this bound: daq.driver: simulated",
     ),

@@ -189,7 +189,7 @@ class FoundEstimate(Estimate):
         Raises ValueError for an estimate without a residual.
         """
         with _drawing():
-            return laid_out(residual_figure(self))
+            return laid_out(residual_figure(self.method, self.residual_t_s, self.residual_rad))
 
     def __repr__(self) -> str:
         return self.summary()

@@ -19,8 +19,6 @@ from rig import config
 from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench, backend_of
 from rig.config.schema import Experiment, Method
-from rig.control.breakaway import BreakawayLaw
-from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
 from rig.control.strokes import Stroke
@@ -71,9 +69,7 @@ Ending = Literal["its end", "a fault", "no end"]
 
 _P = TypeVar("_P", bound=Part)
 
-_WITHOUT_FURTHER_PAIRS = "balanced pairs"  # a breakaway law
-_WITHOUT_REPEATS = "balanced pairs, further ones"  # an older breakaway law
-_WITHOUT_STEPS = "balanced pairs, repeated at the top"  # an older one, which did not know the device's steps
+_KNOWS_OLDER_LAWS = "599afeb2"  # the last commit of rig that replays breakaway laws of older versions
 _RECORD_AGAIN = "record the run again with this version"
 
 
@@ -183,7 +179,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         difference=difference,
         ending=ending,
         fault=fault,
-        notes=(*recording.notes, *_older_search(recording, e)),
+        notes=recording.notes,
     )
 
 
@@ -260,15 +256,14 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
             drive = partial(
                 drive_until,
                 known=_known(recording),
-                check=_breakaway_law(recording, what, e),
                 advisers=RecordedAdvice(_decisions(recording)),
             )
         case "run" | "relay":
-            drive = partial(stages.drive_tests, check=_breakaway_law(recording, what, e))
+            drive = stages.drive_tests
         case "survey":
-            drive = partial(stages.drive_one_test, check=_breakaway_law(recording, what, e))
+            drive = stages.drive_one_test
         case "breakaway" | "track":
-            drive = partial(stages.drive_check, check=_breakaway_law(recording, what, e))
+            drive = stages.drive_check
         case "jog":
             if what.duration_s is None or (what.u_V is None) != bool(what.leased):
                 raise _broken(recording, "script", what.as_json())
@@ -277,10 +272,15 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
             else:
                 drive = partial(stages.drive_by_hand, u_V=what.u_V, duration_s=what.duration_s)
         case "law":
-            check = _breakaway_law(recording, what, e)
-            drive = partial(stages.drive_law, law=_users_law(recording, what, e, own), check=check)
+            drive = partial(stages.drive_law, law=_users_law(recording, what, e, own))
         case _:
             raise _unknown(recording, "script", what.name)
+    if what.name != "jog" and what.breakaway != BREAKAWAY_LAW:
+        raise RecordingError(
+            recording.source / META,
+            f"its breakaway check is that of an older version: {what.breakaway or 'ramps one way'}",
+            f"to replay it take that version: git checkout {_KNOWS_OLDER_LAWS} in a clone of rig",
+        )
 
     def script(session: Session) -> None:
         drive(session)
@@ -378,33 +378,6 @@ def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLa
         raise RecordingError(
             recording.source / CONFIG, f"its law cannot be made: {error}", "install the package that offers it"
         ) from error
-
-
-def _older_search(recording: Recording, e: Experiment) -> tuple[str, ...]:
-    """A note, if an older version searched with ``relay.until``: its search had no pushes."""
-    what = _meta_with(recording, "script").script
-    if what is None or what.breakaway == BREAKAWAY_LAW or e.relay.until is None:
-        return ()
-    return (
-        "an older version recorded this run, whose search began without pushes that prove the sensor: from the search "
-        f"on the drive may differ; to compare all of it, {_RECORD_AGAIN}",
-    )
-
-
-def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> BreakawayLaw | None:
-    """The breakaway law that ran, if an older version's; None: this version's."""
-    if what.breakaway == BREAKAWAY_LAW:
-        return None
-    if what.breakaway == _WITHOUT_FURTHER_PAIRS:
-        return stages.breakaway_check(e, further=False)
-    if what.breakaway == _WITHOUT_REPEATS:
-        return stages.breakaway_check(e, repeats=False)
-    if what.breakaway == _WITHOUT_STEPS:
-        return stages.breakaway_check(e)
-    if what.breakaway is None:
-        b = e.breakaway
-        return OneWayCheck(b.ramp_V_s, b.max_V, b.motion_rad, b.rest_s)
-    raise _unknown(recording, "breakaway law", what.breakaway)
 
 
 def _unknown(recording: Recording, what: str, name: str | None) -> RecordingError:

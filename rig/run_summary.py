@@ -16,7 +16,7 @@ from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.config.sensor import full_range_rad
-from rig.control.breakaway import BreakawayLaw
+from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.control.rising_gains import RisingGains
 from rig.faults import Fault
@@ -73,7 +73,7 @@ class Findings:
     """
 
     real_time: RealTimeReport | None = None
-    breakaway: BreakawayLaw | None = None
+    breakaway: BreakawayCheck | None = None
     search: GainSearch | RisingGains | None = None
     gains_V: tuple[tuple[float, float], ...] = ()
     further_gains_V: tuple[float, float] | None = None
@@ -307,7 +307,7 @@ def _hysteretic(own: Identification, experiment: Experiment) -> tuple[Hysteretic
     return runs or None
 
 
-def _breakaway(check: BreakawayLaw, own: Identification | None) -> BreakawayResult:
+def _breakaway(check: BreakawayCheck, own: Identification | None) -> BreakawayResult:
     """What the breakaway check saw, and what was identified from it."""
     seen = BreakawayResult(seen_plus_V=check.plus_V, seen_minus_V=check.minus_V, noise_rad=check.noise_rad)
     if own is None or own.breakaway is None:

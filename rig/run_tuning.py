@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from rig.recording.reader import read_result, read_run
 from rig.recording.recording import Recording
 from rig.recording.stage import StageKind
 from rig.report import write_report
-from rig.results import HoldsResult, RunResult
+from rig.results import HoldsResult, JsonObject, RunResult
 from rig.results.answer_words import beyond_drive
 from rig.results.tuned import TunedResult
 from rig.tune.known import motor_of
@@ -75,12 +74,12 @@ class TunedRun:
     holds: HoldsResult | None = None
     made_up: bool = False
 
-    def options(self) -> dict[str, Any]:
+    def options(self) -> JsonObject:
         """Of the law `tuned`, for the section `law` of a config."""
         motor, sensing, gains = self.tuned.motor, self.tuned.sensing, self.tuned.gains
         return {
             "loop": gains.loop,
-            "motor": motor.framed.numbers,
+            "motor": {**motor.framed.numbers},
             "observer": {
                 "period_s": sensing.period_s,
                 "noise_rad": sensing.whole_noise_rad,
@@ -114,7 +113,7 @@ class TunedRun:
 
     def result(self, bench: Record | None = None) -> TunedResult:
         """All of it; ``bench``: the trial that a bench recorded."""
-        law = {"name": TUNED, "options": self.options()}
+        law: JsonObject = {"name": TUNED, "options": self.options()}
         found = result_of(self.tuned, self.prediction, bench, self.folder.resolve().name, law)
         largest_V = max(float(np.abs(one.u_V).max()) for one in self.prediction.records)
         beyond = beyond_drive(self.holds, largest_V)

@@ -123,6 +123,7 @@ def record(
     on_start: OnStart | None,
     again: Bench | None = None,
     gone: Gone | None = None,
+    series: StopFlag | None = None,
 ) -> Outcome:
     """Run ``script`` on the bench and record it. Whatever ends it, the drive stops and the recording is kept.
 
@@ -131,6 +132,7 @@ def record(
     on_start  called once with the run folder and the first notes
     again     a bench that the same command has opened already; its opener closes it
     gone      who has to be there while it drives, and is not: as of ``StopRequest``
+    series    the flag of a series of runs, which goes with it from run to run; None: the run is alone
 
     result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
     Raises Fault if the bench cannot be opened, RecordingError if the run folder cannot be made.
@@ -139,7 +141,7 @@ def record(
     session: Session | None = None
     fault: Fault | None = None
     failures: list[str] = []
-    with StopFlag() as flag:  # until the report is there
+    with StopFlag() if series is None else nullcontext(series) as flag:  # until the report is there
         with stop_on_signals(flag, gone) as stop:
             with suppress(OSError):  # then there is no room for a run folder either, which is said
                 flag.open(parent, what.name)
@@ -150,6 +152,8 @@ def record(
                         fault = _run_script(script, session, on_start)
                     finally:
                         lost = _close(recorder)
+                        if fault is not None and lost is not None:
+                            failures.append(f"{lost.code}: {lost.detail}")
                         fault = fault or lost
             except Exception as error:
                 if session is None:
@@ -160,8 +164,15 @@ def record(
             _write_result(session, outcome)
             late = stop.look()
             if late is not None and fault is None:
-                outcome.failures.append(f"{late} came after the experiment had ended")
-        return _conclude(session, outcome)
+                outcome.failures.append(_came_late(late))
+        outcome = _conclude(session, outcome)
+        if fault is None and late is None and (by := flag.asked_by()):
+            outcome.failures.append(_came_late(f"Stop by {by}"))
+        return outcome
+
+
+def _came_late(reason: str) -> str:
+    return f"{reason} came after the experiment had ended"
 
 
 def _begin(

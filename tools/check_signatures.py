@@ -20,8 +20,6 @@ PLAIN = {"int", "float", "str", "bool", "bytes", "complex", "None", "Path", "Arr
 
 # By file; a function that takes fewer has to leave the list.
 ALLOWED: dict[str, set[str]] = {
-    # numba takes 5 us at each call to tell the type of a named tuple, a quarter of what the loop itself takes
-    "rig/model/compiled/steady_cycle.py": {"_misfit", "solve"},
     # click gives each option of a command as a parameter of its own
     "rig/cli/predict.py": {"predict"},
     "rig/cli/campaign.py": {"campaign"},

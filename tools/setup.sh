@@ -96,11 +96,8 @@ wait "$debian"
 fetch .venv/bin/uv pip install --no-deps --editable .
 wait "$board"
 
-# so that no first run waits for it; two processes, for two cores
-echo "setup: compiling the motor's model: half a minute, longer on a busy machine"
-.venv/bin/python -m rig.identify.ready real &
-compiled=$!
-.venv/bin/python -m rig.identify.ready plain
+# the motor's physics, for this machine
+CC="$COMPILER" .venv/bin/python -c 'import rig.model.library'
 if $for_all; then
     # the second emulator of the Uno's chip, the Pico's, what drives the browser; npm keeps its own stamp of what it has
     # installed
@@ -109,8 +106,6 @@ if $for_all; then
             (cd "$folder" && npm ci --loglevel=error >/dev/null)
     done
     tools/uplot.sh
-    .venv/bin/python -m rig.experiment.ready
 fi
-wait "$compiled"
 touch .venv/.running
 if $for_all; then touch .venv/.ready; fi

@@ -24,8 +24,7 @@ import numpy as np
 from rig import config
 from rig.campaign.grid import draw
 from rig.config.schema import MotorSection as DataSheet
-from rig.control.breakaway import BreakawayLaw
-from rig.control.breakaway_one_way import OneWayCheck
+from rig.control.breakaway import BreakawayCheck
 from rig.experiment.stages import breakaway_check
 from rig.faults import Fault
 from rig.model.friction import Friction
@@ -72,7 +71,7 @@ class Seen(NamedTuple):
     time_s: float
     travel_rad: float
     left_rad: float
-    law: BreakawayLaw
+    law: BreakawayCheck
     strokes: tuple[Stroke, ...]
 
 
@@ -103,7 +102,7 @@ def suited(demo: config.Experiment, no_load_speed_rad_s: float, friction_V: floa
 
 def check(
     motor: Motor,
-    law: BreakawayLaw,
+    law: BreakawayCheck,
     period_s: float,
     seed: int,
     *,
@@ -190,49 +189,38 @@ def with_late_tick(motor: Motor, e: config.Experiment, seed: int, seen: Seen) ->
     ]
 
 
-def one_way(e: config.Experiment) -> OneWayCheck:
-    """The law of older versions."""
-    b = e.breakaway
-    return OneWayCheck(0.4, b.max_V, b.motion_rad, b.rest_s)
-
-
 def main(motors: int) -> int:
     """Print the numbers; 1 where a shaft turns farther than it may."""
     refused = 0
-    for name in ("pairs", "one way, as older versions had it"):
-        ends: Counter[str] = Counter()
-        unseen, late, over, times = [], [], [], []
-        for number, (motor, e) in enumerate(trials(motors)):
-            if breakaway_strokes(e) is None:
-                refused += name == "pairs"
-                continue
-            new = name == "pairs"
-            stuck = check(motor, breakaway_check(e) if new else one_way(e), e.period_s, number, stuck=True)
-            sound = check(motor, breakaway_check(e) if new else one_way(e), e.period_s, number, stuck=False)
-            unseen.append(stuck.travel_rad)
-            if new:
-                late.append(max(run.travel_rad for run in with_late_tick(motor, e, number, stuck)))
-            ends[sound.end] += 1
-            if sound.end == "moves":
-                times.append(sound.time_s)
-                friction = motor.friction
-                over += [sound.law.plus_V - friction.static_plus_V, sound.law.minus_V - friction.static_minus_V]
-        worst = max(unseen)
-        print(f"{name}: {motors} motors, {refused} configs refused")
-        print(f"  sensor stuck: turned at most {worst:.3f} rad unseen, median {np.median(unseen):.3f} rad;", end=" ")
-        print(f"more than {UNSEEN_RAD:g} rad: {sum(x > UNSEEN_RAD for x in unseen)}")
-        if late:
-            print(f"  and a tick late, or a host that dies, at the worst place: at most {max(late):.3f} rad,", end=" ")
-            print(
-                f"median {np.median(late):.3f} rad; more than {UNSEEN_RAD:g} rad: {sum(x > UNSEEN_RAD for x in late)}"
-            )
-            worst = max(worst, *late)
-        print(f"  sensor sound: {', '.join(f'{end} {count}' for end, count in ends.items())};", end=" ")
-        print(f"levels above static friction by {1e3 * np.median(over):.0f} mV (median),", end=" ")
-        print(f"{1e3 * np.quantile(over, 0.9):.0f} mV (90 %); {np.median(times):.1f} s (median)")
-        if name == "pairs":
-            failed = worst > UNSEEN_RAD
-    return int(failed)
+    ends: Counter[str] = Counter()
+    unseen, late, over, times = [], [], [], []
+    for number, (motor, e) in enumerate(trials(motors)):
+        if breakaway_strokes(e) is None:
+            refused += 1
+            continue
+        stuck = check(motor, breakaway_check(e), e.period_s, number, stuck=True)
+        sound = check(motor, breakaway_check(e), e.period_s, number, stuck=False)
+        unseen.append(stuck.travel_rad)
+        late.append(max(run.travel_rad for run in with_late_tick(motor, e, number, stuck)))
+        ends[sound.end] += 1
+        if sound.end == "moves":
+            times.append(sound.time_s)
+            friction = motor.friction
+            over += [sound.law.plus_V - friction.static_plus_V, sound.law.minus_V - friction.static_minus_V]
+    print(f"{motors} motors, {refused} configs refused")
+    for what, travels_rad in (
+        ("sensor stuck", unseen),
+        ("and a tick late, or a host that dies, at the worst place", late),
+    ):
+        print(
+            f"  {what}: turned at most {max(travels_rad):.3f} rad unseen, median {np.median(travels_rad):.3f} rad;",
+            end=" ",
+        )
+        print(f"more than {UNSEEN_RAD:g} rad: {sum(x > UNSEEN_RAD for x in travels_rad)}")
+    print(f"  sensor sound: {', '.join(f'{end} {count}' for end, count in ends.items())};", end=" ")
+    print(f"levels above static friction by {1e3 * np.median(over):.0f} mV (median),", end=" ")
+    print(f"{1e3 * np.quantile(over, 0.9):.0f} mV (90 %); {np.median(times):.1f} s (median)")
+    return int(max(*unseen, *late) > UNSEEN_RAD)
 
 
 if __name__ == "__main__":

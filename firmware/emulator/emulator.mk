@@ -4,8 +4,8 @@
 #                turns with EDGES edges a second
 EDGES ?= 12500
 CHIP_OUT := $(BUILD)/chip
-CHIP_SOURCES := emulator/chip.c emulator/timer1.c boards/host/bench.c boards/host/real_motor.c boards/host/wire.c
-CHIP_HEADERS := emulator/chip.h emulator/timer1.h boards/host/bench.h boards/host/real_motor.h boards/host/wire.h boards/host/process.h Makefile emulator/emulator.mk
+CHIP_SOURCES := emulator/chip.c emulator/timer1.c boards/host/bench.c $(MOTOR) boards/host/wire.c
+CHIP_HEADERS := emulator/chip.h emulator/timer1.h boards/host/bench.h motor/plain_motor.h motor/real_motor.h boards/host/wire.h boards/host/process.h Makefile emulator/emulator.mk
 CHIP_CC = $(CC) $(CPPFLAGS) $(CFLAGS) -Wno-pedantic -isystem /usr/include/simavr
 
 .PHONY: chip load

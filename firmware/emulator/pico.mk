@@ -6,5 +6,5 @@ NODE_API := $(PICO_CHIP)/node_modules/node-api-headers/include
 .PHONY: pico-chip
 pico-chip: $(BUILD)/pico/bench.node $(PICO).uf2
 
-$(BUILD)/pico/bench.node: $(PICO_CHIP)/bench_for_node.c boards/host/bench.c boards/host/real_motor.c $(HEADERS) Makefile | $(BUILD)/pico
+$(BUILD)/pico/bench.node: $(PICO_CHIP)/bench_for_node.c boards/host/bench.c $(MOTOR) $(HEADERS) Makefile | $(BUILD)/pico
 	$(CC) $(CPPFLAGS) $(CFLAGS) -isystem $(NODE_API) -shared -o $@ $(filter %.c,$^) $(LDFLAGS) -lm

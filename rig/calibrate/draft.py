@@ -11,6 +11,7 @@ from rig.config.edit import Value, changed
 from rig.config.load import load
 from rig.config.problems import ConfigError, Path, key_of
 from rig.config.schema import Experiment
+from rig.results import JsonObject
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Draft:
     """
 
     original: Experiment
-    data: Mapping[str, Any]
+    data: JsonObject
     changes: Mapping[Path, Value] = field(default_factory=dict)
     board: str = ""
     follows: bool = False

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from rig.backends.links.device_file import require_device_file
 from rig.backends.links.usb_port import usb_port
 from rig.backends.registry import backend_of
-from rig.calibrate.dialogue import Ask, Hold, Motion, Say, Skipped, Strokes
+from rig.calibrate.dialogue import Ask, Motion, Say, Skipped
 from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
 from rig.calibrate.save import read_text, require_writable, save
@@ -146,8 +146,6 @@ def calibrate(
 
 def _measured(draft: Draft, steps: Sequence[str], front: Front, bench_of: Callable[[], HandBench]) -> Draft:
     """The draft after the steps."""
-    from rig.identify.ready import make_ready
-
     dialogue = calibration(draft, steps)
     with bench_of() as bench:
         try:
@@ -160,8 +158,6 @@ def _measured(draft: Draft, steps: Sequence[str], front: Front, bench_of: Callab
                     elif isinstance(request, Ask):
                         request = dialogue.send(front.ask(request))
                     else:
-                        if isinstance(request, Strokes | Hold):  # nobody waits for it while the drive is on
-                            make_ready(lambda words: front.say(Say(words)))
                         front.does(request)
                         request = dialogue.send(bench.perform(request))
                 except (Skipped, Refusal) as instead:

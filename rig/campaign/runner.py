@@ -75,7 +75,9 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
     try:
         from distributed import Client, LocalCluster
     except ImportError as error:
-        raise CampaignError("dask is not installed", "pip install 'motor-rig[cluster]', or --backend joblib") from error
+        raise CampaignError(
+            "dask is not installed", "pip install 'motor-rig[campaign]', or --backend joblib"
+        ) from error
     cluster: Any
     if scheduler is None:
         # dask itself gives its workers OMP_NUM_THREADS=1 and the like

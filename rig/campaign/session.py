@@ -120,7 +120,7 @@ def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell
                 raise BrokenOffError(
                     f"{file.folder}: the first {len(held)} experiments all failed; the first error: "
                     f"{held[0]['reasons']}",
-                    f"repeat it to see where: {repeated_by(file.folder, held[0]['number'])}",
+                    f"repeat it to see where: {repeated_by(file.folder, int(held[0]['number']))}",
                 )
 
 

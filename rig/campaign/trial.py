@@ -9,7 +9,6 @@ import math
 import time
 import traceback
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.results import RunMeta
 
 Array = NDArray[np.float64]
-Row = dict[str, Any]  # COLUMNS says of which kind each is
+Row = dict[str, int | float | str]  # COLUMNS says of which kind each is
 FAILED = "failed"  # verdict of an experiment that raised an exception
 
 TRUTHS = ("h1_V", "h2_V", "period_s", "offset_rad", "start_rad", "clock_ratio")
@@ -65,7 +64,8 @@ def row_of(campaign: Campaign, number: int) -> Row:
     except CampaignError:
         raise
     except Exception as error:  # noqa: BLE001 - no error of one experiment may end the thousands of others
-        blank: Row = {name: {int: 0, float: math.nan, str: ""}[kind] for name, kind in COLUMNS.items()}
+        empty: dict[type, int | float | str] = {int: 0, float: math.nan, str: ""}
+        blank: Row = {name: empty[kind] for name, kind in COLUMNS.items()}
         seconds = time.perf_counter() - began
         return blank | {"number": number, "verdict": FAILED, "reasons": _in_words(error), "seconds": seconds}
 

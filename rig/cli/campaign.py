@@ -76,8 +76,14 @@ def campaign(
 
             click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
             return
-        from rig.campaign import results, session
-
+        try:
+            from rig.campaign import results, session
+        except ModuleNotFoundError as error:
+            fail(
+                EXIT_BAD_INPUT,
+                f"many experiments at once need the package {error.name}, which is not installed",
+                "python3 -m pip install 'motor-rig[campaign]', or in rig's clone: python3 -m pip install '.[campaign]'",
+            )
         folder = resume or results.folder_for(out, asked)
         jobs = jobs or os.cpu_count() or 1
         with progress(f"campaign {asked.name}", as_json) as on_progress:

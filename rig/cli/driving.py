@@ -13,8 +13,8 @@ from rich.console import Console
 
 from rig import preflight
 from rig.backends.serial.ports import CHIP_PORTS
-from rig.cli.failure import EXIT_FAILED, fail_config, faults
-from rig.config import ConfigError, Experiment
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
+from rig.config import ConfigError, Experiment, read
 from rig.recording.folder import json_text
 from rig.terminal import show_run
 
@@ -22,28 +22,33 @@ if TYPE_CHECKING:  # scipy comes with it
     from rig.session import OnStart, Outcome
 
 
-def checked(path: Path, pace: float | None = None, *, drives: bool = True) -> Experiment:
+def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_checked: str | None = None) -> Experiment:
     """The checked experiment of a config file. Exits with status 2 and the problems if the config is bad.
 
     pace    in place of loop.pace; None: as the config says
     drives  False: no motor turns, so the config need not name the bridge; `rig doctor` reads it from the firmware
+    as_checked  as of ``checked_bench``
     """
     try:
-        experiment, _ = preflight.check(path, () if drives else ("drive.bridge",), pace)
+        document = read(path, takes_pipe=True)
+        if as_checked not in (None, document.digest):
+            fail(EXIT_BAD_INPUT, f"{path} has changed since it was checked", "check it again")
+        experiment, _ = preflight.check(document, () if drives else ("drive.bridge",), pace)
     except ConfigError as error:
         fail_config(error)
     return experiment
 
 
-def checked_bench(path: Path, pace: float | None = None) -> Experiment:
+def checked_bench(path: Path, pace: float | None = None, as_checked: str | None = None) -> Experiment:
     """``checked`` for a command that drives a motor. No such port or chip: exits with status 1, before slow imports.
 
-    pace  seconds of virtual time in a second, as of ``checked``
+    pace        seconds of virtual time in a second, as of ``checked``
+    as_checked  digest of the file as somebody has confirmed it; another one exits with status 2; None: any
     """
     from rig.backends.links.device_file import require_device_file
     from rig.backends.serial.emulated.firmware_build import require_emulator
 
-    experiment = checked(path, pace)
+    experiment = checked(path, pace, as_checked=as_checked)
     with faults():
         require_device_file(experiment.daq.port)
         require_emulator(experiment.daq.port)
@@ -55,16 +60,6 @@ def say_chip_starts(port: str | None) -> None:
     """Say on a terminal that an emulated chip takes its time to start; in a pipe nothing."""
     if port in CHIP_PORTS and Console(stderr=True).is_terminal:
         click.echo("starting the emulated chip: some ten seconds, longer on a busy machine ...", err=True)
-
-
-def compiled(*, designs: bool) -> None:
-    """Load the compiled model before a device is opened: the loop shares the processor with nobody who compiles.
-
-    designs  whether the run designs its tests
-    """
-    from rig.experiment.ready import make_ready
-
-    make_ready(lambda words: click.echo(words, err=True), designs=designs)
 
 
 def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool = True) -> Outcome:

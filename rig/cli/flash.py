@@ -6,7 +6,7 @@ import os
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +14,8 @@ from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.serial.emulated.firmware_build import Variant
+
+_Options = dict[str, str | int | bool | None]
 
 
 @click.command()
@@ -88,7 +90,7 @@ def flash(
     from rig.backends.serial.emulated.firmware_build import Variant
     from rig.backends.serial.flash import FlashError
 
-    asked: dict[str, Any] = {
+    asked: _Options = {
         "board": board,
         "port": port,
         "usb_serial": usb_serial,
@@ -99,10 +101,11 @@ def flash(
         "encoder": encoder or None,
     }
     told = asked if config_path is None else _told(config_path, asked)
-    board, port, usb_serial = told["board"] or "uno", told["port"], told["usb_serial"]
+    board = str(told["board"] or "uno")
+    port, usb_serial = (None if told[name] is None else str(told[name]) for name in ("port", "usb_serial"))
     options = Variant(
-        (told["bridge"] or "pwm-dir").upper().replace("-", "_"),
-        told["baud"] or 115200,
+        str(told["bridge"] or "pwm-dir").upper().replace("-", "_"),
+        int(told["baud"] or 115200),
         bool(told["tachometer"]),
         supply,
         bool(told["end_switches"]),
@@ -127,7 +130,7 @@ def flash(
         fail(error.status, error.cause, error.cure)
 
 
-def _told(config_path: Path, asked: dict[str, Any]) -> dict[str, Any]:
+def _told(config_path: Path, asked: _Options) -> _Options:
     """What the config says of its board, and beside it what was asked for and the config does not say.
 
     Exits with status 2 where the config cannot be read, is not for such a board, or says something else.

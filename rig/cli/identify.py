@@ -14,7 +14,7 @@ from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS
 from rig.estimators import ESTIMATORS
-from rig.recording.errors import RecordingError
+from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
 from rig.recording.log_format import LogFormat
 from rig.results.meta import REHEARSAL
@@ -22,6 +22,7 @@ from rig.terminal import MOST_NOTES, patience, show_answer, show_details
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.identify import Identification
+    from rig.recording.recording import Recording
 
 Wanted = tuple[Path | None, tuple[str, ...]]
 
@@ -99,6 +100,8 @@ def identify(
             found = identify_recordings(recordings, tuple(methods) or None, without=without)
         records = [str(recording.source) for recording in recordings]
         undrawn = "" if picture is None else _draw(found, picture)
+        if len(paths) == 1 and not methods and not without and rows is None:
+            _keep(paths[0], recordings[0], found)
         if report is not None:
             from rig.report.identified import write_identified
 
@@ -143,6 +146,27 @@ def _require_new(picture: Wanted, report: Wanted, force: bool) -> None:
             fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
         if path.exists() and not force:
             fail(EXIT_BAD_INPUT, f"{path} is there already", "give another name, or --force")
+
+
+def _keep(path: Path, recording: Recording, found: Identification) -> None:
+    """Write the curves of a run folder whose result has this answer and no such curves yet, so that reports draw them.
+
+    Where the disk does not take them, a line says so.
+    """
+    from rig.recording.curves import read_curves, write_curves
+    from rig.recording.path_kind import is_run
+    from rig.recording.reader import read_result
+
+    result, curves = read_result(path)[0] if is_run(path) else None, found.curves
+    if result is None or result.answer is None or curves is None or not curves.is_of(result.answer):
+        return
+    try:
+        read_curves(path, recording, result.answer)
+    except RecordingError:
+        try:
+            write_curves(path, recording, curves)
+        except CannotWriteError as error:
+            click.echo(f"note: {error}", err=True)
 
 
 def _draw(found: Identification, path: Path) -> str:

@@ -98,7 +98,7 @@ def init(
             f"{' and '.join(missing)} {have} no default: a wrong one is dangerous",
             f"give {'it' if len(missing) == 1 else 'them'}; `rig init --help`",
         )
-    told: dict[str, Any] = {}
+    told: dict[str, str | float] = {}
     try:
         board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
         sensor = _chosen("sensor", sensor, new_bench.SENSORS)
@@ -114,7 +114,7 @@ def init(
         port = port or _asked("port of the board", _port(board), asks)
         number = partial(_number, partial(new_bench.possible, board, sensor, bridge, limits))
         told |= {"board": board, "sensor": sensor, "bridge": bridge, "limits": limits, "port": port}
-        told |= {
+        numbers: dict[str, float] = {
             "supply_V": number("supply_V", "motor supply, V", supply_V, 12.0, asks),
             "counts_per_turn": int(
                 number(
@@ -140,9 +140,13 @@ def init(
                 "no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, asks
             ),
         }
-        told["tests"] = tests or (_chosen("tests", None, new_bench.TESTS, "full") if asks else "full")
+        told |= numbers
+        told["tests"] = tests = tests or (_chosen("tests", None, new_bench.TESTS, "full") if asks else "full")
         number_on_usb = usb_port(port).serial_number
-        answers = new_bench.Answers(**told, usb_serial=number_on_usb or "")
+        answers = new_bench.Answers(
+            board, sensor, bridge, port, limits=limits, counts_per_turn=int(numbers.pop("counts_per_turn")), **numbers,
+            usb_serial=number_on_usb or "", tests=tests,
+        )  # fmt: skip
         text = new_bench.text(answers, str(file))
     except new_bench.AnswerError as error:
         again = (
@@ -180,7 +184,7 @@ def init(
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
 
 
-def _command(file: Path, told: dict[str, Any]) -> str:
+def _command(file: Path, told: dict[str, str | float]) -> str:
     """The command that gives these answers, without those that mean nothing beside the others."""
     unused = {"travel_deg"} if told["limits"] != "stops" else set()
     unused |= {"turns"} if told["limits"] != "turns" else set()

@@ -8,7 +8,7 @@ import click
 
 from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
 from rig.config import Experiment
 from rig.results import known
 
@@ -28,6 +28,7 @@ USUAL_LEASED_S, LONGEST_LEASED_S = 60.0, 600.0
 )
 @OUT
 @PACE
+@AS_CHECKED
 @JSON
 def jog(
     config_path: Path,
@@ -36,6 +37,7 @@ def jog(
     seconds: float | None,
     out: Path,
     pace: float | None,
+    as_checked: str | None,
     as_json: bool,
 ) -> None:
     """Drive the shaft for a moment, within the limits.
@@ -51,7 +53,7 @@ def jog(
     duration_s = seconds if seconds is not None else USUAL_LEASED_S if leased else USUAL_S
     if duration_s > longest_s:
         fail(EXIT_BAD_INPUT, f"--seconds {duration_s:g} is too long", f"ask for at most {longest_s:g}")
-    experiment = checked_bench(config_path, pace)
+    experiment = checked_bench(config_path, pace, as_checked)
     from rig import experiment as script
 
     if u_V is None:

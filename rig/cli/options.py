@@ -55,4 +55,6 @@ PACE = click.option(
     help="On a device in virtual time: let so many of its seconds pass in a second, as 1, for people who watch. "
     "Default: as fast as the machine.",
 )  # fmt: skip
+# for programs that have shown a config to somebody, as the panel has
+AS_CHECKED = click.option("--as-checked", metavar="SHA256", default=None, hidden=True, help="The file's digest.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig import config, preflight
-from rig.cli.driving import compiled, finish, perform
+from rig.cli.driving import finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 
@@ -63,7 +63,6 @@ def rehearse(
         fail(EXIT_BAD_INPUT, error.cause, error.cure)
     if not as_json:
         _show_motor(experiment)
-    compiled(designs=experiment.relay.until is not None)
     from rig import experiment as script
 
     with faults():

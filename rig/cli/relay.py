@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.driving import checked_bench, compiled, finish, perform
+from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 
 
@@ -22,7 +22,6 @@ def relay(config_path: Path, out: Path, pace: float | None, as_json: bool) -> No
     No tracking check follows.
     """
     experiment = checked_bench(config_path, pace)
-    compiled(designs=False)
     from rig import experiment as script
 
     finish(perform(partial(script.run_relay, experiment, out), as_json), as_json)

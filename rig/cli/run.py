@@ -9,9 +9,9 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from rig.cli.driving import checked_bench, compiled, perform
+from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.terminal import show_scatter
@@ -33,6 +33,7 @@ from rig.terminal import show_scatter
     help="With relay.until: begin with the motor of this run folder, or of this result.json.",
 )
 @PACE
+@AS_CHECKED
 @click.option("--verbose", is_flag=True, help="Show the tests, each method with its tracking, and the loop, too.")
 @JSON
 def run(
@@ -41,6 +42,7 @@ def run(
     repeat: int,
     model_run: Path | None,
     pace: float | None,
+    as_checked: str | None,
     verbose: bool,
     as_json: bool,
 ) -> None:
@@ -48,7 +50,7 @@ def run(
 
     The stages: breakaway, search, tests, identify, verify, report.
     """
-    experiment = checked_bench(config_path, pace)
+    experiment = checked_bench(config_path, pace, as_checked)
     known = None
     if model_run is not None:
         if experiment.relay.until is None or experiment.law is not None:
@@ -63,10 +65,6 @@ def run(
             known = known_model(model_run, experiment.drive.max_V)
         except RecordingError as error:
             fail_input(error)
-    from rig.control.laws import OWN
-
-    if experiment.law is None or experiment.law.name in OWN:  # a law of rig steps through the compiled model
-        compiled(designs=experiment.relay.until is not None)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script

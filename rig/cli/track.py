@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.driving import checked_bench, compiled, finish, perform
+from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.recording.errors import RecordingError
@@ -34,7 +34,6 @@ def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_
 
     if experiment.tracking is None:
         fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
-    compiled(designs=False)
     try:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.driving import checked_bench, compiled, perform
+from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
 from rig.cli.options import JSON, OUT, PACE
 from rig.config import ConfigError
@@ -135,5 +135,4 @@ def _tried(experiment: Experiment, out: Path, as_json: bool) -> Outcome:
     """The run on the bench."""
     from rig import experiment as script
 
-    compiled(designs=False)
     return perform(partial(script.run, experiment, out), as_json)

@@ -10,9 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rig.estimators import LEADING
-from rig.identify import Estimate, IdentifyError, identify
-from rig.recording.errors import RecordingError
-from rig.report.fit import average, cycles_of
+from rig.recording.errors import IdentifyError, RecordingError
+from rig.report.fit import average, cycles_of, kept_or_fitted
 from rig.report.fitted import LABELS, autocorrelation
 from rig.report.source import Array, ReportedRun
 from rig.report.style import COLOURS, INK, LINES, MUTED, AbsentError, Picture, new_figure, plain, render
@@ -169,12 +168,16 @@ def residuals(runs: Sequence[LaidOver], backend: str) -> Picture:
     """The residuals of the runs: their distribution, and their autocorrelation. Raises AbsentError without any."""
     figure = new_figure(3.2)
     left, right = figure.subplots(1, 2)
-    drawn, fewest = 0, math.inf
+    drawn, fewest, anew = 0, math.inf, []
     for one in runs:
-        fit = _fit(one.run)
-        if fit is None or fit.residual_rad.size < FEWEST:
+        try:
+            found, why = kept_or_fitted(one.run)
+        except (AbsentError, IdentifyError, RecordingError):
             continue
-        r = 1e3 * fit.residual_rad
+        if found is None or found.residual_rad.size < FEWEST:
+            continue
+        anew += [f"{plain(one.name)} ({why})"] if why else []
+        r = 1e3 * found.residual_rad
         label = f"{plain(one.name)}: RMS {float(np.sqrt(np.mean(r**2))):.3g} mrad"
         left.plot(np.sort(r), (np.arange(r.size) + 0.5) / r.size, color=one.colour, ls=one.line, label=label)
         lags, shares = autocorrelation([r], LONGEST_LAG)
@@ -189,18 +192,9 @@ def residuals(runs: Sequence[LaidOver], backend: str) -> Picture:
     return render(
         figure, backend, "Residuals of the runs laid over each other: distribution and autocorrelation.",
         "Recorded less modelled position in each run. Curves that lie on each other: the same noise. A wider one: more "
-        "noise, or a motor that the model fits less well. Grey: where 95 % of white noise is.",
+        "noise, or a motor that the model fits less well. Grey: where 95 % of white noise is."
+        + (f" Identified anew for this picture: {'; '.join(anew)}." if anew else ""),
     )  # fmt: skip
-
-
-def _fit(run: ReportedRun) -> Estimate | None:
-    """The answer's estimate of a run, with its residual."""
-    if run.recording is None:
-        return None
-    try:
-        return identify([run.recording], (LEADING,), choose_law=bool(run.laws)).leading
-    except (IdentifyError, RecordingError):
-        return None
 
 
 def tracking(runs: Sequence[LaidOver], backend: str) -> Picture:

@@ -9,13 +9,16 @@ import copy
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from rig.config.problems import Path, key_of
 from rig.config.yaml12 import compose, parse
 from rig.errors import RigError
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.results import JsonObject
 
 Value = bool | int | float | str | Sequence["Value"] | Mapping[str, "Value"]
 
@@ -49,9 +52,9 @@ def with_values(text: str, values: Mapping[Path, Value]) -> str:
     return text
 
 
-def changed(data: Mapping[str, Any], values: Mapping[Path, Value]) -> dict[str, Any]:
+def changed(data: JsonObject, values: Mapping[Path, Value]) -> JsonObject:
     """The keys of a config, with these values."""
-    new = copy.deepcopy(dict(data))
+    new = copy.deepcopy(data)
     for path, value in values.items():
         section: Any = new
         for key in path[:-1]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -15,6 +16,9 @@ from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
 from rig.plain_file import UnfitError, read_plain
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.results import JsonObject
 
 Given = str | PathLike[str] | Mapping[str, Any] | Document  # a file, its keys with their values, or what was read of it
 IN_PYTHON = "config"  # what a config is called that is in no file
@@ -58,7 +62,7 @@ def dump(config: Experiment | Campaign) -> str:
     return emit(config.model_dump(mode="json", exclude_none=True))
 
 
-def json_schema(of: type[Experiment] | type[Campaign] = Experiment) -> dict[str, Any]:
+def json_schema(of: type[Experiment] | type[Campaign] = Experiment) -> JsonObject:
     """JSON Schema (draft 2020-12) of an experiment or a campaign, for editors."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -97,7 +101,9 @@ def read(path: Given, *, follows_links: bool = True, takes_pipe: bool = False) -
         line, column = before.count(b"\n") + 1, error.start - (before.rfind(b"\n") + 1) + 1
         problem = Problem((), f"not UTF-8: byte 0x{raw[error.start]:02X}", "save the file as UTF-8")
         raise ConfigError([problem.at(file, line, column)]) from error
-    return parse(text, file)
+    document = parse(text, file)
+    document.digest = hashlib.sha256(raw).hexdigest()
+    return document
 
 
 def _is_campaign(document: Document) -> bool:

@@ -364,8 +364,8 @@ class TravelLimits(_Section):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_infinity(self, to_data: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        data: dict[str, Any] = to_data(self)
+    def _without_infinity(self, to_data: SerializerFunctionWrapHandler) -> dict[str, object]:
+        data: dict[str, object] = to_data(self)
         return {key: value for key, value in data.items() if not (self.is_endless and key in ("soft_rad", "hard_rad"))}
 
 
@@ -507,9 +507,9 @@ class RelaySection(_Section):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_what_until_replaces(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_what_until_replaces(self, serialise: SerializerFunctionWrapHandler) -> dict[str, object]:
         """A dump loads back: it has no defaults of keys that ``until`` excludes."""
-        written: dict[str, Any] = serialise(self)
+        written: dict[str, object] = serialise(self)
         if self.until is not None:
             for key in _WITHOUT_UNTIL:
                 written.pop(key, None)

@@ -10,11 +10,16 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from rig.config.problems import ConfigError, Path, Problem, printable
+
+if TYPE_CHECKING:  # it loads slowly
+    from pydantic import JsonValue
+
+    from rig.results import JsonObject
 
 MOST_BYTES = 2**20  # of a config; ours have some thousands
 _DEEPEST = 20  # sections within sections; the schema needs 5
@@ -90,10 +95,12 @@ class Document:
     """One file: its plain values (dict, list, str, bool, int, float, None) and where they stand.
 
     A place is (line, column), from 1.
+    digest  SHA-256 of the file's bytes; "" of what is no file
     """
 
     file: str
-    data: dict[str, Any] = field(default_factory=dict)
+    data: JsonObject = field(default_factory=dict)
+    digest: str = ""
     _keys: dict[Path, tuple[int, int]] = field(default_factory=dict)
     _values: dict[Path, tuple[int, int]] = field(default_factory=dict)
 
@@ -123,13 +130,15 @@ def parse(text: str, file: str) -> Document:
         problem = Problem((), f"the file must hold keys with values, not {what}", "start from config/demo.yaml")
         raise ConfigError([problem.at(file, *_place(node.start_mark))])
     problems: list[Problem] = []
-    document.data = _build(node, (), document, problems)
+    data = _build(node, (), document, problems)
+    assert isinstance(data, dict)
+    document.data = data
     if problems:
         raise ConfigError(problems)
     return document
 
 
-def emit(data: dict[str, Any]) -> str:
+def emit(data: JsonObject) -> str:
     """Plain values as YAML that ``parse`` reads back equal."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
@@ -175,11 +184,11 @@ def _syntax(error: yaml.MarkedYAMLError, file: str) -> Problem:
     return Problem((), message, hint).at(file, *(_place(mark) if mark is not None else (1, 1)))
 
 
-def _build(node: yaml.Node, path: Path, document: Document, problems: list[Problem]) -> Any:
+def _build(node: yaml.Node, path: Path, document: Document, problems: list[Problem]) -> JsonValue:
     """Plain value of a node; what is wrong goes to ``problems``, places to ``document``."""
     document._values[path] = _place(node.start_mark)
     if isinstance(node, yaml.MappingNode):
-        section: dict[str, Any] = {}
+        section: JsonObject = {}
         for key_node, value_node in node.value:
             place = _place(key_node.start_mark)
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag != _STR or _unencodable(key_node.value):
@@ -197,7 +206,7 @@ def _build(node: yaml.Node, path: Path, document: Document, problems: list[Probl
             section[key_node.value] = _build(value_node, inner, document, problems)
         return section
     if isinstance(node, yaml.SequenceNode):
-        items = []
+        items: list[JsonValue] = []
         for index, item in enumerate(node.value):
             document._keys[(*path, index)] = _place(item.start_mark)
             items.append(_build(item, (*path, index), document, problems))

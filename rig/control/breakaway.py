@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 from rig.faults import Fault
 from rig.signals import Sample
@@ -34,22 +34,6 @@ class BreakawayFound:
     plus_V: float
     minus_V: float
     noise_rad: float
-
-
-class BreakawayLaw(Protocol):
-    """A check that finds the drives at which the shaft breaks away; results as in ``BreakawayCheck``."""
-
-    finished: bool
-    z_rad_s: float
-    yd_rad: float
-    plus_V: float
-    minus_V: float
-    noise_rad: float
-    reported_delay_s: float
-
-    def step(self, sample: Sample) -> float:
-        """Drive for this sample, V. Raises Fault if something is wrong with the bench."""
-        ...
 
 
 class RestingCheck:

@@ -5,7 +5,7 @@ Its options are plain numbers, so that the config in the run folder says all tha
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, get_args
 
 from rig.control.observer import MotorObserver
@@ -72,7 +72,7 @@ def _part(given: Mapping[str, Any]) -> Program:
     if kind not in KINDS:
         raise ValueError(f"program: a part's kind is one of {', '.join(KINDS)}, not {kind!r}")
     try:
-        made: Program = KINDS[kind](**arguments)
+        made = KINDS[kind](**arguments)
         duration_s = float(made.duration_s)
     except TypeError as error:
         raise ValueError(f"program: {kind}: {error}") from error
@@ -81,7 +81,12 @@ def _part(given: Mapping[str, Any]) -> Program:
     return made
 
 
-KINDS: Final[dict[str, Any]] = {"move": MoveTo, "step": PositionStep, "speeds": SpeedSteps, "sines": Sines}
+KINDS: Final[dict[str, Callable[..., Program]]] = {
+    "move": MoveTo,
+    "step": PositionStep,
+    "speeds": SpeedSteps,
+    "sines": Sines,
+}
 
 
 def _numbers(what: str, given: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rig.backends.driver import Transport
 from rig.backends.serial import frames
@@ -24,6 +24,7 @@ from rig.package import VERSION
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.serial.emulated.firmware_build import Variant
+    from rig.results import JsonObject
 
 EMULATED_PORTS = ("emulated-chip", "emulated-pico")
 DRAWING = """loop-back: a bare board on its USB cable and three wires. No bridge, no motor, nothing else.
@@ -382,7 +383,7 @@ def write_report(visit: Visit, port: str, folder: Path, now: datetime) -> Path:
     return made
 
 
-def as_dict(visit: Visit, port: str, now: datetime) -> dict[str, Any]:
+def as_dict(visit: Visit, port: str, now: datetime) -> JsonObject:
     """The report as JSON; times in s. ``emulated``: no chip was there."""
     measured = visit.measured
     hello = measured.hello
@@ -409,7 +410,7 @@ def as_dict(visit: Visit, port: str, now: datetime) -> dict[str, Any]:
             "reset": hello.reset_words,
         },
         "ok": visit.ok,
-        "findings": [finding.as_dict() for finding in visit.findings],
+        "findings": [{**finding.as_dict()} for finding in visit.findings],
         "measured": numbers,
     }
 

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, chdir, contextmanager
 from types import FrameType
-from typing import Final
+from typing import IO, Final
 
 from rig.backends.clock import MonotonicClock
 from rig.config import Experiment
@@ -164,6 +164,8 @@ class Keeper:
             except OSError:
                 self.let_go()
                 raise
+        for pipe in self._pipes:
+            keep_from_copies(pipe.fileno())
         try:
             self._tell(json.dumps(settings).encode("ascii") + b"\n")
             self._await_ready()
@@ -171,6 +173,10 @@ class Keeper:
             self.close()
             self.let_go()
             raise
+
+    @property
+    def _pipes(self) -> list[IO[bytes]]:
+        return [pipe for pipe in (self._process.stdin, self._process.stdout) if pipe is not None and not pipe.closed]
 
     @property
     def has_ended(self) -> bool:
@@ -196,9 +202,9 @@ class Keeper:
         """End the process in order."""
         with contextlib.suppress(OSError):
             self._tell(END)
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        for pipe in self._pipes:
+            no_longer_own(pipe.fileno())
+            pipe.close()
         try:
             self._process.wait(_CLOSES_S)
         except subprocess.TimeoutExpired:

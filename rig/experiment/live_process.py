@@ -35,7 +35,7 @@ BRAKED = b"braked"
 _CLOSES_S = 5.0
 _LAST_BYTES = 2000  # of its standard error, which are kept: the end of a traceback
 _HEAD = struct.Struct("=I")
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _NO_WARNING = {"PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"}  # that its package has imported this module already
 
 
@@ -149,9 +149,7 @@ def main(arguments: list[str]) -> int:
     told: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(told, os.fdopen(0, "rb", buffering=0)), daemon=True).start()
     from rig.design.advisor import Advisor
-    from rig.experiment.ready import make_ready
 
-    make_ready(lambda words: None)  # before the first row: compiling would take longer than the tests
     settings = told.get()
     if settings is None:
         return 0

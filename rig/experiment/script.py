@@ -28,6 +28,7 @@ from rig.experiment.thorough import tell_apart
 from rig.experiment.until import drive_until
 from rig.faults import Fault
 from rig.identify import Identification
+from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import Gone
 from rig.model.real_motor import FramedMotor
 from rig.preflight.survey_room import expected_sweeps
@@ -43,6 +44,7 @@ def run(
     on_start: OnStart | None = None,
     again: Bench | None = None,
     known: FramedMotor | None = None,
+    series: StopFlag | None = None,
 ) -> Outcome:
     """The whole experiment; if the config has a section `law`: the breakaway check and that law.
 
@@ -50,9 +52,10 @@ def run(
     on_start  called once with the run folder and the first notes
     again     a bench that the same command has opened already
     known     with `relay.until`: the motor, as far as an earlier run knows it
+    series    as of ``record``
     """
     if experiment.law is not None:
-        return run_law(experiment, configured_law(experiment.law), parent, on_start, again)
+        return run_law(experiment, configured_law(experiment.law), parent, on_start, again, series)
 
     def script(session: Session) -> None:
         _drive_tests(session, known)
@@ -61,15 +64,20 @@ def run(
             tell_apart(session)
         verify_models(session)
 
-    return record(experiment, parent, _named("run"), script, on_start, again)
+    return record(experiment, parent, _named("run"), script, on_start, again, series=series)
 
 
 def run_law(
-    experiment: Experiment, law: Timed, parent: Path, on_start: OnStart | None = None, again: Bench | None = None
+    experiment: Experiment,
+    law: Timed,
+    parent: Path,
+    on_start: OnStart | None = None,
+    again: Bench | None = None,
+    series: StopFlag | None = None,
 ) -> Outcome:
     """The breakaway check, and then a law of the user's own, under the guard and the limits of the config.
 
-    again  as ``run``
+    again, series  as ``run``
     """
 
     def script(session: Session) -> None:
@@ -77,7 +85,7 @@ def run_law(
             drive_law(session, one)
 
     what = ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s)
-    return record(experiment, parent, what, script, on_start, again)
+    return record(experiment, parent, what, script, on_start, again, series=series)
 
 
 def configured_law(section: LawSection) -> Timed:
@@ -92,8 +100,10 @@ def repeated(
     perform: Callable[[Callable[[OnStart], Outcome]], Outcome],
     known: FramedMotor | None = None,
 ) -> list[Outcome]:
-    """Do ``run`` ``number`` times, each through ``perform``. A fault, a failure or a signal ends the series.
+    """Do ``run`` ``number`` times, each through ``perform``. A fault, a failure, a signal or a Stop ends the series.
 
+    One stop flag goes with the series from run to run, so a Stop between two of them, or while a report is written,
+    counts, too.
     A person gives this command once. So if a device latches an e-stop between two runs, that ends the series: the next
     run must not acknowledge it. A real bench stays open from the first run to the last, since opening a device clears
     or resets it. An emulated bench starts anew, with the next seed.
@@ -102,23 +112,24 @@ def repeated(
     outcomes: list[Outcome] = []
 
     def one(e: Experiment, bench: Bench | None) -> bool:
-        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench, known)))
+        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench, known, flag)))
         return outcomes[-1].fault is None and not outcomes[-1].failures
 
-    if number == 1:
-        one(experiment, None)
-    elif backend_of(experiment).is_emulated(experiment):
-        for k in range(number):
-            if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
-                break
-    else:
-        with connect(experiment) as bench:
-            if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
-                raise Fault("LATCHES_NOTHING", bench.driver.backend)
+    with StopFlag() as flag:
+        if number == 1:
+            one(experiment, None)
+        elif backend_of(experiment).is_emulated(experiment):
             for k in range(number):
-                opened = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
-                if not one(experiment, opened):
+                if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
                     break
+        else:
+            with connect(experiment) as bench:
+                if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
+                    raise Fault("LATCHES_NOTHING", bench.driver.backend)
+                for k in range(number):
+                    opened = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
+                    if not one(experiment, opened):
+                        break
     return outcomes
 
 

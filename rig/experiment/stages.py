@@ -15,8 +15,7 @@ from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import PulseDriver
 from rig.config import Experiment
 from rig.config.schema import Method
-from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
-from rig.control.breakaway_one_way import OneWayCheck
+from rig.control.breakaway import BreakawayCheck, BreakawayFound, StrokePlan
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange, SettledCycle
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
@@ -64,28 +63,28 @@ HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
 
 
-def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
-    """Breakaway check, relay tests and hysteretic runs: all that is identified; ``check`` as ``check_breakaway``."""
-    with _checked(session, check):
+def drive_tests(session: Session) -> None:
+    """Breakaway check, relay tests and hysteretic runs: all that is identified."""
+    with _checked(session):
         test_relays(session)
         test_hysteretic(session)
 
 
-def drive_one_test(session: Session, check: BreakawayLaw | None = None) -> None:
-    """Breakaway check and the first relay test: what a survey needs; ``check`` as ``check_breakaway``."""
-    with _checked(session, check):
+def drive_one_test(session: Session) -> None:
+    """Breakaway check and the first relay test: what a survey needs."""
+    with _checked(session):
         test_relays(session, most=1)
 
 
-def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
-    """The breakaway check alone; ``check`` as ``check_breakaway``."""
+def drive_check(session: Session) -> None:
+    """The breakaway check alone."""
     with prepared(session):
-        armed_check(session, check)
+        armed_check(session)
 
 
-def drive_law(session: Session, law: Timed, check: BreakawayLaw | None = None) -> None:
-    """A law of a user's own, from rest, after the breakaway check; ``check`` as ``check_breakaway``."""
-    with _checked(session, check):
+def drive_law(session: Session, law: Timed) -> None:
+    """A law of a user's own, from rest, after the breakaway check."""
+    with _checked(session):
         session.note("law", name=law.name, duration_s=law.duration_s)
         session.loop.run(law, str(StageKind.LAW))
         session.loop.run(Rest(REST_S), "rest")
@@ -150,28 +149,28 @@ def driving(session: Session) -> Iterator[None]:
 
 
 @contextmanager
-def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
+def _checked(session: Session) -> Iterator[None]:
     """As ``driving``, after the breakaway check, which arms the device with its own watchdog time."""
     with prepared(session):
-        armed_check(session, check)
+        armed_check(session)
         with session.loop.armed(session.experiment.device_limits):
             yield
 
 
-def armed_check(session: Session, check: BreakawayLaw | None) -> None:
+def armed_check(session: Session) -> None:
     """The breakaway check. Its device ends each stroke itself, which bounds unseen travel even if the host dies in one.
 
     A device that cannot is armed with a short watchdog, which ends the stroke and the run.
     """
     e = session.experiment
     limits = e.device_limits
-    strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
+    strokes = None if e.motor is None else breakaway_strokes(e)
     driver = session.bench.driver
     if strokes is not None and not (isinstance(driver, PulseDriver) and driver.pulses):
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
     try:
         with session.loop.armed(limits):
-            check_breakaway(session, check)
+            check_breakaway(session)
     except Fault as fault:
         if fault.code in ("NO_MOTION", "POLARITY", "LOAD_TURNS"):
             _explain_by_delay(session, fault)
@@ -298,15 +297,13 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta)
 
 
-def breakaway_check(
-    e: Experiment, drive_units: int | None = None, *, further: bool = True, repeats: bool = True
-) -> BreakawayCheck:
-    """The breakaway check of a config; ``further`` and ``repeats`` as ``breakaway_strokes`` takes them.
+def breakaway_check(e: Experiment, drive_units: int | None = None) -> BreakawayCheck:
+    """The breakaway check of a config.
 
     drive_units  steps of the device's drive at full duty; None: it has no steps
     Raises Fault CONFIG_MISMATCH if its unseen travel has no bound.
     """
-    strokes = None if e.motor is None else breakaway_strokes(e, further=further, repeats=repeats)
+    strokes = None if e.motor is None else breakaway_strokes(e)
     if strokes is None:
         raise Fault(
             "CONFIG_MISMATCH",
@@ -332,10 +329,9 @@ def breakaway_check(
     )
 
 
-def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None:
+def check_breakaway(session: Session) -> None:
     """Prove sensor, drive and sign by strokes to and fro; after that the guard may brake by itself.
 
-    check  the breakaway law of an older version, for a replay; None: this version's
     Raises Fault START_OUTSIDE, CONFIG_MISMATCH, and what the loop and the check raise.
     """
     e = session.experiment
@@ -344,7 +340,7 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     low, high = e.limits.soft_rad
     if not low <= y_rad <= high:
         raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
-    check = breakaway_check(e, session.bench.info.drive_units) if check is None else check
+    check = breakaway_check(e, session.bench.info.drive_units)
     session.loop.run(check, "breakaway")
     session.found.breakaway = check
     guard = session.loop.guard

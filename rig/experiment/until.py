@@ -14,7 +14,7 @@ from typing import NamedTuple
 from rig.backends.driver import RelayCommand, StrokesCommand
 from rig.config.schema import UntilSection
 from rig.control.bounded import Bounded, Bounds
-from rig.control.breakaway import BreakawayCheck, BreakawayLaw
+from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import RelayTest
 from rig.control.law import Law, Rest
 from rig.control.rising_gains import FIRST, RisingGains, SwingRoom
@@ -58,18 +58,16 @@ MOST_STILL = 3  # starts in a row in which the shaft stood still, although pushe
 def drive_until(
     session: Session,
     known: FramedMotor | None = None,
-    check: BreakawayLaw | None = None,
     advisers: Advisers | None = None,
 ) -> None:
     """Breakaway check, tests until the motor is known, hysteretic runs if the config has some.
 
     known     the motor, as far as an earlier run knows it: the first test comes at once
-    check     as ``rig.experiment.stages.check_breakaway``
     advisers  of a replay; None: those of a run
     """
     e = session.experiment
     with advisers_of(session) if advisers is None else nullcontext(advisers) as who, prepared(session):
-        armed_check(session, check)
+        armed_check(session)
         if known is not None:
             session.note("known", **known.numbers)  # a replay begins with a rest, too
         if advisers is None:

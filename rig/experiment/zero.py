@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -96,8 +97,13 @@ def find_by_switch(e: Experiment, bench: Bench, flag: StopFlag) -> Zero:
             _drive_inside(e, bench, switch, -shift_rad, limits, stop)
         finally:
             driver.homing = False
-        driver.set_zero(driver.read().y_rad + shift_rad)
-        now = driver.read()
+        try:
+            driver.set_zero(driver.read().y_rad + shift_rad)
+            now = driver.read()
+        except Fault:
+            with suppress(Fault):  # a link that is dead: then the zero that the device may hold is the right one
+                driver.forget_zero()
+            raise
         if reason := stop.look():  # in the last moments: whatever ends a homing, there is no zero
             driver.forget_zero()
             raise Fault("INTERRUPTED", reason)

@@ -1,7 +1,7 @@
 """C: the motor as a header, and a tracking controller for it, for a microcontroller or any other machine.
 
 ``rig_controller`` is ``rig.control.tracking`` with the observer of ``rig.control.observer``. The motor moves in it by
-the C of the emulated boards, firmware/boards/host/real_motor.c, which is copied beside it.
+the C of the emulated boards, firmware/motor/real_motor.c, which is copied beside it.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _CONTROLLER: Final = ("rig_controller.h", "rig_controller.c")
 def _motion(name: str) -> bytes:
     """A file of the emulated boards' motor. Raises RecordingError where rig was installed without it."""
     try:
-        return (source_folder() / "boards" / "host" / name).read_bytes()
+        return (source_folder() / "motor" / name).read_bytes()
     except (EmulationError, OSError) as error:
         raise RecordingError(FOLDER, f"has no {name}, which --to c copies: {error}", "install rig again") from error
 

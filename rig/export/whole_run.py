@@ -185,8 +185,8 @@ def as_npz(run: ExportedRun) -> bytes:
     documents = {name: np.array(json_text({name: value})) for name, value in run.documents().items()}
     documents["events"] = np.array(json_text({"events": run.events()}))
     out = io.BytesIO()
-    arrays: dict[str, Any] = {**run.columns(), **documents}
-    np.savez_compressed(out, **arrays)
+    arrays: dict[str, NDArray[Any]] = {**run.columns(), **documents}
+    np.savez_compressed(out, allow_pickle=True, **arrays)
     return out.getvalue()
 
 

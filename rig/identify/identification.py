@@ -18,6 +18,7 @@ from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_map import FrictionMap, friction_map
 from rig.identify.known_model import model_of
+from rig.identify.least_squares import METHOD as FRICTION_METHOD
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
@@ -32,6 +33,7 @@ from rig.identify.stroke_delay import strokes_delay
 from rig.identify.time_stamps import stamps_off_by
 from rig.identify.verdict import in_percent, largest_drive_V
 from rig.model.real_motor import FramedMotor
+from rig.recording.curves import Curves
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import LATENCY_S, TimeSeries
@@ -114,9 +116,13 @@ class Identification:
         return None if found is None else found[1]
 
     @property
-    def by_method(self) -> dict[str, Estimate]:
-        """The estimates by method; that of the answer in the place of its method's own."""
-        return self.estimates if self.leading is None else self.estimates | {self.leading.method: self.leading}
+    def curves(self) -> Curves | None:
+        """The arrays behind the answer, and the recursion of least squares; None without an estimate."""
+        answer, found, friction = self.answer, self.leading, self.estimates.get(FRICTION_METHOD)
+        if answer is None or found is None:
+            return None
+        trace = np.empty(0) if friction is None else friction.iterates[:, 2]
+        return Curves(answer, found.residual_t_s, found.residual_rad, trace)
 
     @property
     def best(self) -> Estimate | None:

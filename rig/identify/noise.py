@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.model.compiled import coloured_noise
 from rig.recording.recording import Recording
 from rig.recording.stage import StageKind
 
@@ -51,8 +52,6 @@ class Noise:
         """
         if self.white:
             return columns
-        from rig.model.compiled import coloured_noise
-
         table = np.ascontiguousarray(columns.reshape(columns.shape[0], -1))
         out = np.empty_like(table)
         coloured_noise.innovations(t_s, _starts(lengths), self.memory_s, self.ratio, table, out)
@@ -68,8 +67,6 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
     t_s       n times of the rows, s
     lengths   number of rows of each window, in order
     """
-    from rig.model.compiled import coloured_noise
-
     starts = _starts(lengths)
     power = float(residual @ residual)
     if power == 0.0:

@@ -24,6 +24,7 @@ from rig.identify.mean_cycle import Bins, Cycle, MeanHalf
 from rig.identify.measurements import Measurements
 from rig.identify.starts import Start, ridge_starts
 from rig.identify.verdict import judge_reference, settled, unguarded
+from rig.model.compiled import steady_cycle as compiled
 from rig.recording.errors import IdentifyError
 
 Array = NDArray[np.float64]
@@ -128,8 +129,6 @@ def residuals(theta: Start, features: Features, h1_V: float, h2_V: float) -> Arr
 
     In this order: z at RC, v at RA, y at RB, y at the extremum, y at RC.
     """
-    from rig.model.compiled import steady_cycle as compiled
-
     values, jacobian = np.empty(5), np.empty((5, 3))
     compiled.switching_conditions(_logarithmic(theta), (h1_V, h2_V), features[:3], values, jacobian)
     measured, weight = _conditions(features)
@@ -163,33 +162,18 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
 
     Raises IdentifyError if no start leads to a solution.
     """
-    from rig.model.compiled import steady_cycle as compiled
-
     if min(features[:3]) <= 0.0:
         raise IdentifyError(
             "the relays' edges are not in the order RA, RB, RC",
             "record a settled cycle of the relay test: `rig relay CONFIG`",
         )
     measured, weight = _conditions(features)
-    low, high = _reach(abs(features.y_extremum_rad), sum(features[:3]), h2_V)
+    data = compiled.Data((h1_V, h2_V), np.array(features[:3]), (0, 0), np.empty(0), measured, weight)
+    search = compiled.Search(*_reach(abs(features.y_extremum_rad), sum(features[:3]), h2_V), np.full(3, EXACT), FAR)
     fits = []
     for start in starts:
         theta, iterates = _logarithmic(start), np.empty((MAX_ITERATIONS + 1, 3))
-        count, cost = compiled.solve(
-            theta,
-            np.ones(3, dtype=bool),
-            (h1_V, h2_V),
-            np.array(features[:3]),
-            (0, 0),
-            np.empty(0),
-            measured,
-            weight,
-            low,
-            high,
-            np.full(3, EXACT),
-            FAR,
-            iterates,
-        )
+        count, cost = compiled.solve(theta, (True,) * 3, data, search, iterates)
         if math.isfinite(cost):
             fits.append(Fit(_natural(theta), cost, _all_natural(iterates[:count]), count <= MAX_ITERATIONS))
     return _best(fits, h2_V)
@@ -228,8 +212,6 @@ def _descend(
     damping: float,
 ) -> list[tuple[Fit, Array]]:
     """The solution from each start, on every ``stride``-th sample, without those that are not finite."""
-    from rig.model.compiled import steady_cycle as compiled
-
     up, down = halves
     at_s = np.concatenate([up.at_s[::stride], down.at_s[::stride]])
     y_rad = np.concatenate([up.y_rad[::stride], down.y_rad[::stride]])
@@ -240,14 +222,13 @@ def _descend(
     low, high = _reach(amplitude, 0.5 * cycle.period_s, h2)
     low = np.array([*low, -h2, -math.inf, 0.0])
     high = np.array([*high, h2, math.inf, LONGEST_DELAY * tick])
-    free = np.array([True, True, True, True, True, not cycle.drive_times_known])
-    smallest = tolerance * np.array([1.0, 1.0, h2, h2, amplitude, tick])
+    free = (True,) * 5 + (not cycle.drive_times_known,)
+    data = compiled.Data((cycle.h1_V, h2), edges, counts, at_s, y_rad, weight)
+    search = compiled.Search(low, high, tolerance * np.array([1.0, 1.0, h2, h2, amplitude, tick]), damping)
     fits = []
     for start in starts:
         x, iterates = start.copy(), np.empty((MAX_ITERATIONS + 1, 6))
-        count, cost = compiled.solve(
-            x, free, (cycle.h1_V, h2), edges, counts, at_s, y_rad, weight, low, high, smallest, damping, iterates
-        )
+        count, cost = compiled.solve(x, free, data, search, iterates)
         if math.isfinite(cost):
             path = _all_natural(iterates[:count])
             delay = math.nan if cycle.drive_times_known else float(x[5])

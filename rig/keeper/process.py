@@ -39,6 +39,7 @@ from rig.loop.stop_request import STOP_SIGNALS
 
 if TYPE_CHECKING:
     from rig.backends.driver import Driver
+    from rig.results import JsonObject
 
 LOOK_EVERY_S: Final = 0.005
 _ASKS_AT: Final = 0.8  # of the lease: a law that sleeps so long would not be back in time
@@ -356,7 +357,7 @@ def _left(loop: Loop) -> str:
     return f"the device's watchdog sets 0 V after {1e3 * loop.watchdog_s:g} ms; if the shaft turns, cut its supply"
 
 
-def _stop_event(loop: Loop, confirmed: bool, late_s: float) -> list[dict[str, Any]]:
+def _stop_event(loop: Loop, confirmed: bool, late_s: float) -> list[JsonObject]:
     """What the run's events are told of the stop; nothing in virtual time, where there is none."""
     if not loop.is_real:
         return []
@@ -364,7 +365,7 @@ def _stop_event(loop: Loop, confirmed: bool, late_s: float) -> list[dict[str, An
     return [{"t_s": loop.now_s(), "kind": "stop", "confirmed": confirmed, "by": "keeper", "late_ms": late_ms}]
 
 
-def _conclude(loop: Loop, fault: Fault, stopped: list[dict[str, Any]]) -> None:
+def _conclude(loop: Loop, fault: Fault, stopped: list[JsonObject]) -> None:
     """Say it, and write events and result, so that the folder is read as that of any run."""
     from rig.recording.errors import RecordingError
     from rig.recording.folder import write_result
@@ -383,7 +384,7 @@ def _conclude(loop: Loop, fault: Fault, stopped: list[dict[str, Any]]) -> None:
         write_result(loop.folder, result)
 
 
-def _add_events(loop: Loop, events: list[dict[str, Any]]) -> None:
+def _add_events(loop: Loop, events: list[JsonObject]) -> None:
     """Add what happened to the run's events, once the recorder has written its last."""
     from rig.recording.writer import EVENTS
 

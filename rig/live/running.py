@@ -104,7 +104,7 @@ class Seen:
             for folder, (one, page) in list(self._pages.items()):
                 if folder in here:
                     continue
-                if one.runner.pid not in pids and page.is_deleted:
+                if one.runner.pid not in pids and page.is_lost:
                     lost.append(one)
                 elif one.runner.pid in pids or not page.is_owned:
                     page.close()
@@ -116,7 +116,7 @@ class Seen:
         with self._lock:
             page = self._pages.get(one.folder)
         if page is not None:
-            return page[1].is_deleted
+            return page[1].is_lost
         pid = one.runner.pid
         began = self._runs[pid][1] if pid in self._runs else ""
         return began != "" and born(pid) == began and not _has_ended(one.folder)

@@ -129,6 +129,14 @@ class OthersPage:
         """Whether the file was deleted; one that was only moved has a name."""
         return os.fstat(self._descriptor).st_nlink == 0
 
+    def is_below(self, folder: Path) -> bool:
+        """Whether the file is somewhere below this folder; True, too, on a system that cannot tell."""
+        try:
+            where = Path(f"/proc/self/fd/{self._descriptor}").readlink()
+        except OSError:
+            return True
+        return where.is_relative_to(folder.resolve())
+
     @property
     def is_of_this_user(self) -> bool:
         """Whether the file is this user's; True on a system that cannot tell."""

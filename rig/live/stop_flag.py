@@ -96,9 +96,13 @@ class StopFlag:
     def open(self, runs: Path, command: str) -> None:
         """Make the page beside the run folders, before a device is opened. What killed commands have left goes.
 
+        Nothing where there is a page: that of a series of runs stays the same.
+
         command  who drives: small letters, and ``-``
         Raises OSError where there is no room for it: then nobody can set it.
         """
+        if self._page is not None:
+            return
         self.is_tried = True
         runs.mkdir(parents=True, exist_ok=True)
         _clear(runs)
@@ -218,13 +222,14 @@ class AskedStop:
 
 
 class Unrecorded:
-    """What drives without a run folder, as a Stop follows it: also after its page was deleted, or taken along.
+    """What drives without a run folder, as a Stop follows it: also after its page was deleted or moved, or taken along.
 
     Raises OSError, ValueError where there is no such page.
     """
 
     def __init__(self, folder: Path) -> None:
         self._page = OthersPage(folder / NAME)
+        self._runs = folder.parent
         self.pid = int(_named(folder)[2])
 
     @property
@@ -233,9 +238,9 @@ class Unrecorded:
         return self._page.is_owned
 
     @property
-    def is_deleted(self) -> bool:
-        """Whether its process still holds the page, but somebody has deleted it: nobody can set it any more."""
-        return self._page.has_no_name and self._page.is_owned
+    def is_lost(self) -> bool:
+        """Whether its process still holds the page, but somebody has deleted or moved it: no Stop finds it there."""
+        return (self._page.has_no_name or not self._page.is_below(self._runs)) and self._page.is_owned
 
     def is_at_zero(self) -> bool | None:
         """Whether the drive is known to be at 0; False: it ended, and never said so; None: not yet."""

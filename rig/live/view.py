@@ -11,17 +11,18 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, TypedDict
 
 from rig.config import ConfigError, Experiment, load
 from rig.live.stop_flag import Runner, runner_of
 from rig.recording.columns import COLUMNS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
-from rig.recording.follow import Progress, Tail, event_of, live_remark
-from rig.recording.reader import read_object
+from rig.recording.follow import Progress, Tail, event_of, live_remark, number, real
+from rig.recording.reader import read_meta
 from rig.recording.stage import StageKind, kind_of
 from rig.recording.writer import EVENTS, SAMPLES
+from rig.results import JsonObject, ScriptCall
 from rig.signals import FLAG_SKIPPED, Limits, plain
 
 KEPT_ROWS: Final = 1024
@@ -59,7 +60,7 @@ class LiveRow(NamedTuple):
     flags: int
 
 
-class Estimate(NamedTuple):
+class Estimate(TypedDict):
     """A live estimate: when, and each value with half its 95 % interval; None: not known yet.
 
     remark  the laws that it has, and whether its residual is too large; else empty
@@ -69,10 +70,10 @@ class Estimate(NamedTuple):
     tau_s: tuple[float, float] | None
     K_rad_s_V: tuple[float, float] | None
     fc_V: tuple[float, float] | None
-    remark: str = ""
+    remark: str
 
 
-class SeenFault(NamedTuple):
+class SeenFault(TypedDict):
     """A fault, as the event tells it. Of a stop, ``detail`` says who asked for it."""
 
     t_s: float
@@ -174,7 +175,7 @@ class LiveView:
         self._damaged = 0
         self._story = _Story()
         self._experiment: Experiment | None = None
-        self._script: dict[str, Any] = {}
+        self._script = ScriptCall(name="")
         self._knows_folder = False
 
     def read(self, after_row: int = -1, lost: Runner | None = None) -> Snapshot:
@@ -194,7 +195,7 @@ class LiveView:
         return Snapshot(
             state=self._state(runner),
             runner=runner,
-            command=_text(self._script.get("name"), _LONGEST_WORD) or None,
+            command=_text(self._script.name, _LONGEST_WORD) or None,
             rows=tuple(row for row in rows if row.number > after_row),
             age_s=None if not rows or now_s is None else max(now_s - rows[-1].t_s, 0.0),
             stage=story.stages[-1][1] if story.stages else None,
@@ -231,8 +232,8 @@ class LiveView:
             return
         self._knows_folder = True
         try:
-            script = read_object(self.folder / META).get("script")
-            self._script = script if isinstance(script, dict) else {}
+            meta, _ = read_meta(self.folder)
+            self._script = (meta and meta.script) or self._script
             self._experiment = load(self.folder / CONFIG, follows_links=False)
         except (RecordingError, ConfigError):
             return  # of an older version, or damaged: the view goes on without limits
@@ -261,7 +262,7 @@ class LiveView:
         if kind is StageKind.TRACK and e.tracking is not None:
             stage_s = e.tracking.duration_s
         elif kind in (StageKind.LAW, StageKind.JOG):
-            stage_s = _number(self._script.get("duration_s"))
+            stage_s = self._script.duration_s
         elif kind in _TESTS and e.relay.until is not None:
             began_s = next(t_s for t_s, name in story.stages if kind_of(name) in _TESTS)
             stage_s = e.relay.until.longest_s
@@ -272,7 +273,7 @@ class LiveView:
 
     def _tracking_after_s(self, e: Experiment, stage: str) -> float:
         """Of the tracking runs that follow this stage, at most."""
-        if e.tracking is None or self._script.get("name") not in ("run", "track"):
+        if e.tracking is None or self._script.name not in ("run", "track"):
             return 0.0
         names = [f"track:{method}" for method in e.tracking.methods]
         after = len(names) - 1 - names.index(stage) if stage in names else len(names)
@@ -303,8 +304,8 @@ class _Story:
             return False
         return True
 
-    def _take(self, event: dict[str, Any]) -> None:
-        kind, t_s = event.get("kind"), _number(event.get("t_s")) or 0.0
+    def _take(self, event: JsonObject) -> None:
+        kind, t_s = event.get("kind"), number(event.get("t_s")) or 0.0
         if kind == "stage":
             name = _text(event["name"], _LONGEST_WORD)
             del self.stages[_MOST_STAGES:]  # what is left out is in the middle: the first ones and the newest count
@@ -317,56 +318,45 @@ class _Story:
             self.drive_is_off = bool(event["confirmed"])
             self.planes = None
         elif kind in ("gains", "decided", "search"):
-            gains = Planes(_sure(event["h1_V"]), _sure(event["h2_V"])) if event.get("h1_V") is not None else None
+            gains = Planes(real(event["h1_V"]), real(event["h2_V"])) if event.get("h1_V") is not None else None
             if kind == "search":
                 self.planes = gains
             else:
                 self._gains = gains
         elif kind == "cycle":
-            self.cycle = Cycle(_count(event["number"]), _sure(event["amplitude_rad"]), _sure(event["period_s"]))
+            self.cycle = Cycle(_count(event["number"]), real(event["amplitude_rad"]), real(event["period_s"]))
         elif kind == "live":
             self.estimates.append(
-                Estimate(
-                    t_s,
-                    _with_half(event, "tau_s", "tau_percent"),
-                    _with_half(event, "K_rad_s_V", "K_percent"),
-                    _with_half(event, "fc_V", "fc_percent"),
-                    live_remark(event),
-                )
+                {
+                    "t_s": t_s,
+                    "tau_s": _with_half(event, "tau_s", "tau_percent"),
+                    "K_rad_s_V": _with_half(event, "K_rad_s_V", "K_percent"),
+                    "fc_V": _with_half(event, "fc_V", "fc_percent"),
+                    "remark": live_remark(event),
+                }
             )
         elif kind == "fault" and len(self.faults) < _MOST_FAULTS:
-            words = (_text(event.get(name), _LONGEST_WORDS) for name in ("code", "cause", "detail", "cure"))
-            self.faults.append(SeenFault(t_s, *words))
+            code, cause, detail, cure = (
+                _text(event.get(name), _LONGEST_WORDS) for name in ("code", "cause", "detail", "cure")
+            )
+            self.faults.append(SeenFault(t_s=t_s, code=code, cause=cause, detail=detail, cure=cure))
         elif kind == "link":
             self.link_errors = _count(event["errors"])
 
 
-def _row(number: int, line: str) -> LiveRow:
+def _row(seen: int, line: str) -> LiveRow:
     """A line of samples.csv. Raises ValueError if it is none."""
     row = dict(zip(COLUMNS, line.split(",", len(COLUMNS)), strict=True))
-    real = {name: float(row[name] or "nan") for name in ("t_s", "y_rad", "u_V", "z_rad_s", "yd_rad", "late_us")}
-    if not math.isfinite(real["t_s"]):
+    reals = {name: float(row[name] or "nan") for name in ("t_s", "y_rad", "u_V", "z_rad_s", "yd_rad", "late_us")}
+    if not math.isfinite(reals["t_s"]):
         raise ValueError("a row without a time")
     tick, flags = _count(int(row["tick"])), _count(int(row["flags"]))
-    return LiveRow(number, tick, **real, stage=_text(row["stage"], _LONGEST_WORD), flags=flags)
+    return LiveRow(seen, tick, **reals, stage=_text(row["stage"], _LONGEST_WORD), flags=flags)
 
 
-def _with_half(event: dict[str, Any], name: str, percent: str) -> tuple[float, float] | None:
-    value, half = _number(event.get(name)), _number(event.get(percent))
+def _with_half(event: JsonObject, name: str, percent: str) -> tuple[float, float] | None:
+    value, half = number(event.get(name)), number(event.get(percent))
     return None if value is None or half is None else (value, abs(value) * half / 100.0)
-
-
-def _number(value: object) -> float | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if is_number else None  # type: ignore[arg-type]  # checked in the line above
-
-
-def _sure(value: object) -> float:
-    """A number. Raises ValueError for anything else."""
-    number = _number(value)
-    if number is None:
-        raise ValueError("no number")
-    return number
 
 
 def _count(value: object) -> int:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
+from rig import ctrl_c
 from rig.control.law import Stopped, is_of_own_law
 from rig.faults import Fault
 from rig.live.law_lease import LawLease
@@ -87,12 +88,14 @@ def stop_on_signals(flag: StopFlag | None = None, gone: Gone | None = None) -> I
     """Within the block each of ``STOP_SIGNALS`` sets the request, and neither ends nor stops the process.
 
     flag, gone  as of ``StopRequest``
+    Raises KeyboardInterrupt, before the block, where a Ctrl-C had come that nobody heeded.
     """
     request = StopRequest(flag, gone)
     before = {number: signal.signal(number, request) for number in STOP_SIGNALS}
     request.held = STOP_SIGNALS
     request.take_signals()
     try:
+        ctrl_c.raise_if_it_came(before[signal.SIGINT])
         yield request
     finally:
         request.held = ()

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import friction as friction_laws
-from rig.model import step, stribeck
+from rig.model import step
+from rig.model.compiled import motion
 from rig.model.friction import Friction
+from rig.model.library import LIBRARY, numbers
 from rig.model.step import Plant
 from rig.model.step import State as State
 
@@ -121,12 +123,15 @@ class Motor:
             float(self.bias_V),
         )
 
+    @cached_property
+    def _in_c(self) -> Any:
+        return numbers(*self.plant)
+
     def advance(self, state: State, u_V: float, dt_s: float) -> State:
         """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``, through every velocity reversal."""
-        if self.has_closed_form:  # an observer asks three times a tick
-            return step.advance_exponentially(self.plant, state, u_V, dt_s)
-        c, w = self._room()
-        return step.advance(self.plant, state, u_V, dt_s, c, w)
+        at = numbers(*state)  # an observer asks three times a tick
+        LIBRARY.plain_advance(self._in_c, at, u_V, dt_s)
+        return State(*at)
 
     def pieces(self, state: State, u_V: float, dt_s: float) -> Iterator[Piece]:
         """The motion over ``dt_s`` seconds of constant drive ``u_V``, piece by piece.
@@ -135,44 +140,22 @@ class Motor:
         A motor that friction holds is a Glide from 0 to 0.
         """
         plant, drive_V = self.plant, u_V + self.bias_V
-        c, w = self._room()
         while dt_s > 0.0:
-            segment = step.next_segment(plant, state.v, drive_V, dt_s, c, w)
+            segment = step.next_segment(plant, state, drive_V, dt_s)
             piece: Piece
             if segment.is_series:
                 unit, rests = segment.sign * plant.stribeck_rad_s, segment.end_rad_s == 0.0
-                piece = Arc(state, segment.duration_s, tuple(c), unit, plant.tau_s, rests)
+                piece = Arc(state, segment.duration_s, segment.coefficients, unit, plant.tau_s, rests)
             else:
                 piece = Glide(state, segment.duration_s, segment.target_rad_s, plant.tau_s)
-            state = step.state_after(plant, segment, c, state)
+            state = segment.end
             dt_s -= segment.duration_s
             yield piece
 
-    def _room(self) -> tuple[list[float], list[float]]:
-        """Buffers for the coefficients of a polynomial; empty where the friction needs none."""
-        n = 0 if self.has_closed_form else stribeck.ORDER + 1
-        return [0.0] * n, [0.0] * n
-
     def terminal_velocity(self, v: float, u_V: float) -> float:
         """Final velocity of the motion from ``v`` under constant ``u_V``, rad/s; 0 if friction stops it."""
-        plant, drive = self.plant, u_V + self.bias_V
-        direction = step.direction(plant, v, drive)
-        if direction == 0.0:
-            return 0.0
-        f, gain = self.friction, self.K_eff_rad_s_V
-        moving, static = step.friction_levels(plant, direction)
-        if f.stribeck_rad_s > 0.0 and static > moving:
-            speed = stribeck.terminal_speed(
-                abs(v) / f.stribeck_rad_s,
-                gain * (direction * drive - static) / f.stribeck_rad_s,
-                gain * (static - moving) / f.stribeck_rad_s,
-            )
-            speed *= f.stribeck_rad_s
-        else:
-            speed = max(gain * (direction * drive - moving), 0.0)
-        if speed > 0.0 or v == 0.0:
-            return direction * speed
-        return self.terminal_velocity(0.0, u_V)
+        final: float = LIBRARY.plain_terminal_velocity(self._in_c, v, u_V)
+        return final
 
     def stopping_distance(self, v: float) -> float:
         """Distance to standstill at 0 V from velocity ``v``, rad/s; in rad, with the sign of ``v``."""
@@ -194,10 +177,7 @@ class Motor:
         edge_u_V   m drives, V
         Returns an (n, 3) array of v, y, z. Raises ValueError on unordered times or shapes that differ.
         """
-        from rig.model.compiled import motion
-
-        # the loop is compiled for arrays like these only: contiguous, and not read-only as those of a recording are
-        t, edges, drive = (np.require(series, float, ["C", "W"]) for series in (t_s, edge_s, edge_u_V))
+        t, edges, drive = (np.ascontiguousarray(series, float) for series in (t_s, edge_s, edge_u_V))
         if t.ndim != 1 or edges.shape != drive.shape or edges.ndim != 1 or edges.size == 0:
             raise ValueError("t_s, edge_s and edge_u_V must be one-dimensional, edges and drives of one length")
         if t.size == 0:

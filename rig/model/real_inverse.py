@@ -55,7 +55,7 @@ def drive_for(
     friction = 0.0
     if direction != 0.0:
         speed = max(math.copysign(v, v * direction), 0.0)
-        height_V = level(m, frame, speed, y, frame.start_s) + still_share(m, speed) * m.static_V
+        height_V = level(m, frame, speed, y) + still_share(m, speed) * m.static_V
         friction = math.copysign(height_V, direction)
     viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
     wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + force(m, frame, y) + friction + viscous - m.bias_V

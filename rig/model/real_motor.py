@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import real_step
+from rig.model.compiled import real_motion
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_inverse import position
@@ -159,7 +160,7 @@ def plain(motor: Motor) -> RealMotor:
 
 
 def response(motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces) -> Array:
-    """Readings of the sensor at the times ``t_s`` (n, s, increasing, n >= 1), (n,), rad; compiled.
+    """Readings of the sensor at the times ``t_s`` (n, s, increasing, n >= 1), (n,), rad.
 
     drive   m edges, s, non-decreasing, and m drives, V, each from its edge on, m >= 1. Before the first edge the drive
             is the first one.
@@ -198,17 +199,11 @@ class MovingMotor:
     def __init__(self, motor: RealMotor, frame: Frame, y0_rad: float) -> None:
         _checked(motor, frame)
         self.motor, self.frame = motor, frame
-        self.state = State(0.0, y0_rad, 0.0, real_step.staged(motor, 0.0), y0_rad)
-        if motor.bristle_V_rad > 0.0:
-            level = real_step.level_of_bristles(motor, frame, 0.0, y0_rad, frame.start_s)
-            pull = self.state.w + motor.bias_V - real_step.force(motor, frame, y0_rad)
-            self.state = self.state._replace(f=min(max(pull, -level), level))
+        self.state = real_step.at_rest(motor, frame, y0_rad)
 
     def put(self, v_rad_per_s: float, y_rad: float) -> None:
         """Set velocity and position of the motor's side; the sensor's side follows as far as the play makes it."""
-        half = 0.5 * self.motor.backlash_rad
-        x = min(max(self.state.x, y_rad - half), y_rad + half)
-        self.state = self.state._replace(v=v_rad_per_s, y=y_rad, x=x)
+        self.state = real_step.put(self.motor, self.frame, self.state, v_rad_per_s, y_rad)
 
     def stop_at(self, y_rad: float) -> None:
         """End a motion that has gone beyond the stop at ``y_rad``: there it is at rest, and has pushed no farther."""
@@ -228,14 +223,11 @@ class MovingMotor:
 
 
 def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float) -> State:
-    """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start; compiled.
+    """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start.
 
     state   as ``rig.model.real_step.State``
     """
-    from rig.model.compiled.real_motion import advanced
-
-    numbers = tuple(map(float, framed.motor)), tuple(map(float, framed.frame))
-    return State(*advanced(numbers, tuple(state), u_V, (framed.frame.start_s, dt_s)))
+    return real_step.advance(framed.motor, framed.frame, state, u_V, framed.frame.start_s, dt_s)
 
 
 def _readings(
@@ -248,8 +240,6 @@ def _readings(
     waves_per_rad: Sequence[float] = (),
 ) -> Readings:
     """Both; no derivatives where ``free`` is None."""
-    from rig.model.compiled import real_motion
-
     if free is not None:
         traced = {name: TRACE for name in TRACED if index(name) in free and getattr(motor, name) == 0.0}
         if waves_per_rad:

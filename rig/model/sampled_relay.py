@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.model.compiled import sampled_relay as compiled
 from rig.model.motor import Motor, State
 
 Array = NDArray[np.float64]
@@ -67,8 +68,6 @@ def relay_test(
     The law is ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges, and for a motor with
     Stribeck effect.
     """
-    from rig.model.compiled import sampled_relay as compiled
-
     t = np.ascontiguousarray(t_s, dtype=float)
     t_u = t + np.broadcast_to(np.asarray(latency_s, dtype=float), t.shape)
     if t.ndim != 1 or t.size == 0 or np.any(np.diff(t) <= 0.0):

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.model.compiled import motion
 from rig.model.step import Numbers, Plant
 
 Array = NDArray[np.float64]
@@ -37,8 +38,6 @@ class Theta(NamedTuple):
 
 def position(theta: Theta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
     """Positions at the times ``t_s``, rad. ``edge_s``, ``u_V``: as in ``position_and_jacobian``."""
-    from rig.model.compiled import motion
-
     y = np.empty(t_s.size)
     motion.response(*_motion(theta), (edge_s, u_V, float(theta.delay_s)), t_s, y)
     return y
@@ -52,8 +51,6 @@ def position_and_jacobian(theta: Theta, edge_s: Array, u_V: Array, t_s: Array) -
     Returns y, (n,), rad, and dy/dtheta, (n, 7). Before the first edge the drive is u_V[0]. Derivatives are exact,
     except where a parameter decides *whether* the motor sticks.
     """
-    from rig.model.compiled import motion
-
     y, jacobian = np.empty(t_s.size), np.empty((t_s.size, 7))
     motion.position_and_jacobian(*_motion(theta), (edge_s, u_V, float(theta.delay_s)), t_s, y, jacobian)
     return y, jacobian

@@ -3,6 +3,7 @@
 access    who may watch and who may drive: token, cookie, password, Host, Origin, security headers
 app       the pages, the JSON and the WebSocket
 sockets   what one WebSocket may cost
+messages  all that a page is told, as types
 watch     what the pages are told of a run, 25 times a second
 bench     checks, starts, calibrates, jogs and stops
 calibration  a calibration that a page goes through; calibrating: the process that does it

@@ -12,8 +12,9 @@ from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
+from pydantic import JsonValue
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
@@ -27,9 +28,11 @@ from rig.panel.access import Access, Kind, security_headers
 from rig.panel.aside import answer_of
 from rig.panel.bench import Bench
 from rig.panel.errors import RefusedError
+from rig.panel.messages import Answer, Refusal, Refused, State, Stop
 from rig.panel.runs import Runs
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S, MOST_SOCKETS, Meter
 from rig.panel.watch import Follower, Watch
+from rig.results import JsonObject
 
 STATIC: Final = FOLDER / "panel" / "static"
 UPLOT: Final = STATIC / "vendor" / "uPlot.esm.js"
@@ -173,20 +176,16 @@ class _Pages:
         """What the page shows before anything moves."""
         self._require_reader(request)
         panel, session = self._panel, self._session(request)
-        return _Json(
-            {
-                "version": VERSION,
-                "config": None if panel.bench.config is None else panel.bench.config.name,
-                "config_path": None if panel.bench.config is None else str(panel.bench.config),
-                "runs_folder": str(panel.bench.out),
-                "run": panel.watch.scene.run,
-                "running": [{"run": one.folder.name, "pid": one.runner.pid} for one in panel.bench.running],
-                "opening": panel.watch.scene.opening,
-                "operator": panel.access.is_operator(session),
-                "has_token": session is not None,
-                "uplot": UPLOT.is_file(),
-            }
-        )
+        config, scene = panel.bench.config, panel.watch.scene
+        shown: State = {
+            "version": VERSION, "config": None if config is None else config.name,
+            "config_path": None if config is None else str(config), "runs_folder": str(panel.bench.out),
+            "run": scene.run,
+            "running": [{"run": one.folder.name, "pid": one.runner.pid} for one in panel.bench.running],
+            "opening": scene.opening, "operator": panel.access.is_operator(session),
+            "has_token": session is not None, "uplot": UPLOT.is_file(),
+        }  # fmt: skip
+        return _Json(shown)
 
     async def take(self, request: Request) -> Response:
         """Make this browser the operator's."""
@@ -401,7 +400,7 @@ class _Sockets:
                     await socket.close(_POLICY, error.what[:100])
                 return
 
-    async def _obey(self, socket: WebSocket, follower: Follower, page: _Page, asked: dict[str, Any]) -> None:
+    async def _obey(self, socket: WebSocket, follower: Follower, page: _Page, asked: JsonObject) -> None:
         """Do what a page asks. Raises RefusedError for what no page of ours sends."""
         panel, kind = self._panel, asked.get("type")
         if kind == "stop":
@@ -411,8 +410,8 @@ class _Sockets:
         elif kind == "take":
             panel.access.take(page.session)
             follower.wake.set()
-        elif kind == "seen" and type(asked.get("n")) is int:
-            follower.seen(asked["n"])
+        elif kind == "seen" and isinstance(n := asked.get("n"), int) and not isinstance(n, bool):
+            follower.seen(n)
         elif kind == "jog":
             share = asked.get("volts_share")
             if isinstance(share, bool) or not isinstance(share, int | float) or not -1.0 <= share <= 1.0:
@@ -424,7 +423,7 @@ class _Sockets:
                     raise RefusedError(403, "another page has the bench", "take it first")
                 panel.bench.jog(page.name, float(share))
             except RefusedError as error:  # the page may be late to know: it is told, and stays
-                await socket.send_json({"type": "refused", "what": error.what, "cure": error.cure})
+                await socket.send_json(Refused(type="refused", what=error.what, cure=error.cure))
         else:
             raise RefusedError(400, "no message of the panel's page", "")
 
@@ -446,20 +445,20 @@ async def _read(what: Callable[..., _Read], *arguments: object) -> _Read:
     return await asyncio.get_running_loop().run_in_executor(_readers, what, *arguments)
 
 
-async def _stop(panel: Panel, run: str | None) -> dict[str, Any]:
+async def _stop(panel: Panel, run: str | None) -> Stop:
     """Stop; what there is to say at once. The files are written in a thread: no disk may hold up the other pages."""
     answer = await asyncio.get_running_loop().run_in_executor(_stoppers, functools.partial(panel.bench.stop, run))
     return panel.watch.stop_asked(answer)
 
 
-def _parsed(message: Message) -> dict[str, Any]:
+def _parsed(message: Message) -> JsonObject:
     text = message.get("text")
     if not isinstance(text, str) or len(text) > LARGEST_MESSAGE:
         raise RefusedError(400, "no message of the panel's page", "")
     return _object(text)
 
 
-async def _json_of(request: Request) -> dict[str, Any]:
+async def _json_of(request: Request) -> JsonObject:
     body = b""
     async for chunk in request.stream():
         body += chunk
@@ -468,9 +467,9 @@ async def _json_of(request: Request) -> dict[str, Any]:
     return _object(body.decode("utf-8", errors="replace")) if body else {}
 
 
-def _object(text: str) -> dict[str, Any]:
+def _object(text: str) -> JsonObject:
     try:
-        value: Any = json.loads(text)
+        value: JsonValue = json.loads(text)
     except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict):
@@ -478,15 +477,15 @@ def _object(text: str) -> dict[str, Any]:
     return value
 
 
-def _answer(asked: dict[str, Any]) -> dict[str, Any]:
+def _answer(asked: JsonObject) -> Answer:
     """One answer of a calibration, and nothing else that a page may have sent."""
     steps, text = asked.get("steps"), asked.get("answer")
     if asked.get("end") is True:
         return {"end": True}
     if asked.get("skip") is True:
         return {"skip": True}
-    if isinstance(steps, list) and all(isinstance(name, str) for name in steps):
-        return {"steps": steps}
+    if isinstance(steps, list) and len(names := [name for name in steps if isinstance(name, str)]) == len(steps):
+        return {"steps": names}
     if isinstance(text, str):
         return {"answer": text}
     raise RefusedError(400, "that is no answer", 'send "answer", "steps", "skip" or "end"')
@@ -497,7 +496,7 @@ def _no_session() -> RefusedError:
 
 
 def _refused(error: RefusedError) -> Response:
-    return _Json({"error": {"what": error.what, "cure": error.cure}}, status_code=error.status)
+    return _Json(Refusal(error={"what": error.what, "cure": error.cure}), status_code=error.status)
 
 
 async def _answer_refused(request: Request, error: Exception) -> Response:

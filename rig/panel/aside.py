@@ -9,15 +9,23 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, Literal, overload
 
 from rig.panel.errors import RefusedError
+from rig.panel.messages import Compared, Drawn, Prospect, Refusal
+from rig.recording.errors import RecordingError
 
 _PATIENCE_S: Final = 60.0
 _LESS_URGENT: Final = 10
 
 
-async def answer_of(module: str, *paths: Path) -> dict[str, Any]:
+@overload
+async def answer_of(module: Literal["rig.panel.prospect"], *paths: Path) -> Prospect: ...
+@overload
+async def answer_of(module: Literal["rig.panel.series"], *paths: Path) -> Drawn: ...
+@overload
+async def answer_of(module: Literal["rig.panel.compared"], *paths: Path) -> Compared: ...
+async def answer_of(module: str, *paths: Path) -> Prospect | Drawn | Compared:
     """What ``python -m MODULE PATH...`` gives. Raises RefusedError if that is nothing of use, or an error."""
     name = paths[-1].name
     process = await asyncio.create_subprocess_exec(
@@ -33,17 +41,22 @@ async def answer_of(module: str, *paths: Path) -> dict[str, Any]:
             process.kill()
             await process.wait()
     try:
-        answer = json.loads(said)
+        given = json.loads(said)
     except ValueError:
         last = " ".join(errors.decode(errors="replace").strip().splitlines()[-1:]) or "no answer"
         raise RefusedError(503, f"{name} cannot be read: {last}", "look at it with rig") from None
-    if "error" in answer:
-        raise RefusedError(409, str(answer["error"]["what"]), str(answer["error"]["cure"]))
-    return dict(answer)
+    if "error" in given:
+        raise RefusedError(409, **given["error"])
+    answer: Prospect | Drawn | Compared = given
+    return answer
 
 
-def give(answer: Callable[..., dict[str, Any]]) -> None:
-    """As such a process: print the answer for the paths that were asked for."""
+def give(answer: Callable[..., Prospect | Drawn | Compared]) -> None:
+    """As such a process: print the answer for the paths that were asked for, or what is wrong with a recording."""
     with contextlib.suppress(AttributeError, OSError):  # Windows has no such call
         os.nice(_LESS_URGENT)
-    sys.stdout.write(json.dumps(answer(*map(Path, sys.argv[1:])), allow_nan=False))
+    try:
+        given: Prospect | Drawn | Compared | Refusal = answer(*map(Path, sys.argv[1:]))
+    except RecordingError as error:
+        given = {"error": {"what": f"{error.path}: {error.cause}", "cure": error.cure}}
+    sys.stdout.write(json.dumps(given, allow_nan=False))

@@ -14,7 +14,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rig.config.yaml12 import MOST_BYTES
 from rig.live.lease import Leaser
@@ -24,6 +24,7 @@ from rig.panel import attendance, processes
 from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
+from rig.panel.messages import Checked, Started
 from rig.panel.processes import Ended, StartedProcess
 from rig.plain_file import read_plain
 
@@ -142,7 +143,7 @@ class Bench:
             self._started = [process for process in self._started if process not in over]
         return [process.end() for process in over]
 
-    def _start(self, command: str, *arguments: str) -> dict[str, Any]:
+    def _start(self, command: str, *arguments: str) -> Started:
         """Start a command, if nothing else goes on."""
         with processes.one_at_a_time(self.out):  # two panels of one folder must not both find it at rest
             self.look()
@@ -168,19 +169,17 @@ class Bench:
             raise RefusedError(409, "this panel has no config to start", "start it as: rig panel CONFIG")
         return self.config
 
-    async def check(self) -> dict[str, Any]:
+    async def check(self) -> Checked:
         """What `rig check` says of the config, and a ``confirmation`` with which it may be started."""
-        config = self._own_config()
-        digest = await asyncio.to_thread(_digest, config)
-        found = await answer_of("rig.panel.prospect", config)
+        found = await answer_of("rig.panel.prospect", self._own_config())
+        digest = found.pop("digest", "")
         confirmation = None
-        if found.get("may_run"):
+        if found["plan"] is not None:
             confirmation = secrets.token_urlsafe(12)
             self._confirmation = _Confirmation(confirmation, digest, time.monotonic() + _CONFIRMED_FOR_S)
-            self._jog_V = float(found["plan"]["jog_V"])
         return {**found, "confirmation": confirmation}
 
-    def start(self, confirmation: object) -> dict[str, Any]:
+    def start(self, confirmation: object) -> Started:
         """Start ``rig run`` on the config as it was checked. Raises RefusedError if anything is in the way."""
         config = self._own_config()
         given, self._confirmation = self._confirmation, None  # each starts once
@@ -188,7 +187,7 @@ class Bench:
             raise RefusedError(409, "this start was not confirmed, or too long ago", "check the config again")
         if _digest(config) != given.digest:
             raise RefusedError(409, f"{config.name} has changed since it was checked", "check it again")
-        return self._start("run", str(config), *_AS_WATCHED)
+        return self._start("run", str(config), *_AS_WATCHED, "--as-checked", given.digest)
 
     # ------------------------------------------------------------------ calibrate
 
@@ -279,17 +278,18 @@ class Bench:
 
     # ------------------------------------------------------------------ jog
 
-    async def start_jog(self) -> dict[str, Any]:
+    async def start_jog(self) -> Started:
         """Start ``rig jog --leased`` on the config. It drives nothing until a page holds a lease.
 
         Raises RefusedError if anything is in the way.
         """
         config = self._own_config()
         found = await answer_of("rig.panel.prospect", config)
-        if not found.get("may_run"):
+        if found["plan"] is None:
             raise RefusedError(409, "rig refuses this config", "press Check and start…: the check says why")
-        self._jog_V = float(found["plan"]["jog_V"])
-        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased", *_AS_WATCHED)
+        self._jog_V = found["plan"]["jog_V"]
+        as_checked = (*_AS_WATCHED, "--as-checked", found["digest"])
+        started = await asyncio.to_thread(self._start, "jog", str(config), "--leased", *as_checked)
         return {**started, "jog_V": self._jog_V}
 
     def end_jog(self) -> None:

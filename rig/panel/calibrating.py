@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from rig.backends.emulated.errors import EmulationError
 from rig.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
@@ -28,6 +28,7 @@ from rig.faults import Fault
 from rig.live.unrecorded import BusyError, told
 from rig.loop.stop_request import Gone
 from rig.panel.attendance import watched
+from rig.panel.messages import Answer, CalibrationEnd, Doing, Question, Said
 from rig.recording.errors import RecordingError
 
 
@@ -40,32 +41,32 @@ class _Page:
     def say(self, what: Say) -> None:
         """Show it, with its drawings."""
         drawings = [{"title": wiring.title, "svg": svg(wiring)} for wiring in what.drawings]
-        _tell("say", kind=what.kind, words=what.words, drawings=drawings)
+        _tell("say", Said(kind=what.kind, words=what.words, drawings=drawings))
 
     def ask(self, question: Ask) -> str:
         """The answer. Raises Skipped; NotWrittenError if somebody ends the calibration."""
-        _tell(
-            "ask", words=question.words, kind=question.kind, default=question.default, choices=question.choices,
+        _tell("ask", Question(
+            words=question.words, kind=question.kind, default=question.default, choices=question.choices,
             empty=question.empty, commands=question.commands, skips=question.skips,
-        )  # fmt: skip
+        ))  # fmt: skip
         said = self.heard()
         if said.get("skip"):
             raise Skipped("skipped")
-        return str(said.get("answer", ""))
+        return said.get("answer", "")
 
     def steps(self, known: dict[str, str]) -> list[str]:
         """Which of these steps to go through. Raises NotWrittenError if it is none."""
-        _tell("ask", words="Which steps?", kind="steps", choices=list(known.items()), skips=False)
+        _tell("ask", Question(words="Which steps?", kind="steps", choices=list(known.items()), skips=False))
         wanted = self.heard().get("steps")
-        chosen = [name for name in known if isinstance(wanted, list) and name in wanted]
+        chosen = [name for name in known if name in (wanted or ())]
         if not chosen:
             raise NotWrittenError("no step was chosen", "tick one or more")
         return chosen
 
-    def heard(self) -> dict[str, Any]:
+    def heard(self) -> Answer:
         """What the page says. Raises NotWrittenError if it ends the calibration, or is gone."""
         line = sys.stdin.readline()
-        said: dict[str, Any] = json.loads(line) if line else {"end": True}
+        said: Answer = json.loads(line) if line else {"end": True}
         if said.get("end"):
             raise NotWrittenError("ended; nothing is written", f"{self._file.name} is as it was")
         return said
@@ -79,17 +80,21 @@ class _Page:
             words = f"drives the bridge with {motion.u_V:+.2f} V for {motion.seconds:g} s"
         elif not isinstance(motion, Read):
             words = "sets the zero"
-        _tell("does", words=words)
+        _tell("does", Doing(words=words))
 
     def writes(self) -> None:
         """Rig is about to write the config. A Stop that comes now is too late: the page is told what was written."""
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        _tell("does", words="writes the config")
+        _tell("does", Doing(words="writes the config"))
 
 
-def _tell(type_: str, /, **what: object) -> None:
+def _tell(type_: Literal["say", "ask", "does", "end"], what: Said | Question | Doing | CalibrationEnd) -> None:
     sys.stdout.write(json.dumps({"type": type_, **what}) + "\n")
     sys.stdout.flush()
+
+
+def _end(words: str, cure: str, *, written: bool = False) -> None:
+    _tell("end", CalibrationEnd(written=written, words=words, cure=cure))
 
 
 @contextmanager
@@ -116,18 +121,18 @@ def main(config: Path, out: Path) -> None:
             with _attended(out) as gone:
                 done = calibrate(opened, page.steps(known), out, page, flag, gone)
     except ConfigError as error:
-        _tell("end", written=False, words="rig cannot calibrate with this config", cure=str(error))
+        _end("rig cannot calibrate with this config", str(error))
     except (BusyError, Fault, Refusal, NotWrittenError, RecordingError) as error:
-        _tell("end", written=False, words=getattr(error, "cause", str(error)), cure=error.cure)
+        _end(getattr(error, "cause", str(error)), error.cure)
     except EmulationError as error:
         words, _, cure = str(error).partition("\n")
-        _tell("end", written=False, words=words, cure=cure)
+        _end(words, cure)
     else:
         if done.backup is None:
             words, cure = "nothing to change", f"{config.name} is as it was"
         else:
             words, cure = f"{config.name} is written", f"as it was: {done.backup}"
-        _tell("end", written=done.backup is not None, words=words, cure=cure)
+        _end(words, cure, written=done.backup is not None)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rig.panel.attendance import Attendance
 from rig.panel.errors import RefusedError
+from rig.panel.messages import Answer, CalibrationEnd, CalibrationShown, Question, Said
 from rig.signals import plain
 
 _LAST_WORDS_LINES: Final = 12
@@ -34,11 +35,11 @@ class Calibration:
     def __init__(self, config: Path, out: Path, changed: Callable[[], object]) -> None:
         self._changed = changed
         self._lock = threading.Lock()
-        self._said: deque[dict[str, Any]] = deque(maxlen=_MOST_SAID)
+        self._said: deque[Said] = deque(maxlen=_MOST_SAID)
         self._words: deque[str] = deque(maxlen=_LAST_WORDS_LINES)  # that are none of its messages: an error
-        self._question: dict[str, Any] | None = None
+        self._question: Question | None = None
         self._does = "opens the config"
-        self._end: dict[str, Any] | None = None
+        self._end: CalibrationEnd | None = None
         self._was_stopped = False
         try:
             self._process = subprocess.Popen(
@@ -66,7 +67,7 @@ class Calibration:
         """Whether it reads, drives or computes; else it waits for an answer, or is over, and nothing drives."""
         return self._end is None and self._question is None
 
-    def shown(self) -> dict[str, Any]:
+    def shown(self) -> CalibrationShown:
         """All that a page shows of it."""
         with self._lock:
             return {
@@ -74,10 +75,10 @@ class Calibration:
                 "does": self._does if self._end is None and self._question is None else None,
             }  # fmt: skip
 
-    def answer(self, number: object, answer: dict[str, Any]) -> None:
+    def answer(self, number: object, answer: Answer) -> None:
         """Answer the open question. Raises RefusedError if it is another one by now."""
         with self._lock:
-            if self._question is None or number != self._question["number"]:
+            if self._question is None or number != self._question.get("number"):
                 raise RefusedError(409, "this question is not open any more", "look at the page, and answer again")
             text = json.dumps(answer)
             if len(text) > _LONGEST_ANSWER:
@@ -138,7 +139,7 @@ class Calibration:
             return
         with self._lock:
             if kind == "ask":
-                self._question = {**said, "number": next(_NUMBERS)}
+                self._question = said | {"number": next(_NUMBERS)}
                 self._was_stopped = False  # that Stop has ended what it was for
             elif kind == "does":
                 self._does = said["words"]
@@ -148,10 +149,10 @@ class Calibration:
                 self._said.append(said)
 
 
-def _shown(answer: dict[str, Any]) -> str:
+def _shown(answer: Answer) -> str:
     """An answer in the list of what was said."""
     if "steps" in answer:
         return ", ".join(answer["steps"])
     if answer.get("skip"):
         return "left out"
-    return plain(str(answer.get("answer", "")))
+    return plain(answer.get("answer", ""))

@@ -6,40 +6,41 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from rig import preflight
-from rig.config import ConfigError, Experiment, is_campaign
+from rig.config import ConfigError, Experiment, is_campaign, read
 from rig.panel.aside import give
+from rig.panel.messages import Plan, Prospect
 from rig.preflight.plan import lasts_s
 from rig.preflight.room_to_stop import stopping_terms
 
 
-def prospect(config: Path) -> dict[str, Any]:
-    """``lines`` with a severity each, ``may_run``, and the ``plan``: null if the config is refused."""
+def prospect(config: Path) -> Prospect:
+    """What a page is told before a start."""
     try:
-        if is_campaign(config):
+        document = read(config)
+        if is_campaign(document):
             return _refused([f"{config} is the config of a campaign: nothing moves there; `rig campaign` runs it"])
-        experiment, found = preflight.check(config)
+        experiment, found = preflight.check(document)
     except ConfigError as error:
         return _refused(str(error).splitlines())
     lines = [
         {"severity": "note" if line.startswith("note: ") else "ok", "text": line.removeprefix("note: ")}
         for line in found.lines
     ]
-    return {"lines": lines, "may_run": True, "plan": _plan(experiment)}
+    return {"lines": lines, "may_run": True, "plan": _plan(experiment), "digest": document.digest}
 
 
-def _refused(problems: list[str]) -> dict[str, Any]:
+def _refused(problems: list[str]) -> Prospect:
     return {"lines": [{"severity": "error", "text": line} for line in problems], "may_run": False, "plan": None}
 
 
-def _plan(e: Experiment) -> dict[str, Any]:
+def _plan(e: Experiment) -> Plan:
     endless = e.limits.is_endless
     return {
         "name": e.name,
         "largest_drive_V": e.drive.max_V,
-        "jog_V": min(e.breakaway.max_V, e.drive.max_V),  # enough to move any shaft that a run would accept
+        "jog_V": min(e.breakaway.max_V, e.drive.max_V),
         "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e)),
         "soft_rad": None if endless else list(e.limits.soft_rad),
         "hard_rad": None if endless else list(e.limits.hard_rad),

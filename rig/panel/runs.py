@@ -13,9 +13,10 @@ import stat
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rig.panel.errors import RefusedError
+from rig.panel.messages import RunRow
 from rig.plain_file import read_plain
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
@@ -38,7 +39,7 @@ class Runs:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._known: dict[str, tuple[float, dict[str, Any]]] = {}
+        self._known: dict[str, tuple[float, RunRow]] = {}
 
     def find(self, name: str) -> Path:
         """The run folder of this name. Raises RefusedError 404 if there is none."""
@@ -57,14 +58,14 @@ class Runs:
                 404, f"the run {name} has no report", f"make it: rig report {self.folder / name}"
             ) from error
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[RunRow]:
         """A row for each run, the newest first; at most ``MOST_RUNS``."""
         rows = [self._row(folder) for folder in itertools.islice(self._newest(), MOST_RUNS)]
         shown = {row["name"] for row in rows}
         self._known = {name: known for name, known in self._known.items() if name in shown}
         return rows
 
-    def row(self, folder: Path) -> dict[str, Any]:
+    def row(self, folder: Path) -> RunRow:
         """What came of one run; reads its small files."""
         notes: list[str] = []
         try:
@@ -79,7 +80,7 @@ class Runs:
             notes.append(f"{RESULT} {error.cause}")
         return _summary(folder, meta or RunMeta(), result, notes)
 
-    def _row(self, folder: Path) -> dict[str, Any]:
+    def _row(self, folder: Path) -> RunRow:
         try:
             changed = max(path.stat().st_mtime for path in (folder, folder / RESULT) if path.exists())
         except (OSError, ValueError):
@@ -120,7 +121,7 @@ def _is_a_run(path: Path) -> bool:
     return True
 
 
-def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> dict[str, Any]:
+def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[str]) -> RunRow:
     answer = None if result is None else result.answer
     fault = result.faults[0].code if result is not None and result.faults else None
     loop = None if result is None else result.loop
@@ -145,14 +146,15 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
     }
 
 
-def _numbers(estimate: EstimateResult) -> dict[str, Any]:
+def _numbers(estimate: EstimateResult) -> dict[str, tuple[float, float | None] | None]:
     """tau, K and f_c, each with half its 95 % interval; null where there is none."""
-    numbers: dict[str, Any] = {}
+    numbers: dict[str, tuple[float, float | None] | None] = {}
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         value, interval = estimate.value(name), estimate.at_95(name)
         half = None if interval is None else 0.5 * (interval[1] - interval[0])
-        is_number = value is not None and math.isfinite(value)
-        numbers[name] = [value, half if half is not None and math.isfinite(half) else None] if is_number else None
+        numbers[name] = None
+        if value is not None and math.isfinite(value):
+            numbers[name] = value, half if half is not None and math.isfinite(half) else None
     return numbers
 
 

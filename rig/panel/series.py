@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.panel.aside import give
-from rig.recording.errors import RecordingError
+from rig.panel.messages import Drawn
 from rig.recording.reader import read_run
 from rig.recording.recording import Recording
 from rig.recording.stage import kind_of
-from rig.results import RunEvent
+from rig.results import JsonObject, RunEvent
 
 Array = NDArray[np.float64]
 
@@ -22,12 +22,9 @@ MOST_POINTS: Final = 4000
 _DRIVEN: Final = ("relay", "strokes", "hysteretic", "track")
 
 
-def drawn(folder: Path) -> dict[str, Any]:
-    """Curves, stages, faults, and when the drive first changes its sign in a test; or what is wrong with the run."""
-    try:
-        recording = read_run(folder)
-    except RecordingError as error:
-        return {"error": {"what": f"{error.path}: {error.cause}", "cure": error.cure}}
+def drawn(folder: Path) -> Drawn:
+    """A run to be drawn. Raises RecordingError."""
+    recording = read_run(folder)
     shown = thinned(recording.y_rad, MOST_POINTS)
     return {
         "series": {
@@ -69,7 +66,7 @@ def first_switch_s(recording: Recording) -> float | None:
     return None
 
 
-def _of(event: RunEvent, *keys: str) -> dict[str, Any]:
+def _of(event: RunEvent, *keys: str) -> JsonObject:
     return {"t_s": event.t_s, **{key: event.detail.get(key) for key in keys}}
 
 

@@ -13,11 +13,12 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rig.live.stop_flag import Unrecorded, command_of, is_recorded
-from rig.live.view import KEPT_ROWS, Estimate, LiveRow, LiveView, SeenFault, Snapshot
+from rig.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot
 from rig.panel.bench import CALIBRATION, Bench, StopAnswer
+from rig.panel.messages import Live, Message, News, RunEnded, Stop
 from rig.panel.processes import Ended
 from rig.panel.runs import Runs
 
@@ -50,8 +51,8 @@ class Scene:
     opening: str | None = None
     opens_with: str = ""
     snapshot: Snapshot | None = None
-    ended: dict[str, Any] | None = None
-    news: tuple[tuple[int, dict[str, Any]], ...] = ()
+    ended: RunEnded | None = None
+    news: tuple[tuple[int, News], ...] = ()
     calibration: int = 0
 
 
@@ -73,13 +74,13 @@ class Watch:
     def __init__(self, bench: Bench, runs: Runs, opened: Path | None = None) -> None:
         self._bench, self._runs = bench, runs
         self._view = None if opened is None else LiveView(opened)
-        self._ended: dict[str, Any] | None = None
+        self._ended: RunEnded | None = None
         self._statuses: dict[int, Ended] = {}
         self._pid: int | None = None
         self._asked: dict[Path, _Asked] = {}
         self._starting: dict[int, float] = {}  # commands that a Stop interrupted before their run folder, and when
         self._unconfirmed: list[str] = []  # runs that were stopped and are over, and of which 0 V was never confirmed
-        self._news: list[tuple[int, dict[str, Any]]] = []
+        self._news: list[tuple[int, News]] = []
         self._number = 0
         self._ticks = 0
         self._over_ticks = 0
@@ -109,7 +110,7 @@ class Watch:
         """A page that went."""
         self._followers.discard(follower)
 
-    def stop_asked(self, answer: StopAnswer) -> dict[str, Any]:
+    def stop_asked(self, answer: StopAnswer) -> Stop:
         """A Stop was given on: the message for who asked. What comes of it is told to every page."""
         at_s = time.monotonic()
         if (answer.runs or answer.waits) and not (self._asked or self._starting):
@@ -272,7 +273,7 @@ class Watch:
         elif not (self._asked or self._starting or self._unconfirmed):
             self._tell(_stop_message(run, True, "", after_ms))
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def _tell(self, message: News) -> None:
         self._number += 1
         self._news = [*self._news[1 - _MOST_NEWS :], (self._number, message)]
 
@@ -315,7 +316,7 @@ class Follower:
 
     def due(self, scene: Scene, *, operator: bool, now_s: float) -> list[str]:
         """The messages that the page lacks, now."""
-        messages: list[dict[str, Any]] = []
+        messages: list[Message] = []
         if operator != self._operator:
             self._operator = operator
             messages.append({"type": "operator", "you": operator})
@@ -332,19 +333,21 @@ class Follower:
             self._spoke_s = now_s
         return [json.dumps(message, allow_nan=False, separators=(",", ":")) for message in messages]
 
-    def _of_run(self, scene: Scene, run: str, snapshot: Snapshot, now_s: float) -> list[dict[str, Any]]:
+    def _of_run(self, scene: Scene, run: str, snapshot: Snapshot, now_s: float) -> list[Message]:
         if run != self._run:
             self._run, self._after_row, self._estimates, self._faults, self._ended = run, -1, 0, 0, False
-        messages: list[dict[str, Any]] = []
+        messages: list[Message] = []
         rows = snapshot.rows[_first_after(snapshot.rows, self._after_row) :]
         is_silent = now_s - self._spoke_s >= ALIVE_S - 0.5 * PERIOD_S
         too_many = self._seen is not None and self._number - self._seen >= _MOST_UNSEEN
         if not self._ended and (is_silent or (rows and not too_many)):
             self._number += 1
             self._after_row = rows[-1].number if rows else self._after_row
-            messages.append({"type": "live", "n": self._number, **live(run, snapshot, rows)})
-        messages += [_estimate(run, one) for one in snapshot.estimates[self._estimates :]]
-        messages += [_fault(run, one) for one in snapshot.faults[self._faults :]]
+            messages.append(live(run, self._number, snapshot, rows))
+        for estimate in snapshot.estimates[self._estimates :]:
+            messages.append({"type": "estimate", "run": run, **estimate})
+        for fault in snapshot.faults[self._faults :]:
+            messages.append({"type": "fault", "run": run, **fault})
         self._estimates, self._faults = len(snapshot.estimates), len(snapshot.faults)
         if scene.ended is not None and not self._ended:
             self._ended = True
@@ -352,11 +355,13 @@ class Follower:
         return messages
 
 
-def live(run: str, snapshot: Snapshot, rows: Sequence[LiveRow]) -> dict[str, Any]:
+def live(run: str, number: int, snapshot: Snapshot, rows: Sequence[LiveRow]) -> Live:
     """The numbers of a run, and its newest rows."""
     limits, planes, cycle, health = snapshot.limits, snapshot.planes, snapshot.cycle, snapshot.loop
     runner = snapshot.runner
     return {
+        "type": "live",
+        "n": number,
         "run": run,
         "command": snapshot.command,
         "pid": None if runner is None else runner.pid,
@@ -407,7 +412,7 @@ def _first_after(rows: Sequence[LiveRow], number: int) -> int:
     return 0 if not rows else min(max(number + 1 - rows[0].number, 0), KEPT_ROWS)
 
 
-def _ended_early(over: Ended) -> dict[str, Any]:
+def _ended_early(over: Ended) -> RunEnded:
     """A command ended before it had a run folder."""
     why = f"rig {over.command} was stopped before it drove" if over.stopped else f"rig {over.command} did not start"
     return {
@@ -415,15 +420,7 @@ def _ended_early(over: Ended) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _estimate(run: str, one: Estimate) -> dict[str, Any]:
-    return {"type": "estimate", "run": run, **one._asdict()}
-
-
-def _fault(run: str, one: SeenFault) -> dict[str, Any]:
-    return {"type": "fault", "run": run, **one._asdict()}
-
-
-def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> dict[str, Any]:
+def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: int | None) -> Stop:
     return {
         "type": "stop", "received": True, "run": run, "drive_zero": drive_zero, "after_ms": after_ms, "why": why,
     }  # fmt: skip

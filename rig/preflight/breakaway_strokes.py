@@ -75,14 +75,10 @@ class BreakawayStrokes(NamedTuple):
         return 2.0 * (sum(strokes_s) + sum(pauses_s))
 
 
-def breakaway_strokes(
-    e: Experiment, max_V: float | None = None, *, further: bool = True, repeats: bool = True
-) -> BreakawayStrokes | None:
+def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStrokes | None:
     """Strokes whose unseen travel is within ``UNSEEN_RAD``; None where those of one period exceed it.
 
-    max_V    instead of the config's
-    further  whether pairs may follow that need a motion that was seen; older versions had none
-    repeats  whether planned pairs may repeat max_V, and every check may have further ones; older versions had neither
+    max_V  instead of the config's
     Raises ValueError where the config does not tell the motor's speed.
 
     A stroke of level u and length s moves a shaft of gain K from rest by at most K (u - f) s, whatever its time
@@ -113,11 +109,11 @@ def breakaway_strokes(
         tried += (strokes for strokes in found if strokes is not None)
         best = max(tried, key=lambda one: _moved_rad(e, one, max_V), default=None)
         if best is not None and _moved_rad(e, best, max_V) > _CLEARLY * e.breakaway.motion_rad:
-            few = min(_further(e, best, max_V), _FEW_FURTHER) if further and repeats else 0
+            few = min(_further(e, best, max_V), _FEW_FURTHER)
             return best._replace(further=few, in_all=few)
-    if best is None or not further:
-        return best
-    if not repeats or best.strokes_s[-1] > 1.5 * e.period_s:
+    if best is None:
+        return None
+    if best.strokes_s[-1] > 1.5 * e.period_s:
         best = max(tried, key=lambda one: _moved_rad(e, one, max_V, beyond_noise=True))
         pairs = _further(e, best, max_V)
         return best._replace(further=pairs, in_all=pairs)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 from rig.backends.registry import backend_of
 from rig.config.problems import ConfigError, Problem, wrong
@@ -13,6 +12,7 @@ from rig.config.schema import EmulatedMotor, Experiment
 from rig.config.yaml12 import Document
 from rig.errors import RigError
 from rig.preflight.file import check
+from rig.results import JsonObject
 
 FRICTION_SHARE = 0.05  # of the supply; this and the next three: see ``made_motor``
 TAU_SHARE = 0.5  # of limits.coast_tau_s
@@ -120,9 +120,9 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
             "rehearse a copy of this config with `driver: simulated`, and without port and options",
         )
         raise ConfigError([document.located(problem)])
-    daq = {key: value for key, value in (document.data["daq"] | keys["daq"]).items() if value is not None}
-    own: dict[str, Any] = document.data.get("emulated") or {}
-    motor = (own.get("motor") or {}) | made_motor(sheet, e)
+    daq = {key: value for key, value in (_section(document.data, "daq") | keys["daq"]).items() if value is not None}
+    own = _section(document.data, "emulated")
+    motor = _section(own, "motor") | made_motor(sheet, e)
     if not own:
         own = keys["emulated"]
         if e.sensor.encoder is None:
@@ -140,6 +140,12 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
     if problems := [document.located(problem) for problem in _unfit(found, found.emulated.motor)]:
         raise ConfigError(problems)
     return found
+
+
+def _section(data: JsonObject, name: str) -> JsonObject:
+    """A section of a config that was checked; empty where it is not there."""
+    found = data.get(name)
+    return found if isinstance(found, dict) else {}
 
 
 def _unfit(e: Experiment, motor: EmulatedMotor) -> Iterator[Problem]:

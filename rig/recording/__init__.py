@@ -9,6 +9,7 @@ folder     the run folder and its small files
 follow     live progress of a run
 recording  ``Recording``: the rows of a run folder or a CSV file as arrays
 reader     reads run folders and CSV files
+curves     the arrays behind a run's answer, written and read
 csv_file   reads a CSV file with the columns of samples.csv
 csv_table  a CSV file as lines, fields and columns
 log_file   reads a CSV file with other columns and units; ``log_format`` says which

@@ -21,6 +21,7 @@ from rig.results.part import Part
 CONFIG: Final = "config.yaml"
 META: Final = "meta.json"
 RESULT: Final = "result.json"
+CURVES: Final = "curves.json"
 # Windows does not have the last two flags
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 

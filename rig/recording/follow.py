@@ -7,6 +7,7 @@ at the begin of each stage.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from rig import strict_json
 from rig.plain_file import open_plain
@@ -24,6 +25,8 @@ from rig.recording.end_of_input import EndOfInput, end_of_input
 
 if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
     from rich.table import Table
+
+    from rig.results import JsonObject
 
 REFRESH_S = 0.2
 COMPUTES_S = 1.0  # without a row or an event: the drive is off, and the run computes
@@ -97,7 +100,7 @@ class Tail:
         return int(self._offset > 0)
 
 
-def event_of(line: str) -> dict[str, Any]:
+def event_of(line: str) -> JsonObject:
     """A line of events.jsonl. Raises ValueError for what is no event."""
     event = strict_json.parse(line)
     if not isinstance(event, dict):
@@ -120,7 +123,7 @@ class Progress:
         self.u_V = 0.0
         self.reach_rad = 0.2
 
-    def take_event(self, event: dict[str, Any]) -> None:
+    def take_event(self, event: JsonObject) -> None:
         """Take an event. Raises KeyError, TypeError, ValueError for one that rig does not write."""
         kind = event.get("kind")
         if kind == "stage":
@@ -128,7 +131,7 @@ class Progress:
                 self.done.append(("done", self.stage, self.detail))
             self.stage, self.detail = str(event["name"]), ""
         elif kind == "breakaway":
-            self.detail = f"moves at {event['plus_V']:+.2f} V and {-event['minus_V']:+.2f} V"
+            self.detail = f"moves at {event['plus_V']:+.2f} V and {-real(event['minus_V']):+.2f} V"
         elif kind == "search":
             self.detail = f"h1 {event['h1_V']:.2f} V, h2 {event['h2_V']:.2f} V: {event['outcome']}"
             if event.get("amplitude_rad") is not None:
@@ -182,7 +185,7 @@ class Progress:
         return table
 
 
-def live_words(event: dict[str, Any]) -> str:
+def live_words(event: JsonObject) -> str:
     """A live estimate: each value with half its 95 % interval, and what else it says."""
     values = (
         ("tau", "tau_s", "tau_percent", "s"),
@@ -199,7 +202,7 @@ def live_words(event: dict[str, Any]) -> str:
     return ", ".join(shown) + (separator + remark if remark else "")
 
 
-def live_remark(event: dict[str, Any]) -> str:
+def live_remark(event: JsonObject) -> str:
     """What else a live estimate says: the laws that it has, and whether its residual is too large; else nothing."""
     said = []
     laws, residual = event.get("laws"), event.get("residual_over_noise")
@@ -210,7 +213,7 @@ def live_remark(event: dict[str, Any]) -> str:
     return ": ".join(said)
 
 
-def decided_words(event: dict[str, Any]) -> str:
+def decided_words(event: JsonObject) -> str:
     """What the tests go over to, and why."""
     what, why = event.get("what"), event.get("why") or ""
     if what == "stop":
@@ -222,10 +225,24 @@ def decided_words(event: dict[str, Any]) -> str:
     return f"next: {what}{expected}"
 
 
-def stage_line(event: dict[str, Any]) -> str | None:
+def number(value: object) -> float | None:
+    """A finite number, or None for anything else."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if is_number else None  # type: ignore[arg-type]  # checked in the line above
+
+
+def real(value: object) -> float:
+    """A finite number. Raises ValueError for anything else."""
+    found = number(value)
+    if found is None:
+        raise ValueError("no number")
+    return found
+
+
+def stage_line(event: JsonObject) -> str | None:
     """One plain line for a stage, a live estimate or why there is none, the end of tests, a fault; else None."""
     if event.get("kind") == "stage" and event["name"] != "rest":
-        words = event["name"]
+        words = str(event["name"])
     elif event.get("kind") == "live":
         words = f"  {live_words(event)}"
     elif event.get("kind") == "decided" and event.get("what") in ("stop", "rest"):
@@ -251,7 +268,7 @@ def print_stages(events: Tail, waiting: EndOfInput) -> None:
             except (ValueError, KeyError, TypeError):
                 continue  # whoever reads the run afterwards says what is wrong with its files
             goes_on = event.get("kind") == "stage" and event["name"] == stage
-            stage = event["name"] if event.get("kind") == "stage" else stage
+            stage = str(event["name"]) if event.get("kind") == "stage" else stage
             if text is not None and not goes_on:
                 try:
                     sys.stderr.write(text + "\n")

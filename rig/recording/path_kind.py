@@ -10,12 +10,12 @@ from shlex import quote
 from typing import Final
 
 from rig.recording.errors import RecordingError
-from rig.recording.folder import CONFIG, META, RESULT
+from rig.recording.folder import CONFIG, CURVES, META, RESULT
 from rig.recording.writer import EVENTS, SAMPLES
 
 CAMPAIGN_ROWS: Final = "results.csv"
 _CONFIGS: Final = (".yaml", ".yml")
-_OF_A_RUN: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, "report.html")
+_OF_A_RUN: Final = (SAMPLES, EVENTS, META, RESULT, CURVES, CONFIG, "report.html")
 _OTHER_EXPORTS: Final = (".mat", ".npz", ".json")
 _PRINTED: Final = "give the folder that `rig run` printed"
 _HEAD_BYTES: Final = 65536

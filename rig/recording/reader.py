@@ -36,7 +36,7 @@ from rig.signals import plain
 from rig.strict_json import JsonError
 
 _MOST_EVENTS: Final = 100_000  # a run has some hundreds; each becomes an object
-_MOST_BYTES: Final = 20_000_000  # of a file beside the rows; ours have some thousands
+MOST_BYTES: Final = 20_000_000  # of a file beside the rows; ours have some thousands
 
 _P = TypeVar("_P", bound=Part)
 _File = TypeVar("_File", RunMeta, RunResult)
@@ -113,7 +113,7 @@ def read_meta(folder: Path) -> tuple[RunMeta | None, list[str]]:
 def read_config_text(folder: Path) -> str | None:
     """The text of a run folder's config.yaml; None without that file. Raises RecordingError."""
     path = folder / CONFIG
-    return text_of(path, content_of(path, _MOST_BYTES, own=True)) if _is_there(path) else None
+    return text_of(path, content_of(path, MOST_BYTES, own=True)) if is_there(path) else None
 
 
 def read_events(
@@ -126,7 +126,7 @@ def read_events(
     Raises RecordingError.
     """
     path = folder / EVENTS
-    content, notes = whole_content(path, own=True) if _is_there(path) else (b"", [])
+    content, notes = whole_content(path, own=True) if is_there(path) else (b"", [])
     if not content:
         return (), []
     whole, torn = without_torn_line(path, content)
@@ -154,17 +154,17 @@ def read_events(
 
 def read_object(path: Path) -> JsonObject:
     """The object in a JSON file of a run folder, its texts safe for a terminal. Raises RecordingError."""
-    return _parse_object(path, text_of(path, content_of(path, _MOST_BYTES, own=True)), None)
+    return _parse_object(path, text_of(path, content_of(path, MOST_BYTES, own=True)), None)
 
 
-def _is_there(path: Path) -> bool:
+def is_there(path: Path) -> bool:
     """Whether anything has this name: also a link that leads nowhere."""
     return os.path.lexists(path)
 
 
 def _read_part(path: Path, kind: type[_File], *, strict: bool) -> tuple[_File | None, list[str]]:
     """The content of a JSON file, None without the file; and notes on it."""
-    if not _is_there(path):
+    if not is_there(path):
         return None, []
     part, left_out = _salvaged(path, kind, read_object(path), None, strict=strict)
     notes = [f"{words}; rig leaves it out" for words in left_out] + remarks(part)

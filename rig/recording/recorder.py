@@ -8,6 +8,7 @@ although rows wait, or when the memory is nearly full. Virtual time can stand st
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -21,6 +22,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+from rig.copies import keep_from_copies, no_longer_own
 from rig.faults import Fault
 from rig.package import FOLDER
 from rig.recording import layout
@@ -103,11 +105,15 @@ class Recorder:
             raise RecordingError(
                 self.folder,
                 f"no shared memory for the recorder: {error.strerror}",
-                f"free {size / 1e6:.0f} MB in /dev/shm, or where temporary files go",
+                "raise the largest size of a file (ulimit -f)"
+                if error.errno == errno.EFBIG
+                else f"free {size / 1e6:.0f} MB in /dev/shm, or where temporary files go",
             ) from error
         self._shared = SharedMemory(self._descriptor, capacity_rows, self._capacity_event_bytes)
         self._counters, self._rows = self._shared.counters, self._shared.rows
         self._process = self._start_writer(subprocess.PIPE)
+        if self._process.stdin:  # in a copy of this process it would keep the writer waiting
+            keep_from_copies(self._process.stdin.fileno())
         # Without ``close`` the writer would wait for more rows for ever.
         weakref.finalize(self, _close_pipe, self._process)
         try:
@@ -294,7 +300,9 @@ class Recorder:
 
     def _lost(self) -> str:
         rows, events = self._counters[layout.ROWS_LOST], self._counters[layout.EVENTS_LOST]
-        return f"the memory was full: {rows} rows and {events} events were dropped" if rows or events else ""
+        if not rows and not events:
+            return ""
+        return f"{rows} rows and {events} events are lost: the memory was full, or somebody cut the files"
 
     def _moved(self) -> str:
         return self._shared.reason() if self._counters[layout.STATE] == layout.MOVED else ""
@@ -378,5 +386,6 @@ class Recorder:
 
 def _close_pipe(process: subprocess.Popen[bytes]) -> None:
     """Tell the writer that nothing more will come."""
-    if process.stdin:
+    if process.stdin and not process.stdin.closed:
+        no_longer_own(process.stdin.fileno())
         process.stdin.close()

@@ -66,8 +66,10 @@ class AppendOnlyFile:
         self._name = path.name
         self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
         self._descriptor = _open_own(path)
+        self._has_links = os.fstat(self._descriptor).st_nlink > 0  # some file systems count none
         self._safe_bytes = 0  # bytes that are on the disk for sure
         self._since = bytearray()  # bytes written after them
+        self._size = 0  # bytes that the file must hold
 
     def whole_lines(self) -> tuple[int, int]:
         """Number and bytes of the lines in the file. It cuts off a torn last line."""
@@ -83,7 +85,8 @@ class AppendOnlyFile:
             position += len(block)
         if end < position:
             os.ftruncate(self._descriptor, end)
-        self._safe_bytes = end
+        self._safe_bytes = self._size = end
+        self._since.clear()
         return lines, end
 
     def write(self, data: bytes | memoryview) -> None:
@@ -92,16 +95,24 @@ class AppendOnlyFile:
         rest = memoryview(data)
         while rest:
             try:
-                rest = rest[os.write(self._descriptor, rest) :]
+                written = os.write(self._descriptor, rest)
+                rest = rest[written:]
+                self._size += written
             except OSError as error:
                 named = self._named(error)
                 if not self._makes_room(named):
                     self._go_on_elsewhere(named)
                     return
 
+    @property
+    def is_cut(self) -> bool:
+        """Whether somebody has made the file shorter."""
+        status = os.fstat(self._descriptor)
+        return stat.S_ISREG(status.st_mode) and status.st_size < self._size
+
     def sync(self) -> None:
         """Force new data onto the disk. Raises OSError as ``write`` does."""
-        if os.fstat(self._descriptor).st_nlink == 0:
+        if self._has_lost_its_name():
             self._get_a_name()
         if not self._since:
             return
@@ -114,6 +125,16 @@ class AppendOnlyFile:
         self._safe_bytes += len(self._since)
         self._since.clear()
 
+    def _has_lost_its_name(self) -> bool:
+        """Whether somebody has deleted or renamed it; a folder that was renamed takes it along."""
+        mine = os.fstat(self._descriptor)
+        if self._has_links and mine.st_nlink == 0:
+            return True
+        try:
+            return not os.path.samestat(self._path.lstat(), mine)
+        except OSError:
+            return stat.S_ISREG(mine.st_mode) and self._path.parent.is_dir()
+
     def _get_a_name(self) -> None:
         """Somebody has deleted the file. What it holds is there until it is closed: write all of it anew."""
         os.lseek(self._descriptor, 0, os.SEEK_SET)
@@ -121,12 +142,12 @@ class AppendOnlyFile:
         while block := os.read(self._descriptor, 1 << 20):
             held += block
         self._safe_bytes, self._since = 0, held
-        self._go_on_elsewhere(OSError(errno.ENOENT, "somebody has deleted it", str(self._path)), self._name)
+        self._go_on_elsewhere(OSError(errno.ENOENT, "somebody has deleted or renamed it", str(self._path)), self._name)
 
     def _go_on_elsewhere(self, error: OSError, name: str = "") -> None:
         """Write the data that may not be on the disk to a new file, and go on there. Raises ``error`` if none works."""
-        for folder in self._elsewhere():
-            path = folder / (name or f"{self._name}.from-{self._safe_bytes}")
+        names = (*([name] if name else []), f"{self._name}.from-{self._safe_bytes}")
+        for path in (folder / called for folder in self._elsewhere() for called in names):
             try:
                 descriptor = os.open(path, _APPEND | os.O_EXCL, 0o666)
             except OSError:
@@ -141,7 +162,7 @@ class AppendOnlyFile:
                 path.unlink(missing_ok=True)
                 continue
             os.close(self._descriptor)
-            self._path, self._descriptor = path, descriptor
+            self._path, self._descriptor, self._size = path, descriptor, len(self._since)
             self._moved(path, error)
             return
         raise error
@@ -199,9 +220,24 @@ class Writer:
         if lines == 0:
             self._samples.write(HEADER.encode("ascii"))
         _, event_bytes = self._events.whole_lines()
-        counters = self._shared.counters
-        counters[layout.ROWS_TAKEN] = max(lines - 1, 0)
-        counters[layout.EVENT_BYTES_TAKEN] = min(event_bytes, counters[layout.EVENT_BYTES])
+        counters, written = self._shared.counters, max(lines - 1, 0)
+        # Somebody may have deleted or cut the files of a killed writer: what the memory still holds is written.
+        first = max(written, counters[layout.ROWS_OPENED] - self._shared.capacity_rows)
+        counters[layout.ROWS_LOST] += first - written
+        counters[layout.ROWS_TAKEN] = first
+        first_byte = self._first_event(event_bytes)
+        counters[layout.EVENTS_LOST] += first_byte > event_bytes  # one or more
+        counters[layout.EVENT_BYTES_TAKEN] = min(first_byte, counters[layout.EVENT_BYTES])
+
+    def _first_event(self, written: int) -> int:
+        """Bytes of events before the first whole line to write, where ``written`` bytes are in the file."""
+        published, size = self._shared.counters[layout.EVENT_BYTES], self._shared.capacity_event_bytes
+        if written >= published - size:
+            return written
+        first = published - size + 1  # the byte before the oldest one is overwritten
+        while first < published and self._shared.events[(first - 1) % size] != ord("\n"):
+            first += 1
+        return first
 
     def keep_room(self) -> None:
         """Reserve room for the case that the disk gets full."""
@@ -261,6 +297,7 @@ class Writer:
 
     def _write_rows(self, end: int) -> None:
         shared = self._shared
+        self._mend(SAMPLES, self._samples)
         taken = shared.counters[layout.ROWS_TAKEN]
         while taken < end:
             batch_end = min(end, taken + ROWS_AT_ONCE)
@@ -284,6 +321,7 @@ class Writer:
 
     def _write_events(self, end: int) -> None:
         shared = self._shared
+        self._mend(EVENTS, self._events)
         taken = shared.counters[layout.EVENT_BYTES_TAKEN]
         if taken == end:
             return
@@ -315,6 +353,13 @@ class Writer:
     def _sync(self) -> None:
         self._samples.sync()
         self._events.sync()
+
+    def _mend(self, name: str, file: AppendOnlyFile) -> None:
+        """Go back to where the file ends, if somebody has cut it short, and tell the loop to end."""
+        if file.is_cut and not self._moves:
+            words = f"somebody has cut {self._folder / name} short: what the memory holds of it is written anew"
+            self._shared.fail(layout.MOVED, words)
+            self.resume()
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,16 +12,16 @@ from scipy.optimize import least_squares
 
 from rig.estimators import LEADING
 from rig.identify.cycles import find_cycle
-from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
 from rig.identify.known_model import model_of
 from rig.identify.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.model.real_motor import FramedMotor, Pieces, response
+from rig.recording.curves import Curves, read_curves
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
-from rig.report.source import Array, ReportedRun, Span
+from rig.report.source import Array, ReportedRun, Span, words_of
 from rig.report.style import AbsentError
 from rig.results import EstimateResult, known
 
@@ -201,22 +201,35 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
     return centre[full] / count[full], total[full] / count[full], count[full].astype(float)
 
 
-def fits_of(run: ReportedRun, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
-    """Estimates with their residuals and recursions; or none, and a sentence that says why.
+def curves_of(run: ReportedRun, identification: Identification | None = None) -> tuple[Curves | None, str]:
+    """The curves behind the run's answer; or None, and a sentence that says why.
 
-    That of the answer has the laws that the tests show.
-
-    identification  of this recording; None: identify it here
+    identification  of this recording; None: as kept with the run, else fitted anew, which a note of the run says
     """
     if run.recording is None:
-        return {}, "There are no samples, so there is no residual to show."
+        return None, "There are no samples, so there is no residual to show."
     if not (run.spans("relay") or run.spans("hysteretic")):
-        return {}, "There was no relay test, so there is no residual to show."
+        return None, "There was no relay test, so there is no residual to show."
     if identification is not None:
-        return identification.by_method, ""
+        return identification.curves, ""
     try:
-        return identify([run.recording], choose_law=bool(run.laws)).by_method, ""
+        found, why = kept_or_fitted(run)
     except IdentifyError as error:
-        return {}, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
+        return None, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:
-        return {}, f"The estimators cannot read this recording: {error}."
+        return None, f"The estimators cannot read this recording: {error}."
+    run.notes.extend([f"{why}: the recording was identified anew for the residual."] if why else [])
+    return found, ""
+
+
+def kept_or_fitted(run: ReportedRun) -> tuple[Curves | None, str]:
+    """The curves that are kept with a run, and ""; or those of a new fit, and what is wrong with the kept ones.
+
+    Raises AbsentError without rows; IdentifyError and RecordingError as ``identify``.
+    """
+    try:
+        return read_curves(run.folder, run.rows, run.result.answer), ""
+    except RecordingError as error:
+        why = words_of(error)
+    answer = run.result.answer
+    return identify([run.rows], choose_law=answer is not None and answer.law is not None).curves, why

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.identify.estimate import Estimate
 from rig.model.real_motor import FramedMotor
+from rig.recording.curves import Curves
 from rig.report.budget import budget_in_words
 from rig.report.fit import PARAMETERS, average, cycles_of, models, predict_cycles
 from rig.report.source import Array, ReportedRun, Span
@@ -90,31 +89,31 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
     )  # fmt: skip
 
 
-def residuals(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
+def residuals(run: ReportedRun, curves: Curves | None) -> Picture:
     """Residual of the answer, as ``residual_figure`` draws it. Raises AbsentError without a residual."""
     method = "" if run.result.answer is None else run.result.answer.method
-    fit = fits.get(method)
-    if fit is None or fit.residual_rad.size < FEWEST_RESIDUALS:
+    if curves is None or curves.answer.method != method or curves.residual_rad.size < FEWEST_RESIDUALS:
         raise AbsentError("The residual series could not be computed from this recording.")
-    spread = float(np.std(1e3 * fit.residual_rad))
+    spread = float(np.std(1e3 * curves.residual_rad))
     rms = f"{spread:.3g}" if spread < 100.0 else f"{spread:.0f}"
     return render(
-        residual_figure(fit), run.backend,
+        residual_figure(method, curves.residual_t_s, curves.residual_rad), run.backend,
         f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
         f"Residual of the {method.replace('-', ' ')} estimate (RMS {rms} mrad about its mean, "
-        f"{fit.residual_rad.size} samples). If the model explains the data, the residual is white noise: a bell-shaped "
-        "histogram, and about 5 % of lags outside the band.",
+        f"{curves.residual_rad.size} samples). If the model explains the data, the residual is white noise: a "
+        "bell-shaped histogram, and about 5 % of lags outside the band.",
     )  # fmt: skip
 
 
-def residual_figure(fit: Estimate) -> Figure:
+def residual_figure(method: str, t: Array, residual_rad: Array) -> Figure:
     """The residual over time, its histogram, and its autocorrelation with the band of white noise.
 
+    t   times of ``residual_rad``, s
     Raises AbsentError with fewer than FEWEST_RESIDUALS values.
     """
-    if fit.residual_rad.size < FEWEST_RESIDUALS:
-        raise AbsentError(f"The {fit.method} estimate has no residual of {FEWEST_RESIDUALS} samples to draw.")
-    method, t, r = fit.method, fit.residual_t_s, 1e3 * fit.residual_rad
+    if residual_rad.size < FEWEST_RESIDUALS:
+        raise AbsentError(f"The {method} estimate has no residual of {FEWEST_RESIDUALS} samples to draw.")
+    r = 1e3 * residual_rad
     figure = new_figure(2.9)
     series, histogram, correlation = figure.subplots(1, 3, width_ratios=(1.7, 0.8, 1.2))
     pieces = _pieces(t)

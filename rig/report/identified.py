@@ -30,7 +30,7 @@ def write_identified(found: Identification, records: Sequence[str], path: Path) 
     with style():
         figures = {
             "simulated": drawn(lambda: picture_of(found, run.backend)),
-            "residual": drawn(lambda: fitted.residuals(run, found.by_method)),
+            "residual": drawn(lambda: fitted.residuals(run, found.curves)),
         }
     page = (
         environment()

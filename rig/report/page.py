@@ -13,11 +13,12 @@ from rig.estimators import ESTIMATORS
 from rig.identify import Identification, IdentifyError, identify
 from rig.identify.verdict import PROMISE, RISK
 from rig.package import VERSION
+from rig.recording.curves import write_curves
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
 from rig.recording.recording import Recording
 from rig.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
-from rig.report.fit import fits_of
+from rig.report.fit import curves_of
 from rig.report.source import ReportedRun, load
 from rig.report.style import AbsentError, Picture, colour, style
 from rig.report.words import driven, headline, rounded
@@ -40,18 +41,21 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` into a run folder and return its path.
 
-    The page says what is missing from the folder.
+    The page says what is missing from the folder. With ``identification`` curves.json is written, too.
 
     identification  of this recording; None: identify it here, if the run has no result
     known           the rows that were read before, so that they are not parsed again
     Raises FileNotFoundError if ``run_folder`` is no folder, CannotWriteError if the file cannot be written.
     """
     run = load(Path(run_folder), known)
+    curves = None if identification is None or run.result.models_from else identification.curves
     if identification is None and not run.has_result:
         run, identification = _identify_unfinished(run)
     page = render_page(run, identification)
     path = run.folder / REPORT
     write_whole(path, page.encode("utf-8"))
+    if curves is not None and run.recording is not None:
+        write_curves(run.folder, run.recording, curves)
     return path
 
 
@@ -134,13 +138,13 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
 def draw(run: ReportedRun, identification: Identification | None = None) -> dict[str, list[Figure]]:
     """All figures by section. For a missing one: the sentence that says why."""
     with style():
-        fits, trouble = fits_of(run, identification)
+        curves, trouble = curves_of(run, identification)
         relays = run.spans("relay")
 
         def transients() -> list[Figure]:
             if not run.spans("hysteretic"):
                 return []
-            return [drawn(lambda: transient.first_transients(run)), drawn(lambda: transient.recursion(run, fits))]
+            return [drawn(lambda: transient.first_transients(run)), drawn(lambda: transient.recursion(run, curves))]
 
         def surveyed() -> list[Figure]:
             if not run.spans("survey"):
@@ -178,7 +182,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             "map": surveyed(),
             "transients": transients(),
             "cycles": cycles,
-            "evidence": [Figure(None, trouble) if trouble else drawn(lambda: fitted.residuals(run, fits))],
+            "evidence": [Figure(None, trouble) if trouble else drawn(lambda: fitted.residuals(run, curves))],
             "tracking": tracked(),
             "tuned": [] if run.result.tuned is None else [drawn(lambda: tuned_loop.loop(run))],
             "loop": [drawn(lambda: checked.loop_timing(run))],

@@ -32,6 +32,7 @@ from rig.results.reading import salvaged
 
 Array = NDArray[np.float64]
 _P = TypeVar("_P", bound=Part)
+_T = TypeVar("_T")
 
 PREFERRED = tuple(entry.name for entry in ESTIMATORS)
 
@@ -219,82 +220,51 @@ def load(folder: Path, known: Recording | None = None) -> ReportedRun:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a run folder; give the path that `rig run` printed")
     missing: list[str] = []
-    notes: list[str] = []
-    meta = (
-        _part(read_meta, folder, META, "backend, versions and host of this run are unknown", missing, notes)
-        or RunMeta()
+
+    def part(name: str, read: Callable[[], _T], otherwise: str) -> _T | None:
+        """What a file says; None, and a sentence in ``missing``, where it cannot be read."""
+        try:
+            found = read()
+        except RecordingError as error:
+            missing.append(f"{words_of(error)}: {otherwise}.")
+            return None
+        if not os.path.lexists(folder / name):
+            missing.append(f"{name} is missing: {otherwise}.")
+        return found
+
+    of_meta = part(META, lambda: read_meta(folder), "backend, versions and host of this run are unknown")
+    of_result = part(RESULT, lambda: read_result(folder), "the run ended before it had a result")
+    (meta, meta_notes), (result, result_notes) = of_meta or (None, []), of_result or (None, [])
+    broken: list[RecordingError] = []
+    unknown = "events and faults come from the result only"
+    events, event_notes = part(EVENTS, lambda: read_events(folder, broken=broken), unknown) or ((), [])
+    missing.extend(f"{note}." for note in event_notes)
+    if broken:
+        count = "1 line is" if len(broken) == 1 else f"{len(broken)} lines are"
+        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {words_of(broken[0])}.")
+    text = part(CONFIG, lambda: read_config_text(folder), "limits and settings are unknown")
+    config = Settings() if text is None else _settings(text, missing)
+    recording = part(
+        SAMPLES,
+        lambda: read_csv(folder / SAMPLES, own=True, known=known) if os.path.lexists(folder / SAMPLES) else None,
+        "nothing that was measured can be shown",
     )
-    result = _part(read_result, folder, RESULT, "the run ended before it had a result", missing, notes) or RunResult()
-    events = _events(folder, missing)
-    config = _settings(folder, missing)
-    recording = None
-    try:
-        if os.path.lexists(folder / SAMPLES):
-            recording = read_csv(folder / SAMPLES, own=True, known=known)
-            notes.extend(f"{SAMPLES}: {note}." for note in recording.notes)
-        else:
-            missing.append(f"{SAMPLES} is missing: nothing that was measured can be shown.")
-    except RecordingError as error:
-        missing.append(f"{_said(error)}: nothing that was measured can be shown.")
+    notes = [f"{note}." for note in (*meta_notes, *result_notes)]
+    if recording is not None:  # the estimators read the clock's period and the events, too
+        notes.extend(f"{SAMPLES}: {note}." for note in recording.notes)
+        recording = replace(recording, source=folder, meta=meta or RunMeta(), events=events)
     if any(event.kind == "loop_died" for event in events):
         notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
-    if recording is not None:  # the estimators compare its clock with the period in meta.json
-        recording = replace(recording, source=folder, meta=meta)
-    return ReportedRun(folder, recording, meta, result, config, events, missing, notes)
+    return ReportedRun(folder, recording, meta or RunMeta(), result or RunResult(), config, events, missing, notes)
 
 
-def _said(error: RecordingError) -> str:
+def words_of(error: RecordingError) -> str:
     """What is wrong with a file of the folder: its name, the line, the cause."""
     return f"{error.path.name}{'' if error.line is None else f' (line {error.line})'} {error.cause}"
 
 
-def _part(
-    read: Callable[[Path], tuple[_P | None, list[str]]],
-    folder: Path,
-    name: str,
-    consequence: str,
-    missing: list[str],
-    notes: list[str],
-) -> _P | None:
-    """What a JSON file holds, without what is wrong in it; None without any. ``notes`` takes what is said about it."""
-    try:
-        found, said = read(folder)
-    except RecordingError as error:
-        missing.append(f"{_said(error)}: {consequence}.")
-        return None
-    if found is None:
-        missing.append(f"{name} is missing: {consequence}.")
-    notes.extend(f"{note}." for note in said)
-    return found
-
-
-def _events(folder: Path, missing: list[str]) -> tuple[RunEvent, ...]:
-    """The events, without torn or broken lines; a sentence about these goes into ``missing``."""
-    broken: list[RecordingError] = []
-    try:
-        events, notes = read_events(folder, broken=broken)
-    except RecordingError as error:
-        missing.append(f"{_said(error)}: events and faults come from the result only.")
-        return ()
-    if not os.path.lexists(folder / EVENTS):
-        missing.append(f"{EVENTS} is missing: events and faults come from the result only.")
-    missing.extend(f"{note}." for note in notes)
-    if broken:
-        count = "1 line is" if len(broken) == 1 else f"{len(broken)} lines are"
-        missing.append(f"{EVENTS}: {count} broken; rig leaves them out. The first: {_said(broken[0])}.")
-    return events
-
-
-def _settings(folder: Path, missing: list[str]) -> Settings:
+def _settings(text: str, missing: list[str]) -> Settings:
     """What the report shows of a config, whichever version wrote it."""
-    try:
-        text = read_config_text(folder)
-    except RecordingError as error:
-        missing.append(f"{_said(error)}: limits and settings are unknown.")
-        return Settings()
-    if text is None:
-        missing.append(f"{CONFIG} is missing: limits and settings are unknown.")
-        return Settings()
     try:
         value = parse(text, CONFIG).data
     except ConfigError as error:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
 from rig.estimators import LEADING
 from rig.identify import least_squares
-from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient
 from rig.identify.preprocessing import from_recording
+from rig.recording.curves import Curves
 from rig.recording.errors import IdentifyError
 from rig.report.source import ReportedRun
 from rig.report.style import (
@@ -97,21 +96,20 @@ def first_transients(run: ReportedRun) -> Picture:
     )  # fmt: skip
 
 
-def recursion(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
+def recursion(run: ReportedRun, curves: Curves | None) -> Picture:
     """The friction after each sample of the recursion, its final interval, and the truth.
 
     Raises AbsentError without a recursion.
     """
-    fit = fits.get(least_squares.METHOD)
-    if fit is None or fit.iterates.shape[0] < 2:
+    fit = run.estimates.get(least_squares.METHOD)
+    if fit is None or curves is None or curves.friction_V.size < 2:
         raise AbsentError("Least squares gave no value here, so there is no recursion to show.")
-    trace = fit.iterates[:, 2]
-    method = least_squares.METHOD
+    trace, fc_V, method = curves.friction_V, known(fit.fc_V), least_squares.METHOD
     figure = new_figure(3.0)
     axes = figure.subplots()
     samples = np.arange(1, trace.size + 1)
     axes.plot(samples, trace, marker="o", ms=3.2, color=colour(method), ls=line(method), label="recursion")
-    bounds = fit.ci95.get("fc_V")
+    bounds = fit.interval("fc_V")
     half = 0.5 * (bounds[1] - bounds[0]) if bounds else 0.0
     if bounds:
         axes.axhspan(*bounds, color=colour(method), alpha=0.15, lw=0, label="95 % interval, all samples")
@@ -123,9 +121,9 @@ def recursion(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
             axes.axhspan(*extent, color=colour(LEADING), alpha=0.15, lw=0)
     if "fc_V" in run.truth:
         axes.axhline(run.truth["fc_V"], color=INK, lw=0.9, ls=":", label="truth")
-    reach = max(4.0 * half, 0.25 * abs(fit.fc_V))
-    axes.set_ylim(fit.fc_V - reach, fit.fc_V + reach)
-    outside = int(np.sum(~(np.abs(trace - fit.fc_V) <= reach)))
+    reach = max(4.0 * half, 0.25 * abs(fc_V))
+    axes.set_ylim(fc_V - reach, fc_V + reach)
+    outside = int(np.sum(~(np.abs(trace - fc_V) <= reach)))
     if outside:
         note(axes, f"{outside} of the first values lie outside", loc="lower right")
     axes.set_xlabel("samples of each run")

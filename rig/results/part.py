@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import Annotated, Any, Final, TypeVar, cast
+from typing import Annotated, Final, TypeVar, cast
 
 from pydantic import (
     BaseModel,
@@ -65,8 +65,8 @@ class Part(BaseModel):
         return cast(JsonObject, self.model_dump(mode="json", by_alias=True, exclude_unset=True))
 
     @model_serializer(mode="wrap")
-    def _without_what_is_not(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        written: dict[str, Any] = serialise(self)
+    def _without_what_is_not(self, serialise: SerializerFunctionWrapHandler) -> dict[str, object]:
+        written: dict[str, object] = serialise(self)
         for name, field in type(self).model_fields.items():
             if Mark.NEVER_NULL in field.metadata and getattr(self, name) is None:
                 written.pop(name, None)

@@ -9,6 +9,7 @@ from typing import Any
 
 from rig.control.set_point import InTurn
 from rig.control.tuned import program_of
+from rig.results import JsonObject
 from rig.tune.tuning import Tuned, TuneError
 
 REST_S = 0.2  # before the step
@@ -41,7 +42,7 @@ class Trial:
     tracking_s  begin and end of the trajectory, without its fading in and its last rows; None: there is none
     """
 
-    parts: tuple[Mapping[str, Any], ...]
+    parts: tuple[JsonObject, ...]
     step_s: tuple[float, float]
     tracking_s: tuple[float, float] | None = None
 
@@ -74,13 +75,13 @@ def whole_trial(tuned: Tuned, room: Room) -> Trial:
     begin_rad = centre_rad - 0.5 * way_rad
     slow_1_s = _slow(tuned, travel_rad)
     move_s = 12.0 / slow_1_s
-    tracking: dict[str, Any] = {"kind": "sines", "duration_s": TRACKING_S, "fade_s": FADE_S}
+    tracking: JsonObject = {"kind": "sines", "duration_s": TRACKING_S, "fade_s": FADE_S}
     tracking["components"] = [list(one) for one in room.sines or _sines(tuned, travel_rad)]
     tracking["centre_rad"] = 0.0 if room.sines else centre_rad
     before_s = move_s + REST_S
     steps = _steps(tuned)
     after_s = move_s + sum(_lasts(part) for part in steps)
-    parts = (
+    parts: tuple[JsonObject, ...] = (
         {"kind": "move", "to_rad": begin_rad, "bandwidth_1_s": slow_1_s, "duration_s": move_s},
         *steps,
         tracking,
@@ -88,11 +89,11 @@ def whole_trial(tuned: Tuned, room: Room) -> Trial:
     return Trial(parts, (before_s, before_s + each_s), (after_s + FADE_S, after_s + TRACKING_S - EDGE_S))
 
 
-def _steps(tuned: Tuned) -> list[dict[str, Any]]:
+def _steps(tuned: Tuned) -> list[JsonObject]:
     bandwidth, each_s, size = tuned.bandwidth_1_s, tuned.each_s, tuned.wish.step
-    rest = {"kind": "step", "step_rad": 0.0, "bandwidth_1_s": bandwidth, "duration_s": REST_S}
+    rest: JsonObject = {"kind": "step", "step_rad": 0.0, "bandwidth_1_s": bandwidth, "duration_s": REST_S}
     if tuned.wish.loop == "position":
-        both = [
+        both: list[JsonObject] = [
             {"kind": "step", "step_rad": one, "bandwidth_1_s": bandwidth, "duration_s": each_s} for one in (size, -size)
         ]
         return [rest, *both]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.results import JsonObject
 from rig.results.tuned import (
     TunedCurve,
     TunedFeedForward,
@@ -31,7 +31,7 @@ BEFORE_S = 0.1  # of the step that a curve shows
 DIGITS = 6  # significant ones of a curve
 
 
-def result_of(tuned: Tuned, prediction: Prediction, bench: Record | None, run: str, law: dict[str, Any]) -> TunedResult:
+def result_of(tuned: Tuned, prediction: Prediction, bench: Record | None, run: str, law: JsonObject) -> TunedResult:
     """All of it.
 
     bench  the recorded trial; None: there was none, or it did not come to its end
@@ -44,15 +44,13 @@ def result_of(tuned: Tuned, prediction: Prediction, bench: Record | None, run: s
     measures = {}
     for name, one in prediction.ranges.items():
         meaning, *units = MEASURES[name]
-        beside: dict[str, Any] = {}
-        if shown is not None:
-            beside = {"bench": _number(shown[name]), "inside": one.holds(shown[name])}
         measures[name] = TunedMeasure(
             meaning=meaning,
             unit=units[0 if position else 1],
             median=_number(one.median),
             interval95=(_number(one.low), _number(one.high)),
-            **beside,
+            bench=None if shown is None else _number(shown[name]),
+            inside=None if shown is None else one.holds(shown[name]),
         )
     return TunedResult(
         run=run,

@@ -193,15 +193,3 @@ def test_the_conformance_suite_takes_it(tmp_path: Path) -> None:
     tests.test_a_reading_is_complete_before_anything_was_armed()
     tests.teardown_method()
     suite.teardown_class()
-
-
-def test_the_names_that_drivers_of_other_packages_were_written_with_stay() -> None:
-    import rig.backends.driver
-    import rig.calibration
-    import rig.conformance
-    import rig.daq.calibration
-    import rig.daq.driver
-
-    for old, new in ((rig.daq.driver, rig.backends.driver), (rig.daq.calibration, rig.calibration)):
-        assert all(getattr(old, name) is getattr(new, name) for name in old.__all__)
-    assert rig.conformance.suite is conformance.suite

@@ -2,6 +2,7 @@
 
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -196,7 +197,8 @@ def test_a_device_without_a_watchdog_needs_leave(installed: None, tmp_path: Path
 
 
 def test_any_name_is_valid_for_editors() -> None:
-    daq = json_schema()["$defs"]["Daq"]["properties"]
+    schema: Any = json_schema()
+    daq = schema["$defs"]["Daq"]["properties"]
     assert daq["driver"]["examples"] == ["simulated", "serial", "modbus"]
     assert "enum" not in daq["driver"]
     assert daq["options"]["anyOf"][0]["additionalProperties"] is True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -119,6 +120,20 @@ def test_a_scheduler_needs_dask(config: Path) -> None:
     result = rig("campaign", config, "--scheduler", "tcp://127.0.0.1:8786")
     assert result.exit_code == 2
     assert "--backend dask" in result.stderr
+
+
+def test_without_its_packages_it_says_what_to_install(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "joblib", None)
+    monkeypatch.delitem(sys.modules, "rig.campaign.runner", raising=False)
+    monkeypatch.delitem(sys.modules, "rig.campaign.session", raising=False)
+    result = rig("campaign", config, "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "the package joblib, which is not installed" in result.stderr
+    assert "pip install 'motor-rig[campaign]'" in result.stderr
+    assert not list(tmp_path.glob("campaign-*"))
+    assert rig("campaign", config, "--experiment", 0).exit_code == 0  # one experiment needs none
 
 
 def test_impossible_ranges_end_in_two_lines(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from small_campaign import UNREPEATABLE, small
 
 from rig.campaign import grid
 from rig.campaign.trial import COLUMNS, run_trial
+from rig.config import Campaign
 from rig.identify import identify, sampled_data
 from rig.identify.estimate import PARAMETERS
 from rig.recording.csv_file import read_csv
@@ -49,22 +51,27 @@ def test_the_estimate_is_that_of_rig_identify_on_the_csv_file(tmp_path: Path, ti
     assert (row["low_tau_s"], row["high_tau_s"]) == estimate.ci95["tau_s"]
 
 
+def trial(campaign: Campaign, number: int) -> dict[str, Any]:
+    """The row of an experiment, whose columns a test knows the kinds of."""
+    return run_trial(campaign, number)
+
+
 def test_without_noise_the_estimate_is_exact_and_there_is_no_bound() -> None:
-    row = run_trial(small(sensor={"noise_rad": 0.0, "lsb_rad": 0.0}), 1)
+    row = trial(small(sensor={"noise_rad": 0.0, "lsb_rad": 0.0}), 1)
     for name in PARAMETERS:
         assert row[name] == pytest.approx(row[f"true_{name}"], rel=1e-6)
         assert math.isnan(row[f"bound_{name}"])
 
 
 def test_errors_are_of_the_bounds_size() -> None:
-    rows = [run_trial(small(), k) for k in range(24)]
+    rows = [trial(small(), k) for k in range(24)]
     for name in PARAMETERS:
         ratios = [(row[name] - row[f"true_{name}"]) / row[f"bound_{name}"] for row in rows]
         assert 0.6 < math.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
 def test_known_times_leave_no_delay_to_bound_and_tighten_tau() -> None:
-    unknown, known = run_trial(small(), 2), run_trial(small(sampling={"times_known": True}), 2)
+    unknown, known = trial(small(), 2), trial(small(sampling={"times_known": True}), 2)
     assert math.isnan(known["bound_delay_s"])
     assert known["bound_tau_s"] < unknown["bound_tau_s"]
 
@@ -72,13 +79,13 @@ def test_known_times_leave_no_delay_to_bound_and_tighten_tau() -> None:
 def test_a_clock_of_its_own_does_not_go_into_tau() -> None:
     clean = {"noise_rad": 0.0, "lsb_rad": 0.0}
     sampling = {"clock_ratio": (1.02, 1.02), "times_known": True}
-    row = run_trial(small(sensor=clean, sampling=sampling), 1)
+    row = trial(small(sensor=clean, sampling=sampling), 1)
     assert row["true_clock_ratio"] == 1.02
     assert row["tau_s"] == pytest.approx(row["true_tau_s"], rel=1e-6)
 
 
 def test_a_motor_that_sticks_is_refused_with_a_reason_and_no_number() -> None:
-    row = run_trial(small(motor={"static_ratio": 40.0}), 0)
+    row = trial(small(motor={"static_ratio": 40.0}), 0)
     assert row["verdict"] == "refused"
     assert row["reasons"]
     assert math.isnan(row["tau_s"])
@@ -86,13 +93,13 @@ def test_a_motor_that_sticks_is_refused_with_a_reason_and_no_number() -> None:
 
 
 def test_a_good_model_predicts_the_second_test_as_the_true_motor_does() -> None:
-    row = run_trial(small(relay={"second": {"amplitude_ratio": 0.75}}), 3)
+    row = trial(small(relay={"second": {"amplitude_ratio": 0.75}}), 3)
     assert row["second_own_rms_rad"] == pytest.approx(math.hypot(0.003, 4.2 / 1024 / math.sqrt(12)), rel=0.15)
     assert 0.98 < row["second_rms_rad"] / row["second_own_rms_rad"] < 1.3
-    assert math.isnan(run_trial(small(), 3)["second_rms_rad"])
+    assert math.isnan(trial(small(), 3)["second_rms_rad"])
 
 
 def test_disturbed_drives_disturb() -> None:
-    quiet, disturbed = run_trial(small(), 6), run_trial(small(drive_noise={"coefficient": 0.9, "std_V": 0.1}), 6)
+    quiet, disturbed = trial(small(), 6), trial(small(drive_noise={"coefficient": 0.9, "std_V": 0.1}), 6)
     assert disturbed["bound_tau_s"] == pytest.approx(quiet["bound_tau_s"], rel=0.5)
     assert disturbed["se_tau_s"] > 2.0 * quiet["se_tau_s"]

@@ -16,7 +16,9 @@ import pytest
 from command_line import rig
 from evidence import evidence
 
+from rig import ctrl_c
 from rig.cli import main
+from rig.loop.stop_request import stop_on_signals
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -166,6 +168,27 @@ def test_ctrl_c_while_starting_is_no_traceback(tmp_path: Path, after_s: float) -
     assert process.returncode != 0
     assert ", in run\n" not in error  # before `run` it is Python that is still starting
     assert "Aborted" not in error
+
+
+def test_a_ctrl_c_that_somebody_swallows_while_rig_loads_is_heeded_before_anything_moves() -> None:
+    class Finalised:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGINT)  # Python drops an exception that is raised in here
+
+    before = signal.getsignal(signal.SIGINT)
+    dropped: list[object] = []
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        ctrl_c.begin()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "unraisablehook", lambda lost: dropped.append(lost.exc_type))
+            Finalised()
+        assert dropped == [KeyboardInterrupt]
+        with pytest.raises(KeyboardInterrupt), stop_on_signals():
+            pytest.fail("it goes on")
+        assert isinstance(signal.getsignal(signal.SIGINT), ctrl_c.CtrlC)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_ctrl_c_outside_of_the_loop_says_that_nothing_drives(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from rig.config.problems import Problem
 from rig.config.units import converted, stem_of, unit_of
 from rig.config.yaml12 import emit, parse
 from rig.preflight import check
+from rig.results import JsonObject
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
@@ -334,7 +335,7 @@ PLAIN = st.recursive(
 
 @settings(max_examples=examples(200), deadline=None)
 @given(st.dictionaries(TEXT, PLAIN, min_size=1, max_size=4))
-def test_what_is_emitted_is_parsed_back_equal(data: dict[str, object]) -> None:
+def test_what_is_emitted_is_parsed_back_equal(data: JsonObject) -> None:
     assert parse(emit(data), "f").data == data
 
 

@@ -60,7 +60,7 @@ def properties(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
 
 @pytest.mark.parametrize("of", FILES)
 def test_every_key_is_described(of: type[Experiment] | type[Campaign]) -> None:
-    schema = json_schema(of)
+    schema: Any = json_schema(of)
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     assert schema["title"] == f"rig {of.__name__.lower()}"
     undescribed = [key for key, described in properties(schema) if not described.get("description")]

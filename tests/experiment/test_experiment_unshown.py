@@ -193,7 +193,7 @@ def test_a_reading_that_fails_in_strokes_or_a_relay_test_ends_the_run(
 
     def check_and_test(session: Session) -> None:
         with prepared(session):
-            armed_check(session, None)
+            armed_check(session)
             u_V = level * session.loop.guard.static_V
             test: PlannedTest = Strokes((Stroke(u_V, 0.2), Stroke(-u_V, -0.2)), 2.0)
             if after_s == 0.13:
@@ -262,7 +262,7 @@ def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_i
     def script(session: Session) -> None:
         fail_at(session, sensor, "search", after_s)
         with prepared(session):
-            armed_check(session, None)
+            armed_check(session)
             with session.loop.armed(e.device_limits):
                 stages.search_gains(session, *stages.relay_and_detector(e))
 
@@ -337,7 +337,7 @@ def test_a_test_that_does_not_fit_is_broken_off_although_its_end_waits_for_the_s
 
     def script(session: Session) -> None:
         with prepared(session):
-            armed_check(session, None)
+            armed_check(session)
             with session.loop.armed(e.device_limits):
                 tests = until._Tests(session, says, is_known=True)
                 tests._next = until._Next(Strokes((Stroke(1.2, 0.5), Stroke(-1.2, -0.5)), 2.0))
@@ -405,7 +405,7 @@ def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits() ->
 
     def script(session: Session) -> None:
         with prepared(session):
-            armed_check(session, None)
+            armed_check(session)
             with session.loop.armed(e.device_limits):
                 strokes = (Stroke(u_V, 9.0), Stroke(-u_V, -9.0))
                 law = StrokeTest(strokes, StrokeTiming(8.0, 1.5), e.breakaway.motion_rad)

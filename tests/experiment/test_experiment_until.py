@@ -81,33 +81,21 @@ def test_no_test_leaves_the_soft_limits(known: tuple[Path, RunResult]) -> None:
     assert not recording.flags.any()  # the guard had nothing to do
 
 
-# what is loaded once all is ready would have been compiled beside the loop
 IN_A_PROCESS_OF_ITS_OWN = """
 import sys
 import rig.session
 from rig.cli import main
-from rig.experiment.ready import make_ready
-from rig.model.compiled.kernel import _Cache
 
-make_ready(print)
 rig.session.write_report = lambda *_: None  # to draw it takes as long as the run
-load = _Cache.load_overload
-def late(self, sig, target):
-    print("loaded late:", self._py_func.__qualname__, sig)
-    return load(self, sig, target)
-_Cache.load_overload = late
 main(sys.argv[1:])
 """
 
 
-def test_a_seed_gives_the_same_run_and_no_loop_is_compiled_once_the_device_is_open(
-    known: tuple[Path, RunResult], tmp_path: Path
-) -> None:
+def test_a_seed_gives_the_same_run(known: tuple[Path, RunResult], tmp_path: Path) -> None:
     command = ["run", str(ROOT / "config/quick.yaml"), "--out", str(tmp_path), "--json"]
     said = subprocess.run(
         [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN, *command], capture_output=True, text=True, check=True
     ).stdout
-    assert [line for line in said.splitlines() if line.startswith("loaded late")] == []
     again = Path(json.loads(said)["folder"])
     for name in ("samples.csv", "events.jsonl"):
         assert (again / name).read_text() == (known[0] / name).read_text()

@@ -37,7 +37,9 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
     config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
     config["daq"] |= {"port": str(link), "adapter": "none"}
     config["breakaway"] |= {"ramp_V_s": 0.8, "rest_s": 0.2}
-    config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}], "cycles": 60}
+    # so slow that there is room for a long watchdog: beside other tests the machine stands still for a while
+    config["daq"]["watchdog_s"], config["limits"]["max_speed_rad_s"] = 0.3, 3.2
+    config["relay"] = {"gains": [{"h1_V": 0.3, "h2_V": 0.65}], "cycles": 60}
     del config["tracking"]
     config["drive"]["bridge"] = "pwm-dir"  # nobody can tell by its name that nothing turns behind it
     path = tmp_path / "kill.yaml"
@@ -58,7 +60,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
         killed_s = time.monotonic()
         status = loop.wait()
         assert status == (-9 if number == signal.SIGKILL else 1)
-        wait_until(lambda: time.monotonic() > killed_s + 0.5)
+        wait_until(lambda: time.monotonic() > killed_s + 1.0)
     finally:
         if loop is not None:
             loop.kill()

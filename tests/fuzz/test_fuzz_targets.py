@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fuzz.targets import TARGETS
 
 INPUTS = {"identify": 100, "config": 300, "campaign-config": 300, "run-folder": 300, "replay": 60, "hostile-run": 40}
-INPUTS |= {"hostile-config": 40, "strict-json": 200}
+INPUTS |= {"hostile-config": 40, "strict-json": 200, "servo-bus": 300}
 
 
 LONG = ("config", "hostile-run")

@@ -27,6 +27,7 @@ from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.recording import Recording
 from rig.replay import replay
+from rig.report import write_report
 from rig.session import Outcome
 from rig.signals import Sample
 
@@ -164,6 +165,41 @@ def test_a_stop_after_the_end_is_told_and_changes_nothing(
     outcome = script.jog(experiment, 0.3, 0.1, tmp_path)
     assert outcome.fault is None
     assert outcome.failure == "Stop by test came after the experiment had ended"
+
+
+@pytest.mark.parametrize("between", [False, True], ids=["while the report is written", "between two runs"])
+def test_a_stop_ends_a_series_of_runs_also_where_none_drives(
+    between: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, experiment: Experiment
+) -> None:
+    written = write_report
+
+    def stop() -> None:
+        going = running(tmp_path)
+        assert len(going) == 1  # the flag of the series
+        request_stop(going[0].folder, "test")
+
+    def report(*given: Any) -> None:
+        written(*given)
+        if not between:
+            stop()
+
+    def perform(start: Callable[[Callable[..., None]], Outcome]) -> Outcome:
+        outcome = start(lambda *_: None)
+        if between and outcome.fault is None:
+            stop()
+        return outcome
+
+    monkeypatch.setattr(session, "write_report", report)
+    short = experiment.model_copy(update={"tracking": None})
+    outcomes = script.repeated(short, 3, tmp_path, perform)
+    assert outcomes[0].fault is None
+    if between:
+        interrupted(outcomes[1])
+        assert (outcomes[1].folder / "samples.csv").read_text().count("\n") == 1  # no row
+    else:
+        assert outcomes[0].failure == "Stop by test came after the experiment had ended"
+    assert len(outcomes) == 1 + between
+    assert running(tmp_path) == []
 
 
 def test_a_folder_that_cannot_hold_the_flag_costs_the_flag_and_says_so(
@@ -316,14 +352,22 @@ def test_what_is_not_recorded_is_at_0_V_only_if_it_said_so(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_not_recorded_goes_on_for_a_panel_though_somebody_deletes_its_page(tmp_path: Path) -> None:
-    """Its process still holds the page: else no Stop would reach a homing whose hidden folder is gone."""
-    seen = Seen()
+@pytest.mark.parametrize("lose", ["delete the hidden folder", "rename the runs", "rename the runs, and make new ones"])
+def test_what_is_not_recorded_goes_on_for_a_panel_though_somebody_takes_its_page_away(
+    lose: str, tmp_path: Path
+) -> None:
+    """Its process still holds the page: else no Stop would reach the homing."""
+    seen, runs = Seen(), tmp_path / "runs"
     with StopFlag() as flag:
-        flag.open(tmp_path, "home")
-        (one,) = seen.unrecorded(running(tmp_path), ())
-        shutil.rmtree(one.folder)
-        assert running(tmp_path) == []
+        flag.open(runs, "home")
+        (one,) = seen.unrecorded(running(runs), ())
+        if lose == "delete the hidden folder":
+            shutil.rmtree(one.folder)
+        else:
+            runs.rename(tmp_path / "old")
+        if "new ones" in lose:
+            runs.mkdir()
+        assert running(runs) == []
         assert seen.unrecorded([], ()) == [one] and seen.goes_on(one)
     assert not seen.goes_on(one) and seen.unrecorded([], ()) == []
 

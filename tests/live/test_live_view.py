@@ -104,7 +104,15 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
     )
     seen = view.read()
     assert (seen.stage, seen.planes, seen.cycle) == ("relay-1", Planes(0.42, 0.85), Cycle(2, 0.58, 1.0))
-    assert seen.estimates == (Estimate(7.0, (0.17, 0.17 * 2.0 / 100.0), None, (0.48, 0.48 * 1.0 / 100.0), "with sag"),)
+    assert seen.estimates == (
+        Estimate(
+            t_s=7.0,
+            tau_s=(0.17, 0.17 * 2.0 / 100.0),
+            K_rad_s_V=None,
+            fc_V=(0.48, 0.48 * 1.0 / 100.0),
+            remark="with sag",
+        ),
+    )
     assert (seen.loop.link_errors, seen.damaged) == (3, 3)
     write(
         folder,
@@ -114,7 +122,7 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
     )
     seen = view.read()
     assert (seen.drive_is_off, seen.planes, seen.is_over) == (True, None, False)
-    assert (seen.faults[0].code, seen.faults[0].detail) == ("INTERRUPTED", "Stop by panel")
+    assert (seen.faults[0]["code"], seen.faults[0]["detail"]) == ("INTERRUPTED", "Stop by panel")
     write(folder, "events.jsonl", event("end", 8.2))
     seen = view.read()
     assert (seen.state, seen.is_over, seen.left.run_s) == ("runs", True, None)  # it identifies, and writes its report

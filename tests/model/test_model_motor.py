@@ -16,7 +16,6 @@ from scipy.integrate import solve_ivp
 
 from rig.model.friction import NONE, Friction, coulomb
 from rig.model.motor import Motor, State
-from rig.model.step import reversal_time
 
 taus = st.floats(0.02, 1.0)
 gains = st.floats(0.5, 20.0)
@@ -66,9 +65,12 @@ def test_first_order_step_response_has_its_textbook_values() -> None:
 
 def test_reversal_time_is_the_zero_of_the_velocity() -> None:
     tau, v, target = 0.17, 3.0, -6.5
-    assert reversal_time(v, target, tau) == pytest.approx(-tau * math.log(target / (target - v)), rel=1e-14)
-    assert reversal_time(v, 1.0, tau) == math.inf
-    assert reversal_time(0.0, -1.0, tau) == 0.0
+    motor = Motor(tau, 1.0)
+    first, second = motor.pieces(State(v), target, 10.0)
+    assert first.duration_s == pytest.approx(-tau * math.log(target / (target - v)), rel=1e-14)
+    assert second.start.v == 0.0
+    assert [piece.duration_s for piece in motor.pieces(State(v), 1.0, 10.0)] == [10.0]
+    assert [piece.duration_s for piece in motor.pieces(State(), -1.0, 10.0)] == [10.0]
 
 
 def test_at_zero_volts_it_stops_after_the_distance_of_the_closed_form() -> None:

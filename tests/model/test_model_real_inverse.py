@@ -79,7 +79,7 @@ def test_the_drive_gives_the_acceleration_against_all_forces(
 @given(MOTORS, st.floats(-1.0, 1.0), st.sampled_from([1.0, -1.0]))
 def test_a_shaft_that_stands_gets_more_than_what_holds_it(m: RealMotor, y: float, way: float) -> None:
     u_V = drive_for(m, FRAME, (0.0, y), way * 1.0, way)
-    held = real_step.level_at_rest(m, FRAME, y, 0.0)
+    held = real_step.level_at_rest(m, FRAME, y)
     pull = staged(m, u_V) + m.bias_V - real_step.force(m, FRAME, y)
     assume(abs(pull - m.bias_V + real_step.force(m, FRAME, y)) >= SOFT_SHARE * m.fc_V)
     assert way * pull > held

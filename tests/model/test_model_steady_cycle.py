@@ -32,10 +32,7 @@ def curve(
 
 def reversal_times(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS) -> tuple[float, ...]:
     """t1 of both halves, s; 0 where the motor stops before the RC edge."""
-    inputs, x = np.empty((2, 3)), np.empty((2, 4))
-    steady_cycle._inputs(np.array(theta), gains, inputs)
-    steady_cycle._reversals(math.exp(theta[0]), inputs, np.array(edges), x)
-    return tuple(math.exp(theta[0]) * np.log(x[:, 0]))
+    return steady_cycle.reversal_times(np.array(theta), gains, np.array(edges))
 
 
 def settled(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS, periods: int = 80) -> np.ndarray:

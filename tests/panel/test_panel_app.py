@@ -264,7 +264,7 @@ def test_whoever_reads_much_keeps_neither_a_check_nor_a_stop_waiting(
     async def answer_of(module: str, *paths: Path) -> dict[str, Any]:
         if module != "rig.panel.prospect":
             await read.wait()
-        return {}
+        return {"lines": [], "may_run": False, "plan": None}
 
     def hanging() -> list[dict[str, Any]]:
         disk.wait()
@@ -406,16 +406,16 @@ def test_each_page_knows_who_drives_and_only_that_one_jogs(watcher: TestClient, 
 
 
 def test_a_page_is_told_what_a_start_says_that_takes_long(tmp_path: Path) -> None:
-    """As the first one after an installation, which compiles the motor's model."""
+    """As the first one after an installation, which builds the firmware of what is emulated."""
     folder = tmp_path / NAME
     folder.mkdir()
     note = {"command": "run", "pid": os.getpid(), "born": born(os.getpid())}
     (folder / f"{'1' * 16}.json").write_text(json.dumps(note))
-    (folder / f"{'1' * 16}.stderr").write_text("rig: before\nrig: compiling the motor's model\n")
+    (folder / f"{'1' * 16}.stderr").write_text("rig: before\nrig: building the Uno's firmware\n")
     watch = Panel.of(Access(Address("127.0.0.1", 8470)), tmp_path).watch
     watch.look()
     (told,) = map(json.loads, Follower(0, _operator=True).due(watch.scene, operator=True, now_s=1.0))
-    assert told == {"type": "idle", "opening": "run", "words": "rig: compiling the motor's model"}
+    assert told == {"type": "idle", "opening": "run", "words": "rig: building the Uno's firmware"}
 
 
 @pytest.mark.parametrize("began", [False, True])
@@ -428,7 +428,9 @@ def test_only_a_command_without_a_run_folder_did_not_start(tmp_path: Path, began
     started.has_folder = began
     panel.bench._started.append(started)
     panel.watch.look()
-    assert [news["why"] for _, news in panel.watch.scene.news] == ([] if began else ["rig run did not start"])
+    told = [news for _, news in panel.watch.scene.news]
+    assert [one["why"] for one in told if one["type"] == "ended"] == ([] if began else ["rig run did not start"])
+    assert all(one["type"] == "ended" for one in told)
 
 
 def test_with_a_password_nothing_is_told_without_it_but_stop_works(out: Path) -> None:

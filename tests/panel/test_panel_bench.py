@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import itertools
 import json
 import os
@@ -29,6 +30,7 @@ from rig.panel.access import Access, Address
 from rig.panel.app import Panel
 from rig.panel.bench import HOLD_ENDS_S, Bench, StopAnswer
 from rig.panel.errors import RefusedError
+from rig.panel.messages import Stop
 from rig.panel.processes import StartedProcess
 from rig.panel.watch import ALIVE_S, PERIOD_S, Follower
 
@@ -44,15 +46,15 @@ def refused(what: Callable[[], object]) -> str:
 def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started: list[str] = []
+    started: list[object] = []
     config = tmp_path / "bench.yaml"
     config.write_text("as checked")
 
     async def answer_of(name: str, *paths: Path) -> dict[str, Any]:
-        return {"may_run": True, "plan": {"jog_V": 1.0}}
+        return {"may_run": True, "plan": {"jog_V": 1.0}, "digest": hashlib.sha256(config.read_bytes()).hexdigest()}
 
-    def start(out: Path, command: str, arguments: object) -> StartedProcess:
-        started.append(command)
+    def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
+        started.append((command, arguments[-2:]))
         return StartedProcess(tmp_path, "note.json", command, 1, "", None)
 
     monkeypatch.setattr(module, "answer_of", answer_of)
@@ -71,7 +73,9 @@ def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
     key = asyncio.run(bench.check())["confirmation"]
     monkeypatch.setattr("rig.panel.bench.time.monotonic", lambda: 1e12)
     assert "too long ago" in refused(lambda: bench.start(key))
-    assert started == ["run"]
+    digest = hashlib.sha256(b"as checked").hexdigest()
+    assert started == [("run", ("--as-checked", digest))]  # which it compares with the bytes that it reads
+    assert bench._jog_V == 0.0  # a check changes the drive of no jog that goes on
 
 
 class Lease:
@@ -200,9 +204,11 @@ def test_a_drive_that_is_not_confirmed_within_a_second_of_a_stop_is_told_once(
     (folder := tmp_path / "20260101T000000Z-run-hangs").mkdir()
     monkeypatch.setattr("rig.panel.watch.time.monotonic", lambda: now_s)
 
-    def told() -> list[tuple[str, bool, int]]:
+    def told() -> list[tuple[str | None, bool | None, int | None]]:
         panel.watch.look()
-        return [(one["run"], one["drive_zero"], one["after_ms"]) for _, one in panel.watch.scene.news]
+        stops = [one for _, one in panel.watch.scene.news if one["type"] == "stop"]
+        assert len(stops) == len(panel.watch.scene.news)
+        return [(one["run"], one["drive_zero"], one["after_ms"]) for one in stops]
 
     with StopFlag() as flag:
         flag.begin(folder)
@@ -238,7 +244,7 @@ class Stopped:
         self.out = tmp_path
         self.look()
 
-    def look(self) -> list[tuple[str, bool | None, str]]:
+    def look(self) -> list[tuple[str | None, bool | None, str]]:
         for _ in range(7):  # every sixth looks at which runs go on
             self.panel.watch.look()
         stops = [one for _, one in self.panel.watch.scene.news if one["type"] == "stop"]
@@ -249,7 +255,7 @@ class Stopped:
         self.runners[name].wait()
         self.flags[name].close()
 
-    def stop(self) -> dict[str, Any]:
+    def stop(self) -> Stop:
         return self.panel.watch.stop_asked(self.panel.bench.stop())
 
     def event(self, name: str, **event: object) -> None:
@@ -269,7 +275,7 @@ def test_a_run_that_is_over_without_a_confirmed_0_V_is_never_called_at_0(tmp_pat
         else:
             bench.die("cut")
         [(run, at_zero, why)] = bench.look()
-        assert run.endswith("cut") and at_zero is False and "never confirmed 0 V" in why
+        assert run is not None and run.endswith("cut") and at_zero is False and "never confirmed 0 V" in why
         bench.die("cut")
         bench.look()
         again = bench.stop()
@@ -327,7 +333,7 @@ def test_a_view_that_fails_says_so_and_ends_no_look(tmp_path: Path, monkeypatch:
         monkeypatch.setattr("rig.live.view.LiveView.read", fails)
         bench.panel.watch.look()
         [(_, told)] = bench.panel.watch.scene.news
-        assert "cannot be shown (OverflowError: cannot convert)" in told["what"]
+        assert told["type"] == "trouble" and "cannot be shown (OverflowError: cannot convert)" in told["what"]
 
 
 @pytest.mark.parametrize("at", ["the list of folders is read", "the flag is set"])

@@ -37,7 +37,9 @@ def open_question(calibration: Calibration) -> dict[str, Any]:
 
 def end(calibration: Calibration) -> dict[str, Any]:
     wait_until(lambda: not calibration.goes_on)
-    return dict(calibration.shown()["end"])
+    end = calibration.shown()["end"]
+    assert end is not None
+    return dict(end)
 
 
 def test_it_asks_refuses_late_answers_after_a_stop_and_keeps_other_commands_out(tmp_path: Path) -> None:

@@ -47,7 +47,6 @@ LOADED_BEFORE: tuple[str, ...] = (
     "scipy.io",
     "scipy.linalg",
     "scipy.special",
-    "numba",
     "yaml",
 )
 LOADED_BEFORE += (

@@ -15,16 +15,17 @@ from rich.console import Console
 
 from rig.recording.columns import HEADER
 from rig.recording.follow import Progress, Tail, stage_line
+from rig.results import JsonObject
 
-EVENTS = [
+EVENTS: list[JsonObject] = [
     {"t_s": 0.0, "kind": "stage", "name": "breakaway"},
     {"t_s": 3.0, "kind": "breakaway", "plus_V": 0.61, "minus_V": 0.57, "noise_rad": 0.003},
     {"t_s": 3.1, "kind": "stage", "name": "search"},
-    {"t_s": 6.0, "kind": "search", "h1_V": 0.3, "h2_V": 0.7, "period_s": None, "amplitude_rad": None}
-    | {"outcome": "no oscillation"},
+    {"t_s": 6.0, "kind": "search", "h1_V": 0.3, "h2_V": 0.7, "period_s": None, "amplitude_rad": None,
+     "outcome": "no oscillation"},
     {"t_s": 9.0, "kind": "stage", "name": "relay-1"},
-    {"t_s": 11.0, "kind": "cycle", "stage": "relay-1", "number": 2, "settled": True, "period_s": 1.0}
-    | {"amplitude_rad": 0.58},
+    {"t_s": 11.0, "kind": "cycle", "stage": "relay-1", "number": 2, "settled": True, "period_s": 1.0,
+     "amplitude_rad": 0.58},
     {"t_s": 12.0, "kind": "fault", "code": "POLARITY", "cause": "the shaft moves against the drive", "cure": "swap"},
     {"t_s": 12.1, "kind": "end"},
 ]  # fmt: skip
@@ -71,10 +72,11 @@ def test_a_tail_begins_with_the_last_whole_lines_and_waits_for_no_pipe(tmp_path:
 
 def test_a_stage_that_has_several_laws_is_shown_once(tmp_path: Path) -> None:
     """The search of relay.until begins with pushes: two laws, one stage."""
-    events = [{"t_s": t_s, "kind": "stage", "name": name} for t_s, name in ((6.4, "search"), (6.5, "search"))]
+    events: list[JsonObject] = [{"t_s": t_s, "kind": "stage", "name": "search"} for t_s in (6.4, 6.5)]
     progress = Progress()
-    for event in [*events, {"t_s": 7.6, "kind": "stage", "name": "strokes-1"}]:
+    for event in events:
         progress.take_event(event)
+    progress.take_event({"t_s": 7.6, "kind": "stage", "name": "strokes-1"})
     assert [stage for _, stage, _ in progress.done] == ["search"]
     (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
     told = subprocess.run(
@@ -87,13 +89,15 @@ def test_a_stage_that_has_several_laws_is_shown_once(tmp_path: Path) -> None:
     assert told.stderr == "    6.4 s  search\n"
 
 
-LIVE = {"t_s": 9.41, "kind": "live", "tau_s": 0.17098, "tau_percent": 0.796, "fc_V": 0.48138, "fc_percent": None} | {
+LIVE: JsonObject = {
+    "t_s": 9.41, "kind": "live", "tau_s": 0.17098, "tau_percent": 0.796, "fc_V": 0.48138, "fc_percent": None,
     "K_rad_s_V": 6.5418, "K_percent": 0.652,
 }  # fmt: skip
 
 
 def test_a_live_estimate_and_why_the_tests_ended_are_shown_and_are_lines_in_a_pipe() -> None:
-    enough = {"t_s": 10.4, "kind": "decided", "row": 941, "by": "advice", "what": "stop", "why": "all is known"}
+    enough: JsonObject = {"t_s": 10.4, "kind": "decided", "row": 941, "by": "advice", "what": "stop"}
+    enough["why"] = "all is known"
     progress = Progress()
     progress.take_event({"t_s": 7.4, "kind": "stage", "name": "strokes-1"})
     progress.take_event(LIVE)

@@ -305,6 +305,27 @@ def test_a_killed_writer_is_reported_and_its_rows_are_rescued(tmp_path: Path) ->
     assert [event.kind for event in run.events] == ["before", "fault"]
 
 
+@pytest.mark.parametrize("kept", [0, 7])
+def test_rows_of_a_killed_writer_whose_files_are_cut_too_are_never_others(
+    small: Recorder, tmp_path: Path, kept: int
+) -> None:
+    """The memory holds the last 64 rows and the last events: those are written, the others are said to be lost."""
+    for k in range(0, 300, 20):
+        record(small, range(k, k + 20))
+        small.event(0.01 * k, "cycle", fills="x" * 400)
+        small.drain()
+    os.kill(small.writer_pid, signal.SIGKILL)
+    held = lines(tmp_path / "samples.csv")
+    (tmp_path / "samples.csv").write_text("".join(f"{line}\n" for line in held[: 1 + kept]))
+    (tmp_path / "events.jsonl").write_text("")
+    with pytest.raises(Fault, match=rf"RECORDER_DEAD.*{300 - 64 - kept} rows"):
+        small.close()
+    assert lines(tmp_path / "samples.csv")[1:] == [*held[1 : 1 + kept], *held[-64:]]
+    events = read_run(tmp_path).events
+    assert [event.kind for event in events] == ["cycle"] * 9 + ["record_lost"]
+    assert [event.t_s for event in events[:-1]] == [pytest.approx(0.2 * k) for k in range(6, 15)]
+
+
 def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path) -> None:
     size = (tmp_path / "samples.csv").stat().st_size
     resource.prlimit(small.writer_pid, resource.RLIMIT_FSIZE, (size + 300, size + 300))
@@ -323,13 +344,17 @@ def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path
 
 @pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
 @pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
-def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(tmp_path: Path, name: str, checks: bool) -> None:
+@pytest.mark.parametrize("size", [0, 10, 700])
+def test_a_file_that_somebody_cuts_is_written_anew_and_ends_the_run(
+    tmp_path: Path, name: str, checks: bool, size: int
+) -> None:
     recorder = Recorder(tmp_path, STAGES)
     record(recorder, range(30))
-    recorder.event(0.3, "before")
+    for k in range(30):
+        recorder.event(0.01 * k, "before", k=k)
     recorder.drain()
-    (tmp_path / name).unlink()
-    words = rf"RECORDER_DEAD.*{name}: somebody has deleted it, so it goes on in .*{name}"
+    os.truncate(tmp_path / name, size)
+    words = rf"RECORDER_DEAD.*somebody has cut .*{name} short: what the memory holds of it is written anew"
     if checks:
         with pytest.raises(Fault, match=words):
             for k in range(30, 4000):
@@ -338,6 +363,41 @@ def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(tmp_path:
                 time.sleep(0.002)
     with pytest.raises(Fault, match=words):
         recorder.close()
+    run = read_run(tmp_path)
+    assert list(run.tick) == list(range(len(run))) and len(run) >= 30
+    assert [event.kind for event in run.events] == ["before"] * 30
+    assert run.notes == ("meta.json is missing",)
+
+
+@pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
+@pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
+@pytest.mark.parametrize("lose", ["delete", "rename", "replace"])
+def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(
+    tmp_path: Path, name: str, checks: bool, lose: str
+) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    record(recorder, range(30))
+    recorder.event(0.3, "before")
+    recorder.drain()
+    if lose == "delete":
+        (tmp_path / name).unlink()
+    else:
+        (tmp_path / name).rename(tmp_path / "away")
+    if lose == "replace":
+        (tmp_path / name).write_text("of somebody else\n")
+    goes_on = f"{name}.from-0" if lose == "replace" else name
+    words = rf"RECORDER_DEAD.*{name}: somebody has deleted or renamed it, so it goes on in .*{goes_on}"
+    if checks:
+        with pytest.raises(Fault, match=words):
+            for k in range(30, 4000):
+                record(recorder, range(k, k + 1))
+                recorder.check()
+                time.sleep(0.002)
+    with pytest.raises(Fault, match=words):
+        recorder.close()
+    if goes_on == "events.jsonl.from-0":  # only rows are joined
+        assert '"kind": "before"' in (tmp_path / goes_on).read_text()
+        (tmp_path / goes_on).rename(tmp_path / name)
     run = read_run(tmp_path)
     assert list(run.tick) == list(range(len(run))) and len(run) >= 30
     assert run.events[0].kind == "before"

@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ROOT / "docs/examples/log_motor/log_motor.ino"
 CORE = ROOT / "tests/sketch"
 HOST = ROOT / "firmware/boards/host"
+MOTOR_C = ROOT / "firmware/motor"
 STRICT = ["-fno-exceptions", "-Wall", "-Wextra", "-Werror", f"-I{CORE}"]
 MOTOR = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.5, "supply_V": 12.0}
 
@@ -30,9 +31,10 @@ def run(*words: str | Path) -> str:
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("sketch")
-    for name in ("bench", "real_motor"):
-        run("clang", "-O1", "-std=c99", f"-I{HOST}", "-c", HOST / f"{name}.c", "-o", out / f"{name}.o")
-    compiler = ["clang", "-x", "c++", "-std=c++11", "-fno-rtti", "-O1", *STRICT, f"-I{HOST}"]
+    for file in (HOST / "bench.c", MOTOR_C / "plain_motor.c", MOTOR_C / "real_motor.c"):
+        folders = f"-I{HOST}", f"-I{MOTOR_C}"
+        run("clang", "-O1", "-std=c99", *folders, "-c", file, "-o", out / f"{file.stem}.o")
+    compiler = ["clang", "-x", "c++", "-std=c++11", "-fno-rtti", "-O1", *STRICT, f"-I{HOST}", f"-I{MOTOR_C}"]
     run(*compiler, "-include", "Arduino.h", "-c", SKETCH, "-o", out / "sketch.o")
     run(*compiler, "-c", CORE / "bench.cpp", "-o", out / "run.o")
     run("clang", *sorted(out.glob("*.o")), "-lm", "-o", out / "run")

@@ -184,17 +184,16 @@ def test_a_broken_run_is_bad_input_in_words(change: dict[str, Any], words: str, 
     assert words in result.stderr
 
 
-def test_a_run_of_an_older_version_replays_with_the_breakaway_law_of_then(tmp_path: Path) -> None:
-    """A record from before the strokes came in pairs: its meta.json names no law."""
-    run = RunCopy(Path(__file__).parent / "one-way-breakaway", tmp_path / "old")
-    assert "breakaway" not in run.meta["script"]
-    done = replay(run.write())
-    assert done.is_same and done.compared == done.rows > 300
-
-    run.meta["script"]["breakaway"] = "of another version"
-    with pytest.raises(RecordingError) as caught:
-        replay(run.write())
-    assert "does not know the breakaway law 'of another version'" in caught.value.cause
+@pytest.mark.parametrize("law", [None, "balanced pairs", "of another version"])
+def test_a_run_whose_breakaway_law_is_no_more_says_which_commit_replays_it(law: str | None, tmp_path: Path) -> None:
+    run = RunCopy(GOLDEN / "simulated", tmp_path / "old")
+    del run.meta["script"]["breakaway"]
+    if law is not None:
+        run.meta["script"]["breakaway"] = law
+    result = rig("replay", run.write())
+    assert result.exit_code == 2
+    assert f"its breakaway check is that of an older version: {law or 'ramps one way'}" in result.stderr
+    assert "git checkout 599afeb2" in result.stderr
 
 
 def test_a_run_of_now_says_which_breakaway_law_ran(tmp_path: Path) -> None:
@@ -202,6 +201,3 @@ def test_a_run_of_now_says_which_breakaway_law_ran(tmp_path: Path) -> None:
     run = RunCopy(outcome.folder, tmp_path / "copy")
     assert run.meta["script"] == {"name": "breakaway", "breakaway": "balanced pairs, in the device's steps"}
     assert replay(outcome.folder).is_same
-    del run.meta["script"]["breakaway"]
-    found = replay(run.write()).difference
-    assert found is not None and found.stage == "breakaway"

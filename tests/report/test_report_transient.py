@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.identify import Identification
 from rig.identify.estimate import Estimate
+from rig.recording.curves import Curves
 from rig.report import fitted, transient
 from rig.report.source import ReportedRun
 from rig.report.style import AbsentError, style
@@ -28,6 +30,10 @@ def friction(**changes: Any) -> Estimate:
     return Estimate("least-squares", np.nan, np.nan, **values)
 
 
+def curves_with(estimate: Estimate) -> Curves | None:
+    return Identification({"least-squares": estimate}).curves
+
+
 def test_the_headline_speaks_of_friction_and_not_of_a_motor() -> None:
     shown = headline(run_with(friction().as_result()))
     assert shown.title == "The friction is identified"
@@ -41,11 +47,11 @@ def test_the_recursion_is_drawn() -> None:
     estimate = friction()
     run = run_with(estimate.as_result())
     with style():
-        picture = transient.recursion(run, {"least-squares": estimate})
+        picture = transient.recursion(run, curves_with(estimate))
         assert picture.uri.startswith("data:image/svg+xml")
         refused = friction(fc_V=np.nan, ci95={}, iterates=np.empty((0, 3)))
         with pytest.raises(AbsentError, match="no recursion"):
-            transient.recursion(run, {"least-squares": refused})
+            transient.recursion(run_with(refused.as_result()), curves_with(refused))
         with pytest.raises(AbsentError, match="no hysteretic run"):
             transient.first_transients(run)
         assert fitted.forest(run).uri.startswith("data:")

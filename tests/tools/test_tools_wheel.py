@@ -7,12 +7,15 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 
 import pytest
 
 from rig.backends.serial.emulated.firmware_build import Variant
+from rig.model.library_build import NAME
+from rig.model.motor import Motor, State
 
 ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
@@ -62,6 +65,25 @@ def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(tree: Pat
     names = zipfile.ZipFile(built(tree, tmp_path, RIG_FIRMWARE="")).namelist()
     assert not any("prebuilt" in name for name in names)
     assert "rig/_firmware/core/rig_core.c" in names  # from which `rig flash` compiles it
+
+
+def test_a_wheel_is_one_platforms_and_brings_the_physics(tree: Path, tmp_path: Path) -> None:
+    """Of any Python: the library is called through ctypes. It moves a motor there as here."""
+    wheel = built(tree, tmp_path, RIG_FIRMWARE="")
+    assert wheel.name.split("-")[2:] == ["py3", "none", f"{sysconfig.get_platform().replace('-', '_')}.whl"]
+    unpacked = tmp_path / "unpacked"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(unpacked)
+    assert (unpacked / "rig" / "model" / NAME).is_file()
+    program = (
+        "import rig; from rig.model.motor import Motor, State; "
+        "print(rig.__file__, Motor(0.2, 5.0).advance(State(), 1.0, 0.1))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, check=True, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": str(unpacked), "PATH": "/nowhere"},
+    )  # fmt: skip
+    assert done.stdout == f"{unpacked}/rig/__init__.py {Motor(0.2, 5.0).advance(State(), 1.0, 0.1)}\n"
 
 
 @pytest.mark.evidence

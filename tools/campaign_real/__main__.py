@@ -33,6 +33,7 @@ PAGES = {
 MADE_BY = (  # rows of another code start anew
     "rig/identify",
     "rig/model",
+    "firmware/motor",
     *(f"rig/recording/{name}.py" for name in ("columns", "errors", "recording", "series", "stage")),
     *(f"tools/campaign_real/{name}.py" for name in ("before_the_tests", "departing_motor", "kinds", "rows", "shown")),
 )

@@ -4,20 +4,46 @@
 
 This is a peer for the model and the estimators of rig: another integrator, another way to meet a reversal, another
 author's reading of the same table (docs/theory.md 12). Each step of 50 us freezes the forces at its middle and lets the
-velocity tend exponentially to its end value. Halving the step moves a position by some 1e-5 rad in ten seconds.
+velocity tend exponentially to its end value. Halving the step moves a position by some 1e-5 rad in ten seconds. The
+loops are in C, in ``departing_motor.c``, which is compiled where it has changed.
 """
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.model.library_build import NAME, compile_library
 
 Array = NDArray[np.float64]
 
 STEP_S = 5e-5
+SOURCE = Path(__file__).with_suffix(".c")
+
+
+def _loaded() -> ctypes.CDLL:
+    built = SOURCE.parents[2] / "build" / "campaign_real" / NAME
+    if not built.is_file() or built.stat().st_mtime_ns < SOURCE.stat().st_mtime_ns:
+        compile_library([SOURCE], built)
+    loaded = ctypes.CDLL(str(built))
+    numbers, span = ctypes.c_void_p, ctypes.c_double
+    loaded.departing_advance.argtypes = [numbers] * 4 + [span, numbers]
+    loaded.departing_advance.restype = None
+    loaded.departing_relay_test.argtypes = [numbers] * 6 + [ctypes.c_int64, numbers]
+    loaded.departing_relay_test.restype = None
+    return loaded
+
+
+_LIBRARY = _loaded()
+
+
+def row_of(*values: float) -> ctypes.Array[ctypes.c_double]:
+    """Numbers as C reads them."""
+    return (ctypes.c_double * len(values))(*values)
 
 
 @dataclass(frozen=True)
@@ -133,15 +159,16 @@ def relay_test(
         force[0] = rng.standard_normal()
         for k in range(1, rows):
             force[k] = keep * force[k - 1] + np.sqrt(1.0 - keep * keep) * rng.standard_normal()
-    out = np.empty((rows, 5))
-    _run(
-        (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V),
-        departures.numbers(),
-        (bench.period_s, bench.delay_s, bench.lsb_rad, begin_and_whole_s[0], begin_and_whole_s[1], step_s),
-        (float(gains_V[0]), float(gains_V[1])),
-        noise,
-        departures.random_V * force,
-        out,
+    out, pushed_V = np.empty((rows, 5)), departures.random_V * force
+    _LIBRARY.departing_relay_test(
+        row_of(motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V),
+        row_of(*departures.numbers()),
+        row_of(bench.period_s, bench.delay_s, bench.lsb_rad, *begin_and_whole_s, step_s),
+        row_of(*gains_V),
+        noise.ctypes.data,
+        pushed_V.ctypes.data,
+        rows,
+        out.ctypes.data,
     )
     columns = [np.ascontiguousarray(column, dtype=np.float64) for column in out.T]
     t_s = np.asarray(bench.period_s * np.arange(rows), dtype=np.float64)
@@ -167,23 +194,17 @@ class MovingShaft:
         begin_and_whole_s: tuple[float, float],
         step_s: float = STEP_S,
     ) -> None:
-        self._motor = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V)
+        self._motor = row_of(motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V)
         self._departures = departures
-        self._numbers = departures.numbers()
+        self._numbers = row_of(*departures.numbers())
         self._begin_s, self._whole_s = begin_and_whole_s
         self._step_s = step_s
-        self._state = (0.0, 0.0, 0.0, 0.0, 0.0)
+        self._state = row_of(*[0.0] * 5)
 
     def advance(self, u_V: float, force_V: float, t_s: float, dt_s: float) -> None:
         """Let ``dt_s`` pass from ``t_s``, s, on, under the drive ``u_V`` and the random force ``force_V``, V."""
-        self._state = _advance(
-            self._motor,
-            self._numbers,
-            (self._begin_s + t_s, self._whole_s, self._step_s),
-            (u_V, force_V),
-            dt_s,
-            self._state,
-        )
+        timing, drive = row_of(self._begin_s + t_s, self._whole_s, self._step_s), row_of(u_V, force_V)
+        _LIBRARY.departing_advance(self._motor, self._numbers, timing, drive, dt_s, self._state)
 
     @property
     def reading_rad(self) -> float:
@@ -193,142 +214,4 @@ class MovingShaft:
     @property
     def y_rad(self) -> float:
         """The true position, rad."""
-        return self._state[1]
-
-
-@njit(cache=True)
-def _run(motor, departures, timing, gains, noise, force, out):  # type: ignore[no-untyped-def]
-    play, lA, ln, lphi = departures[17], departures[18], departures[19], departures[20]
-    period, delay, lsb, begin, whole, step = timing
-    h1, h2 = gains
-    state = (0.0, 0.0, 0.0, 0.0, 0.0)
-    u = 0.0
-    z = 0.0
-    last = 0.0
-    sy = sz = 0
-    for k in range(noise.size):
-        # the sample
-        v, y, z_bristle, held, w = state
-        held = _played(y, held, play)
-        state = (v, y, z_bristle, held, w)
-        read = held + lA * np.sin(ln * held + lphi) + noise[k]
-        if lsb > 0.0:
-            read = lsb * np.floor(read / lsb + 0.5)
-        if k == 0:
-            sy = sz = 1 if read >= 0.0 else -1
-        else:
-            z += 0.5 * period * (read + last)
-        last = read
-        if read > 0.0:
-            sy = 1
-        elif read < 0.0:
-            sy = -1
-        if z > 0.0:
-            sz = 1
-        elif z < 0.0:
-            sz = -1
-        new = -h1 * sy - h2 * sz
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = read, new, y, v, z
-        # to the next sample: the old drive, then the new one
-        begins = begin + k * period
-        state = _advance(motor, departures, (begins, whole, step), (u, force[k]), delay, state)
-        u = new
-        state = _advance(motor, departures, (begins + delay, whole, step), (u, force[k]), period - delay, state)
-
-
-@njit(cache=True)
-def _played(y, held, play):  # type: ignore[no-untyped-def]
-    """The sensor's side of the play."""
-    if y - held > 0.5 * play:
-        return y - 0.5 * play
-    if held - y > 0.5 * play:
-        return y + 0.5 * play
-    return held
-
-
-@njit(cache=True)
-def _advance(motor, departures, timing, drive, span, state):  # type: ignore[no-untyped-def]
-    """The state v, y, bristles, sensor's side of the play and drive behind the lag, after ``span`` seconds."""
-    tau, K, fc, bias = motor
-    (dead, by_sign, sag, lag, beta, static, strib, vs, drag, sigma, fA, fphi, qA, qphi, cA, cn, cphi,
-     play, _, _, _, drift, _) = departures  # fmt: skip
-    begin, whole, step = timing
-    u, extra = drive
-    v, y, z_bristle, held, w = state
-    count = max(1, int(np.ceil(span / step)))
-    h = span / count
-    goal = 0.0
-    if u > dead:
-        goal = u - dead
-    elif u < -dead:
-        goal = u + dead
-    goal *= 1.0 + (by_sign if goal > 0.0 else -by_sign)
-    goal *= 1.0 - sag * abs(goal)
-    share = np.exp(-0.5 * h / lag) if lag > 0.0 else 0.0
-    for i in range(count):
-        t = begin + (i + 0.5) * h
-        w_mid = goal + (w - goal) * share
-        w = goal + (w - goal) * share * share
-        left = h
-        for _ in range(3):
-            ym = y + 0.5 * left * v
-            level = fc * (1.0 + drift * (t / whole - 0.5)) * (1.0 + qA * np.sin(ym + qphi))
-            push = w_mid + bias + extra - fA * np.sin(ym + fphi) - cA * np.sin(cn * ym + cphi)
-            if sigma > 0.0:
-                # bristles: the excess of a Stribeck effect is in their level
-                g = level + strib * np.exp(-abs(v) / vs)
-                a = sigma * abs(v) / g
-                end = v / a if a > 1e-9 else 0.0
-                if a > 1e-9:
-                    middle = end + (z_bristle - end) * np.exp(-0.5 * a * left)
-                    z_bristle = end + (z_bristle - end) * np.exp(-a * left)
-                else:
-                    middle = z_bristle + 0.5 * v * left
-                    z_bristle += v * left
-                acceleration = (K * (push - sigma * middle - beta * abs(v) - drag * v * abs(v)) - v) / tau
-                vm = v + 0.5 * left * acceleration
-                acceleration = (K * (push - sigma * middle - beta * abs(vm) - drag * vm * abs(vm)) - vm) / tau
-                y += left * (v + 0.5 * left * acceleration)
-                v += left * acceleration
-                break
-            sign = 0.0
-            if v != 0.0:
-                sign = 1.0 if v > 0.0 else -1.0
-            elif push > level + static + strib:
-                sign = 1.0
-            elif push < -(level + static + strib):
-                sign = -1.0
-            if sign == 0.0:
-                break
-            # speed at the middle, for what depends on it
-            f0 = level + strib * np.exp(-abs(v) / vs)
-            a0 = (K * (push - sign * f0 - beta * abs(v) - drag * v * abs(v)) - v) / tau
-            vm = v + 0.5 * left * a0
-            if vm * sign < 0.0:
-                vm = 0.0
-            f = level + strib * np.exp(-abs(vm) / vs)
-            target = K * (push - sign * f - beta * abs(vm) - drag * vm * abs(vm))
-            decay = -np.expm1(-left / tau)
-            next_v = v + (target - v) * decay
-            if v != 0.0 and next_v * sign < 0.0:
-                # it comes to rest within the step: go to there, then on from rest
-                stop = tau * np.log1p(-v / target)
-                part = -np.expm1(-stop / tau)
-                y += target * stop + (v - target) * tau * part
-                v = 0.0
-                left -= stop
-                if left <= 0.0:
-                    break
-                if y - held > 0.5 * play:
-                    held = y - 0.5 * play
-                elif held - y > 0.5 * play:
-                    held = y + 0.5 * play
-                continue
-            y += target * left + (v - target) * tau * decay
-            v = next_v
-            break
-        if y - held > 0.5 * play:
-            held = y - 0.5 * play
-        elif held - y > 0.5 * play:
-            held = y + 0.5 * play
-    return v, y, z_bristle, held, w
+        return float(self._state[1])

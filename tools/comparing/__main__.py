@@ -24,7 +24,7 @@ from shared.share import counted
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "evidence" / "compare-table.md"
 TEMPLATE = Path(__file__).with_name("page.md.j2")
-MADE_BY = ("rig/identify", "rig/model", "rig/simulation.py", "tools/comparing/rows.py")
+MADE_BY = ("rig/identify", "rig/model", "firmware/motor", "rig/simulation.py", "tools/comparing/rows.py")
 
 
 def main() -> int:

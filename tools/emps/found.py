@@ -118,7 +118,7 @@ class Found:
             case "force_over_position" | "cogging":
                 over = [real_step.force(alone, frame, y) for y in places]
             case "friction_over_position":
-                over = [real_step.level(alone, frame, 1.0, y, frame.start_s) for y in places]
+                over = [real_step.level(alone, frame, 1.0, y) for y in places]
             case "linearity":
                 over = [real_step.reading(alone, frame, y) - y for y in places]
                 return f"{1e3 * (max(over) - min(over)):.2f} mm between its extremes over the travel"

@@ -221,6 +221,10 @@ def _close_folder(injector: FaultInjector) -> None:
     next((injector.folder / "runs").iterdir()).chmod(0o555)
 
 
+def _cut_flag(injector: FaultInjector) -> None:
+    os.truncate(next((injector.folder / "runs").glob("*/stop.flag")), 0)
+
+
 def _read_only(folder: Path) -> None:
     (folder / "runs").mkdir()
     (folder / "runs").chmod(0o555)
@@ -299,6 +303,7 @@ ACTS: Mapping[str, Act] = {
     "disk full": _fill_disk,
     "folder unwritable, in the run": _close_folder,
     "recorder killed": host.kill_recorder,
+    "stop flag cut short": _cut_flag,
     "config changed in the run": _change_config,
     **strangers.ACTS,
     "network dead": _network(to_host=math.inf, to_device=math.inf),

@@ -34,7 +34,8 @@ OTHERS_SHARE = 0.25
 # rows that are the loop's own matter: what device is behind it makes no difference
 ALIKE = (
     "host SIGINT", "host SIGTERM", "host overloaded", "clock stepped", "disk full", "folder unwritable",
-    "folder unwritable, in the run", "recorder killed", "config changed in the run", "friction too high to start",
+    "folder unwritable, in the run", "recorder killed", "stop flag cut short", "config changed in the run",
+    "friction too high to start",
     *strangers.ACTS,
 )  # fmt: skip
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from pymodbus.framer import FramerRTU
 
-from fuzz import structured
+from fuzz import servos, structured
 from rig import config, strict_json
 from rig.backends.driver import Driver, Timeouts
 from rig.backends.modbus.opening import modbus_driver
@@ -31,6 +31,7 @@ from rig.panel.runs import Runs
 from rig.panel.watch import Follower, Scene
 from rig.preflight import check
 from rig.recording.csv_file import read_csv
+from rig.recording.curves import read_curves
 from rig.recording.errors import RecordingError
 from rig.recording.log_file import read_log
 from rig.recording.log_format import LogColumn, LogFormat
@@ -333,17 +334,18 @@ def hostile_run(data: bytes) -> None:
 
     The first byte names the file; the others make its text (``structured``). One of the events stands before good ones.
     """
-    which = data[0] % 4 if data else 0
-    name = ("events.jsonl", "meta.json", "result.json", "config.yaml")[which]
+    which = data[0] % 5 if data else 0
+    name = ("events.jsonl", "meta.json", "result.json", "config.yaml", "curves.json")[which]
     text = (structured.yaml_text if which == 3 else structured.json_text)(data[1:])
     good = _good_run()
     folder = _folder() / "hostile" / "20260101T000000Z-run"
     folder.mkdir(parents=True, exist_ok=True)
     for other, content in good.items():
         (folder / other).write_bytes(content)
+    (folder / "curves.json").unlink(missing_ok=True)  # of the input before
     after = good[name] if which == 0 else b""
     (folder / name).write_bytes(text.encode("utf-8", "replace") + b"\n" + after)
-    for read in (read_run, load_report, read_result):
+    for read in (read_run, load_report, read_result, _read_kept):
         try:
             read(folder)
         except RecordingError as error:
@@ -361,12 +363,17 @@ def hostile_run(data: bytes) -> None:
     assert sum(map(len, told)) < 200_000
 
 
+def _read_kept(folder: Path) -> None:
+    result, _ = read_result(folder)
+    read_curves(folder, read_run(folder), None if result is None else result.answer)
+
+
 def _no_page_takes(name: str) -> None:
     raise AssertionError(f"{name} for a page")
 
 
 def _hostile_seeds() -> Iterator[bytes]:
-    for which in range(3):
+    for which in (0, 1, 2, 4):
         for seed in structured.json_seeds():
             yield bytes([which]) + seed
     for seed in structured.yaml_seeds():
@@ -449,6 +456,8 @@ TARGETS = {
     "frames": Target(frames_from_device, _frame_seeds),
     "serial-driver": Target(serial_driver, _frame_seeds),
     "modbus-unit": Target(modbus_unit, _unit_seeds),
+    "servo-packets": Target(servos.packets, servos.seeds),
+    "servo-bus": Target(servos.buses, servos.seeds),
     "config": Target(experiment_config, lambda: _config_seeds(campaign=False)),
     "campaign-config": Target(campaign_config, lambda: _config_seeds(campaign=True)),
     "csv": Target(csv_file, _csv_seeds),

@@ -17,7 +17,6 @@ ROOMS = (
         24,
         ("tests/control", "tests/loop"),
         {
-            "breakaway_one_way": _REPLAY,
             "laws": ("tests/api/test_api_law.py",),
             "leased": ("tests/control/test_control_leased.py",),
         },
@@ -68,6 +67,12 @@ ROOMS = (
         dict.fromkeys(("driver", "client", "requests", "frames"), _MODBUS),
     ),
     Room(
+        "rig/backends/registers",
+        5,
+        ("tests/backends/modbus", "tests/config/test_config_modbus.py"),
+        dict.fromkeys(("driver", "bus"), _MODBUS),
+    ),
+    Room(
         "rig/backends/simulated",
         1,
         ("tests/loop",),
@@ -80,20 +85,14 @@ ROOMS = (
 EQUIVALENT: dict[str, str] = {
     "recording/layout.py allocate: zeros = bytes(1 << 20) # setting the length alone would leave a hole -> zeros = "
     "bytes(1 % 20) # setting the length alone would leave a hole": "the same zeros, in pieces of one byte",
-    "backends/modbus/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # reads "
-    "that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
+    "backends/registers/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # "
+    "reads that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
     "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (
         "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end "
         "is of a time that is no number"
     ),
     "control/observer.py MotorObserver._correct: if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s): -> "
     "if len(self._gain[ 1]) == 2 and not math.isnan(sample.v_rad_per_s):": "rows of a matrix are of one length",
-    "control/breakaway_one_way.py OneWayCheck.__init__: self._still_V = 0.0 -> self._still_V = 1.0": (
-        "the rest before the first stroke sets it to 0 before anything reads it"
-    ),
-    "control/breakaway_one_way.py OneWayCheck._rest: self._still_V = 0.0 -> self._still_V = 1.0": (
-        "the first step of the ramp that follows, at 0 V, where the shaft stands, sets it to 0"
-    ),
     "loop/real_time.py real_time: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0) -> "
     "libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 1, 0)": "Linux looks at the first argument of this one alone",
     'loop/runner.py Loop.__init__: self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else '

@@ -39,7 +39,7 @@ class Limits:
 
     cpu_s: float
     wall_s: float
-    memory_bytes: int = 8 << 30  # numba asks for much and takes little
+    memory_bytes: int = 8 << 30
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def compilers(path: str) -> list[list[str]]:
     commands = []
     for source in map(str, sources):
         if not source.startswith(("boards/uno", "boards/pico")):
-            commands.append(["cc", *options, "-Iboards/host", "-D_XOPEN_SOURCE=700", source])
+            commands.append(["cc", *options, "-Iboards/host", "-Imotor", "-D_XOPEN_SOURCE=700", source])
         if source.startswith(("boards/uno", "core")):
             uno = "-mmcu=atmega328p -Iboards/uno -DF_CPU=16000000UL -DRIG_BAUD=115200UL -DRIG_TACHOMETER=1"
             options = [*options, *uno.split(), "-DRIG_SUPPLY=1", "-DRIG_END_SWITCHES=1"]

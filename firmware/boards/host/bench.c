@@ -6,15 +6,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "plain_motor.h"
+
 /* ---- motion ---- */
 
-/* As in rig/model/stribeck.py, where they are derived. */
-enum { ORDER = 22 };
-static const double RATIO = 4.0;
-static const double NEGLIGIBLE = 32.0;
-static const double SMALLEST = 1e-200;
-static const double LARGEST = 1e12;
-static const double JUST_ABOVE = 1.0 + 1e-9;
 static const double LEAST_SHARE = 1e-6; /* of the time connected: its braking is beyond any measurement */
 
 /* Viscous friction lowers gain and time constant alike. */
@@ -23,149 +18,17 @@ static double viscous_share(const bench_params *p)
     return 1.0 + p->K_rad_s_V * p->viscous_V_s_rad;
 }
 
-/* Direction of motion: that of `v`, or into which the drive breaks away from rest; 0 if friction holds. */
-static double direction(const bench_params *p, double v, double drive_V)
-{
-    if (v != 0.0) {
-        return v > 0.0 ? 1.0 : -1.0;
-    }
-    return drive_V > p->fs_plus_V ? 1.0 : drive_V < -p->fs_minus_V ? -1.0 : 0.0;
-}
-
-/* A motion one way that is one formula: a velocity that tends to `target`, or a series (rig/model/stribeck.py). */
-typedef struct {
-    bool is_series;
-    bool at_rest;        /* it ends at rest */
-    bool at_far;         /* it ends where the Stribeck effect begins, at far_v */
-    double duration_s, tau_s;
-    double v, target, far_v;
-    double unit;         /* Stribeck velocity with the sign of the motion */
-    double c[ORDER + 1]; /* of the speed in `unit` over time in tau_s */
-} piece;
-
-static double piece_velocity(const piece *m, double h_s)
-{
-    if (!m->is_series) {
-        return m->v + (m->v - m->target) * expm1(-h_s / m->tau_s);
-    }
-    const double h = h_s / m->tau_s;
-    double x = 0.0;
-    for (int k = ORDER; k >= 0; k--) {
-        x = x * h + m->c[k];
-    }
-    return m->unit * x;
-}
-
-static double piece_displacement(const piece *m, double h_s)
-{
-    if (!m->is_series) {
-        return m->target * h_s - (m->v - m->target) * m->tau_s * expm1(-h_s / m->tau_s);
-    }
-    const double h = h_s / m->tau_s;
-    double y = 0.0;
-    for (int k = ORDER; k >= 0; k--) {
-        y = y * h + m->c[k] / (double)(k + 1);
-    }
-    return m->unit * m->tau_s * y * h;
-}
-
-/* The series about speed `x` of x' = e - x - b expm1(-x); returns the step, in tau, that it is good for. */
-static double expand(double x, double e, double b, double c[ORDER + 1])
-{
-    double w[ORDER + 1]; /* of exp(-x) */
-    const double slope = e - x - b * expm1(-x);
-    c[0] = x;
-    c[1] = slope;
-    w[0] = exp(-x);
-    const double steady = b * w[0];
-    for (int k = 1; k < ORDER; k++) {
-        double total = 0.0;
-        for (int j = 1; j <= k; j++) {
-            total += (double)j * c[j] * w[k - j];
-        }
-        w[k] = -total / (double)k;
-        c[k + 1] = -(c[k] + b * w[k]) / (double)(k + 1);
-    }
-    if (slope == 0.0) {
-        return INFINITY;
-    }
-    const double size = fabs(slope);
-    const double growth = (1.0 + size) / steady;
-    const double radius = log1p(growth);
-    const double lipschitz = 1.0 + steady * (1.0 + growth);
-    const double by_size = radius / (size + radius + steady * growth);
-    const double by_slope = log1p(radius * lipschitz / size) / lipschitz;
-    return fmax(by_size, by_slope) / RATIO;
-}
-
-/* When within [0, h_s] a falling speed, > 0 at 0 and <= 0 at h_s, is zero: bisection to the last bit. */
-static double rest_within(const piece *m, double h_s)
+/* When within a segment, which goes one way, it has gone from `start` to `stop`: bisection to the last bit. */
+static double time_to(const plain_motor *m, const plain_segment *s, const double *c, plain_state start, double stop)
 {
     double before = 0.0;
-    double after = h_s;
+    double after = s->duration_s;
     for (;;) {
         const double middle = 0.5 * (before + after);
         if (middle <= before || middle >= after) {
             return after;
         }
-        if (piece_velocity(m, middle) * m->unit > 0.0) {
-            before = middle;
-        } else {
-            after = middle;
-        }
-    }
-}
-
-/* The next piece of the motion from `v` in the direction `sign`, at most `dt_s` long. */
-static void next_piece(const bench_params *p, piece *m, double v, double sign, double drive_V, double dt_s)
-{
-    const double share = viscous_share(p);
-    const double gain = p->K_rad_s_V / share;
-    const double moving_V = sign > 0.0 ? p->fc_plus_V : p->fc_minus_V;
-    const double static_V = sign > 0.0 ? p->fs_plus_V : p->fs_minus_V;
-    const double unit = p->stribeck_rad_s > 0.0 ? p->stribeck_rad_s : 1.0;
-    const double b = p->stribeck_rad_s > 0.0 ? gain * (static_V - moving_V) / unit : 0.0;
-    const bool falls = b >= SMALLEST && b <= LARGEST;
-    const double far = falls ? NEGLIGIBLE + log1p(b) : 0.0;
-    const double x = fabs(v) / unit;
-    const double target = gain * (sign * drive_V - moving_V) / unit;
-
-    memset(m, 0, sizeof *m);
-    m->tau_s = p->tau_s / share;
-    m->unit = sign * unit;
-    m->v = v;
-    m->target = m->unit * target;
-    m->duration_s = dt_s;
-    if (!falls || x > JUST_ABOVE * far || (x >= far && target >= far)) {
-        /* down to where the Stribeck effect begins, or to rest where there is none */
-        const double leaves_s = target < far && far < x ? m->tau_s * log1p((x - far) / (far - target)) : INFINITY;
-        if (leaves_s <= dt_s) {
-            m->duration_s = leaves_s;
-            m->at_rest = !falls;
-            m->at_far = falls;
-            m->far_v = m->unit * far;
-        }
-        return;
-    }
-    m->is_series = true;
-    m->duration_s = fmin(m->tau_s * expand(x, gain * (sign * drive_V - static_V) / unit, b, m->c), dt_s);
-    m->at_rest = x > 0.0 && piece_velocity(m, m->duration_s) * sign <= 0.0;
-    if (m->at_rest) {
-        m->duration_s = rest_within(m, m->duration_s);
-    }
-}
-
-/* When within a piece, which goes one way, it has gone `distance`: bisection to the last bit. */
-static double time_to_go(const piece *m, double distance)
-{
-    double before = 0.0;
-    double after = m->duration_s;
-    for (;;) {
-        const double middle = 0.5 * (before + after);
-        if (middle <= before || middle >= after) {
-            return after;
-        }
-        if (fabs(piece_displacement(m, middle)) < fabs(distance)) {
+        if (fabs(plain_within(m, s, c, start, middle).y - start.y) < fabs(stop - start.y)) {
             before = middle;
         } else {
             after = middle;
@@ -175,27 +38,32 @@ static double time_to_go(const piece *m, double distance)
 
 void bench_motion(const bench_params *p, double *v, double *y, double u_V, double dt_s)
 {
+    const double share = viscous_share(p);
+    const plain_motor m = {
+        p->tau_s / share, p->K_rad_s_V / share, p->fc_plus_V,      p->fc_minus_V,
+        p->fs_plus_V,     p->fs_minus_V,        p->stribeck_rad_s, p->bias_V,
+    };
     const double drive_V = u_V + p->bias_V;
+    double c[SERIES];
     while (dt_s > 0.0) {
-        const double sign = direction(p, *v, drive_V);
+        const plain_state start = {*v, *y, 0.0};
+        const plain_segment s = plain_next_segment(&m, *v, drive_V, dt_s, c);
         if (*v == 0.0 &&
-            (sign == 0.0 || (sign > 0.0 && *y >= p->stop_high_rad) || (sign < 0.0 && *y <= p->stop_low_rad))) {
+            (s.sign == 0.0 || (s.sign > 0.0 && *y >= p->stop_high_rad) || (s.sign < 0.0 && *y <= p->stop_low_rad))) {
             return; /* held by friction or pressed against a stop, as long as the drive stays */
         }
-        piece m;
-        next_piece(p, &m, *v, sign, drive_V, dt_s);
-        const double end = *y + piece_displacement(&m, m.duration_s);
-        const bool outward_high = end > p->stop_high_rad;
-        if (outward_high || end < p->stop_low_rad) {
+        const plain_state end = plain_after(&m, &s, c, start);
+        const bool outward_high = end.y > p->stop_high_rad;
+        if (outward_high || end.y < p->stop_low_rad) {
             const double stop = outward_high ? p->stop_high_rad : p->stop_low_rad;
-            dt_s -= time_to_go(&m, stop - *y);
+            dt_s -= time_to(&m, &s, c, start, stop);
             *y = stop;
             *v = 0.0;
             continue;
         }
-        *v = m.at_rest ? 0.0 : m.at_far ? m.far_v : piece_velocity(&m, m.duration_s);
-        *y = end;
-        dt_s -= m.duration_s;
+        *v = end.v;
+        *y = end.y;
+        dt_s -= s.duration_s;
     }
 }
 

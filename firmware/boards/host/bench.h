@@ -6,7 +6,7 @@
  *
  * has a closed form between the instants at which the drive changes, the velocity crosses zero or the shaft meets
  * a stop, so there is no integration step and no integration error; under Stribeck friction it is a chain of Taylor
- * polynomials, whose step and error bound are derived in rig/model/stribeck.py.
+ * polynomials. The motor's own motion is in motor/plain_motor.c and motor/real_motor.c.
  */
 #ifndef RIG_BENCH_H
 #define RIG_BENCH_H

@@ -1,26 +1,16 @@
-"""A Modbus client on a transport: one request and one reply at a time, and when the device executed it.
-
-The silences between frames follow Modbus over Serial Line 1.02. Within a tick the client asks once only: a time-out, or
-a reply that does not fit, is a fault.
-"""
+"""A Modbus client on a transport. The silences between frames follow Modbus over Serial Line 1.02."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
+
+from typing_extensions import override
 
 from rig.backends.driver import Transport
-from rig.backends.modbus.frames import Damaged, Frame, Framing, RtuFraming, TcpFraming
+from rig.backends.modbus.frames import Frame, Framing, RtuFraming, TcpFraming
 from rig.backends.modbus.requests import Request, check
-from rig.faults import Fault
-
-ATTEMPTS = 3  # of a request outside the tick
-LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
-_UNASKED_BYTES = 5  # the shortest reply; fewer between two exchanges are noise on the line
-_TOO_SOON = 0.5  # of the fastest exchange: no device replies within it
-_ENDLESS_BYTES = 2000  # of a line that is never quiet
+from rig.backends.registers.bus import BusClient, Protocol
 
 
 @dataclass(frozen=True)
@@ -52,222 +42,44 @@ class ModbusLine:
         return 0.0 if self.tcp else self.silence_s
 
 
-class Reply(NamedTuple):
-    """A reply that fits its request, and when the device executed that, host time s.
+class _Modbus(Protocol[Request]):
+    """Modbus as it goes over a line."""
 
-    reckoned_s  time that the config gives the exchange
-    """
+    refusal = "MODBUS_EXCEPTION"
 
-    pdu: bytes
-    executed_s: float
-    round_trip_s: float
-    reckoned_s: float
+    def __init__(self, line: ModbusLine) -> None:
+        self.late_come_together = line.tcp
+        self.name = f"unit {line.unit}"
+        self.pause_s = line.pause_s
+        self.turnaround_s = line.turnaround_s
+        self._line = line
+        self._framing: Framing = TcpFraming() if line.tcp else RtuFraming()
+        self._number = 0  # of the request, TCP
+
+    @override
+    def encode(self, request: Request) -> bytes:
+        self._number = self._number % 0xFFFF + 1
+        return self._framing.encode(request.pdu, self._line.unit, self._number)
+
+    @override
+    def take(self, data: bytes) -> Frame | None:
+        return self._framing.take(data)
+
+    @override
+    def check(self, frame: Frame, request: Request) -> None:
+        check(frame, request, self._line.unit, self._number)
+
+    @override
+    def wire_s(self, n_bytes: int) -> float:
+        return self._line.wire_s(n_bytes)
 
 
-class _Sent(NamedTuple):
-    """A request that left between two times, s, and its length."""
-
-    from_s: float
-    by_s: float
-    bytes: int
-
-
-class ModbusClient:
+class ModbusClient(BusClient[Request]):
     """Asks one device on a line.
 
     transport  an open port; times are in its clock, s
     line       how the device is reached
-    is_suspect bytes of an exchange that went wrong may still be on their way
     """
 
     def __init__(self, transport: Transport, line: ModbusLine) -> None:
-        self.is_suspect = False
-        self._transport = transport
-        self._line = line
-        self._framing: Framing = TcpFraming() if line.tcp else RtuFraming()
-        self._pace = 1.0  # share of what the config says that the fastest exchange took, at most 1
-        self._quiet_until_s = -math.inf  # a new request must not begin before
-        self._number = 0  # of the request, TCP
-        self._counts = dict.fromkeys(("exchanges", "timeouts", "bad_replies", "exceptions", "stale_bytes"), 0)
-
-    @property
-    def statistics(self) -> Mapping[str, int]:
-        """Counts since construction, by name.
-
-        exchanges: requests whose reply the client waited for; timeouts: those without a whole reply in time;
-        bad_replies: damaged, of another unit, or of another request; exceptions: refusals by the device;
-        stale_bytes: bytes that came when nothing was asked.
-        """
-        return dict(self._counts)
-
-    def set_pace(self, fastest: Reply) -> None:
-        """Scale the config's exchange times down to the fastest real exchange, from now on."""
-        if fastest.reckoned_s > 0.0:
-            self._pace = min(fastest.round_trip_s / fastest.reckoned_s, 1.0)
-
-    def misfit(self, detail: str) -> Fault:
-        """The fault to raise for a reply whose values do not fit; counted as a bad one."""
-        return self._counted(Fault("LINK_REPLY", detail))
-
-    # ------------------------------------------------------------------ exchanges
-
-    def patiently(self, request: Request, timeout_s: float) -> Reply:
-        """``asked`` up to three times, for requests that may be repeated; where there is time for late bytes."""
-        for _ in range(ATTEMPTS - 1):
-            try:
-                return self.asked(request, timeout_s)
-            except Fault as fault:
-                if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY"):
-                    raise
-            # RTU does not number its replies: a late one would be taken for the next, and each one after it, too
-            self.wait((LATE_TIMEOUTS - 1) * timeout_s)
-        return self.asked(request, timeout_s)
-
-    def asked(self, request: Request, timeout_s: float) -> Reply:
-        """Outside the tick: throw away whatever is not the reply, until the time is over. Raises as ``in_tick``."""
-        self._drain()
-        return self._await(request, timeout_s, self._send(request), strict=False)
-
-    def in_tick(self, request: Request, timeout_s: float, *, after_silence: bool) -> Reply:
-        """Within the tick: anything but the reply is a fault, and what follows it on the line is suspect.
-
-        after_silence  whether bytes that nobody asked for, before the request, are a fault too
-        Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, MODBUS_EXCEPTION.
-        """
-        try:
-            unasked = self._drain()
-            if after_silence and unasked >= _UNASKED_BYTES:
-                raise self.misfit(
-                    f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
-                )
-            return self._await(request, timeout_s, self._send(request), strict=True)
-        except Fault:
-            self.is_suspect = True
-            raise
-
-    def unheard(self, request: Request, wait_s: float) -> None:
-        """Send a request and throw away all that comes within ``wait_s``. After it nothing is suspect."""
-        self._drain()
-        self._send(request)
-        self.wait(wait_s)
-        self.is_suspect = False
-
-    def wait(self, wait_s: float) -> None:
-        """Ask nothing for so long, and throw away what comes."""
-        until_s = self._transport.now_s() + wait_s
-        while (left_s := until_s - self._transport.now_s()) > 0.0:
-            self._throw_away(self._transport.read(left_s))
-
-    # ------------------------------------------------------------------ bytes
-
-    def _send(self, request: Request) -> _Sent:
-        """Send a request."""
-        self._number = self._number % 0xFFFF + 1
-        data = self._framing.encode(request.pdu, self._line.unit, self._number)
-        sent_s = self._transport.now_s()
-        self._transport.write(data)
-        by_s = self._transport.now_s()
-        self._quiet_until_s = by_s + self._line.wire_s(len(data)) + self._line.pause_s
-        return _Sent(sent_s, by_s, len(data))
-
-    def _drain(self) -> int:
-        """Throw away what came unasked, and let the line be silent as long as it must; how many bytes."""
-        thrown = 0
-        while True:
-            data = self._transport.read(max(self._quiet_until_s - self._transport.now_s(), 0.0))
-            if not data:
-                if self._transport.now_s() >= self._quiet_until_s:
-                    return thrown
-                continue
-            thrown += len(data)
-            self._throw_away(data)
-            if thrown > _ENDLESS_BYTES:
-                raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
-
-    def _throw_away(self, data: bytes) -> None:
-        if data:
-            self._counts["stale_bytes"] += len(data)
-            self._quiet_until_s = self._transport.now_s() + self._line.pause_s
-
-    def _await(self, request: Request, timeout_s: float, sent: _Sent, *, strict: bool) -> Reply:
-        """The reply to a request; raises as ``in_tick``.
-
-        strict  the first thing that comes is the reply, or a fault; else what does not fit is thrown away
-        """
-        transport = self._transport
-        self._counts["exchanges"] += 1
-        until_s = sent.by_s + timeout_s
-        data = b""
-        received_s = sent.by_s
-        objection: Fault | None = None
-        is_read = True  # all of ``data`` has been looked at
-        while True:
-            if is_read:
-                left_s = until_s - transport.now_s()
-                # when the time is over whatever is there still counts: it is this process that was late, then
-                more = transport.read(max(left_s, 0.0))
-                if not more and left_s <= 0.0:
-                    break
-                data += more
-                received_s = transport.now_s()
-                self._quiet_until_s = received_s + self._line.pause_s
-            is_read = True
-            frame: Frame | None = None
-            try:
-                frame = self._framing.take(data)
-                if frame is None:
-                    continue
-                check(frame, request, self._line.unit, self._number)
-            except Damaged as damaged:
-                objection = self.misfit(f"asked for {request.about}: {damaged}")
-            except Fault as fault:
-                objection = self._counted(fault)
-                if fault.code == "MODBUS_EXCEPTION":
-                    raise
-            else:
-                return self._accepted(frame, data, sent, received_s, strict=strict)
-            if strict:
-                raise objection
-            # over TCP replies that were late come together, and the one to this request is the last
-            dropped = frame.length if frame is not None and self._line.tcp else len(data)
-            self._counts["stale_bytes"] += dropped
-            data = data[dropped:]
-            is_read = not data
-        self._counts["timeouts"] += 1
-        about = request.about
-        if data:
-            raise self.misfit(f"asked for {about}: {len(data)} bytes that are no whole reply, {data[:24].hex(' ')}")
-        raise objection or Fault(
-            "LINK_TIMEOUT", f"no reply from unit {self._line.unit} within {timeout_s * 1e3:g} ms, asked for {about}"
-        )
-
-    def _accepted(self, frame: Frame, data: bytes, sent: _Sent, received_s: float, *, strict: bool) -> Reply:
-        extra = len(data) - frame.length
-        if extra:
-            self._counts["stale_bytes"] += extra
-            if strict and extra >= _UNASKED_BYTES:
-                raise self.misfit(
-                    f"{extra} bytes beyond the reply: another master, or two answers to one request; the reply is "
-                    f"{data[: frame.length].hex(' ')}"
-                )
-        to_device_s, reckoned_s = self._reckoned_s(sent.bytes, frame.length)
-        # a host that stood still while it sent, did so before the request left, unless the reply was there too soon
-        since_s = sent.by_s if received_s - sent.by_s >= _TOO_SOON * self._pace * reckoned_s else sent.from_s
-        took_s = received_s - since_s
-        # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits for the
-        # adapter, the system's buffers and this process (measured in docs/modbus.md); of an exchange quicker than the
-        # sum both ways were
-        until_executed_s = self._pace * to_device_s
-        if reckoned_s > 0.0:
-            until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
-        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s)
-
-    def _reckoned_s(self, sent_bytes: int, received_bytes: int) -> tuple[float, float]:
-        """What an exchange takes by the config: until the device executes it, and until the reply is here."""
-        half_s = 0.5 * self._line.turnaround_s
-        to_device_s = self._line.wire_s(sent_bytes) + self._line.pause_s + half_s
-        return to_device_s, to_device_s + half_s + self._line.wire_s(received_bytes)
-
-    def _counted(self, fault: Fault) -> Fault:
-        self._counts["exceptions" if fault.code == "MODBUS_EXCEPTION" else "bad_replies"] += 1
-        return fault
+        super().__init__(transport, _Modbus(line))

@@ -11,13 +11,13 @@ from typing import NamedTuple, Protocol
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
+from rig.backends.registers.bus import Damaged
+
+__all__ = ["Damaged", "Frame", "Framing", "RtuFraming", "TcpFraming", "is_exception"]
+
 _RTU_LEAST, _RTU_MOST = 4, 256
 _TCP_HEADER, _TCP_MOST = 7, 260
 _EXCEPTION = 0x80
-
-
-class Damaged(Exception):
-    """Bytes that are no frame, in words."""
 
 
 class Frame(NamedTuple):

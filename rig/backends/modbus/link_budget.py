@@ -6,10 +6,9 @@ of 3.5 characters, fixed at 1.75 ms above 19200 baud).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from rig.backends.link_budget import LinkBudget, added, wire_term, wire_words
+from rig.backends.link_budget import LinkBudget, added
 from rig.backends.modbus.section import Modbus, is_tcp, read_in_a_tick, span_of, written_in_a_tick
+from rig.backends.registers.link_budget import Transaction, frames_of, serial_budget, turnaround_term
 from rig.config.schema import Daq
 
 _RTU_BYTES = 1 + 2  # unit and CRC, around the function code and its data
@@ -18,14 +17,6 @@ _ETHERNET_BITS_S = 10e6  # the slowest that I/O modules have
 _SILENCE_CHARACTERS = 3.5
 _FIXED_SILENCE_S = 0.00175
 _FIXED_ABOVE_BAUD = 19200
-
-
-class Transaction(NamedTuple):
-    """One request and its reply: bytes of both, framing included."""
-
-    name: str
-    request_bytes: int
-    reply_bytes: int
 
 
 def tick_budget(daq: Daq, modbus: Modbus, baud: int | None = None) -> LinkBudget:
@@ -92,16 +83,13 @@ def _sum(
     modbus: Modbus, baud: int, tcp: bool, asked: tuple[Transaction, ...], silences: int | None = None
 ) -> LinkBudget:
     """Of transactions; ``silences``: two for each, unless told."""
-    frames: dict[str, int] = {}
-    for t in asked:
-        frames |= {f"{t.name} request": t.request_bytes, f"{t.name} reply": t.reply_bytes}
     n = len(asked)
-    turnaround = ("turnaround" if n == 1 else f"{n} turnarounds", n * modbus.turnaround_s)
+    turnaround = turnaround_term(n, modbus.turnaround_s)
     if tcp:
+        frames = frames_of(asked)
         total = sum(frames.values())
         words = f"{added(frames)} = {total} bytes x 8 bits / {_ETHERNET_BITS_S / 1e6:g} Mbit/s"
         return LinkBudget((("wire", total * 8 / _ETHERNET_BITS_S), turnaround), words)
-    bits = bits_per_byte(modbus)
     count = 2 * n if silences is None else silences
     silence = ("1 silence" if count == 1 else f"{count} silences", count * silence_s(modbus, baud))
-    return LinkBudget((wire_term(frames, bits, baud), silence, turnaround), wire_words(frames, bits, baud))
+    return serial_budget(asked, bits_per_byte(modbus), baud, silence, turnaround)

@@ -1,1 +1,1 @@
-"""Loops over samples that numba compiles, and keeps compiled on disk; imported where they are called, not before."""
+"""Loops over samples, in C (firmware/motor): arrays in, arrays out. What goes in may be of any order in memory."""

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
+from ctypes import byref
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.compiled.kernel import kernel
+from rig.model.library import LIBRARY, NoiseRows, address, filled, given, require_size, room
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-@kernel
 def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns: Array, out: Array) -> float:
     """Fill ``out`` (n, p) with the innovations of ``columns`` in units of the white part; returns sum of log F.
 
@@ -24,63 +23,30 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
     columns   (n, p), in any unit
     F is the variance of each innovation over the variance of the white noise. All of ``out`` has the same variance.
     """
-    n, p = columns.shape
-    state = np.zeros(p)
-    variance = ratio
-    logs = 0.0
-    piece = 0
-    for k in range(n):
-        if piece < starts.size and k == starts[piece]:
-            state[:] = 0.0
-            variance = ratio
-            piece += 1
-        else:
-            keep = math.exp(-(t_s[k] - t_s[k - 1]) / memory_s)
-            for c in range(p):
-                state[c] *= keep
-            variance = ratio + (variance - ratio) * keep * keep
-        spread = variance + 1.0
-        gain = variance / spread
-        scale = 1.0 / math.sqrt(spread)
-        logs += math.log(spread)
-        for c in range(p):
-            surprise = columns[k, c] - state[c]
-            out[k, c] = surprise * scale
-            state[c] += gain * surprise
-        variance *= 1.0 - gain
+    t, first, table = given(t_s), _rows(starts), given(columns)
+    n, p = table.shape
+    require_size(t, n, "t_s")
+    rows, work = NoiseRows(address(t), address(first), n, first.size, memory_s), room(p)
+    logs: float = LIBRARY.noise_innovations(byref(rows), ratio, address(table), p, address(work), filled(out, n, p))
     return logs
 
 
-@kernel
 def deviances(t_s: Array, starts: Rows, memory_s: float, ratios: Array, residual: Array, out: Array) -> None:
     """Fill ``out`` (k,) with -2 log likelihood of the residual (n,) for each ratio, up to a constant.
 
     The scale is profiled out; the rest as ``innovations``.
     ratios   variance of the coloured noise over the variance of the white noise, (k,), at most 1e18
     """
-    n, m = residual.size, ratios.size
-    state, total, logs = np.zeros(m), np.zeros(m), np.zeros(m)
-    variance, product = ratios.copy(), np.ones(m)
-    piece = 0
-    for k in range(n):
-        if piece < starts.size and k == starts[piece]:
-            keep = 0.0
-            piece += 1
-        else:
-            keep = math.exp(-(t_s[k] - t_s[k - 1]) / memory_s)
-        y = residual[k]
-        for i in range(m):
-            v = ratios[i] + (variance[i] - ratios[i]) * keep * keep
-            x = state[i] * keep
-            inverse = 1.0 / (v + 1.0)
-            surprise = y - x
-            total[i] += surprise * surprise * inverse
-            product[i] *= v + 1.0
-            state[i] = x + v * inverse * surprise
-            variance[i] = v * inverse
-        if k % 16 == 15:  # one logarithm for many rows
-            for i in range(m):
-                logs[i] += math.log(product[i])
-                product[i] = 1.0
-    for i in range(m):
-        out[i] = n * math.log(total[i] / n) + logs[i] + math.log(product[i])
+    t, first, ratio, rest = given(t_s), _rows(starts), given(ratios), given(residual)
+    require_size(t, rest.size, "t_s")
+    rows, work = NoiseRows(address(t), address(first), t.size, first.size, memory_s), room(5 * ratio.size)
+    LIBRARY.noise_deviances(
+        byref(rows), address(ratio), ratio.size, address(rest), address(work), filled(out, ratio.size)
+    )
+
+
+def _rows(starts: Rows) -> Rows:
+    rows: Rows = np.ascontiguousarray(starts, dtype=np.int64)
+    if rows.size == 0 or rows[0] != 0:
+        raise ValueError("the first window begins with the first row")
+    return rows

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -126,6 +127,38 @@ def test_a_reply_that_was_held_up_does_not_move_the_instant(rig: Rig, held_up_s:
     if rig.driver.order == "write_first":
         assert sample.t_s == pytest.approx(rig.block.outputs[-1][0], abs=0.5 * 0.0005 + 1e-9)
     assert rig.tick(0.3).t_s - sample.t_s == pytest.approx(rig.experiment.period_s, abs=1e-9)
+
+
+def round_trip_while_opening(style: str, spoil: Callable[[VirtualIoBlock, int], None]) -> float:
+    """What the driver takes for the exchange's time, s; ``spoil`` gets the block and the number of each request."""
+    experiment = experiment_with(style)
+    block = emulated_io_block(experiment)
+    write, sent = block.write, itertools.count()
+
+    def writing(data: bytes) -> None:
+        write(data)
+        spoil(block, next(sent))
+
+    block.write = writing  # type: ignore[method-assign]
+    return modbus_driver(experiment, block).open().round_trip_s
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("late_s", [0.0003, 0.001, 0.0018, 0.0026, 0.004, 0.006, 0.012])
+def test_a_reply_that_comes_twice_or_a_host_that_stands_still_while_it_opens_moves_no_time(
+    style: str, late_s: float
+) -> None:
+    def comes_twice(block: VirtualIoBlock, number: int) -> None:
+        if number == 9:
+            block.disturb(OneReply(lambda data: [(0.0, data), (late_s, data)]))
+
+    def stands_still(block: VirtualIoBlock, number: int) -> None:
+        if number in (9, 10):
+            block.sleep_until(block.now_s() + late_s)
+
+    undisturbed_s = round_trip_while_opening(style, lambda *_: None)
+    for spoil in (comes_twice, stands_still):
+        assert round_trip_while_opening(style, spoil) == pytest.approx(undisturbed_s, abs=1e-5)
 
 
 @pytest.mark.parametrize("before", [True, False], ids=["before the request left", "after that"])

@@ -25,7 +25,6 @@ from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
 from rig.model.step import next_segment
-from rig.model.stribeck import ORDER
 
 NO_STOPS = (-1e6, 1e6)
 
@@ -97,10 +96,9 @@ def test_each_kind_of_segment_in_c_is_that_of_the_model(
 ) -> None:
     """``segments``: the first ones: whether a series, the direction, and the velocity at the event that ends it."""
     motor = Motor(0.17, 6.5, friction)
-    room = [0.0] * (ORDER + 1), [0.0] * (ORDER + 1)
     v, left_s = v0, duration_s
     for is_series, sign, end in segments:
-        segment = next_segment(motor.plant, v, u_V, left_s, *room)
+        segment = next_segment(motor.plant, State(v), u_V, left_s)
         assert (segment.is_series, segment.sign) == (is_series, sign)
         if end is None:
             break

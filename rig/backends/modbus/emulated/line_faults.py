@@ -1,51 +1,6 @@
-"""Random damage to the bytes on a serial line."""
+"""Random damage to the bytes on a Modbus RTU line."""
 
 from __future__ import annotations
 
-import random
-from collections.abc import Sequence
-from typing import NamedTuple
-
-from rig.backends.modbus.emulated.rtu_slave import Direction
-
-_DIRECTIONS: tuple[Direction, ...] = ("request", "reply")
-
-
-class CorruptionRate(NamedTuple):
-    """How often a line damages bytes: arguments of ``Corruption``."""
-
-    rate_1_s: float
-    seed: int
-    after_s: float = 0.0
-
-
-class Corruption:
-    """Random damage to single bytes: one is changed, lost or added, at most one in each frame.
-
-    rate_1_s  damages per second, of requests and replies alike; without traffic they wait for it
-    seed      of place and kind of each damage
-    after_s   time at which it begins, s
-    """
-
-    def __init__(self, rate_1_s: float, seed: int, after_s: float = 0.0) -> None:
-        self.done = 0
-        self._rate_1_s = rate_1_s
-        self._after_s = after_s
-        self._random = random.Random(seed)
-        self._next: Direction = self._random.choice(_DIRECTIONS)
-
-    def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
-        """As ``Disturbance``: the bytes that arrive instead, each with its delay, s."""
-        if direction != self._next or (t_s - self._after_s) * self._rate_1_s < self.done + 1:
-            return ((0.0, data),)
-        self.done += 1
-        draw = self._random
-        self._next = draw.choice(_DIRECTIONS)
-        at, damage = draw.randrange(len(data)), draw.randrange(4)
-        if damage == 0:
-            return ((0.0, data[:at] + data[at + 1 :]),)
-        other = bytes((draw.randrange(256),))
-        if damage == 1:
-            return ((0.0, data[:at] + other + data[at:]),)
-        changed = bytes((data[at] ^ draw.randrange(1, 256),))
-        return ((0.0, data[:at] + changed + data[at + 1 :]),)
+from rig.backends.emulated.line_faults import Corruption as Corruption
+from rig.backends.emulated.line_faults import CorruptionRate as CorruptionRate

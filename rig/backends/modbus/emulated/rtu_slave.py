@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Self
 
 from pymodbus.framer import FramerRTU
 
+from rig.backends.emulated.line_faults import Direction as Direction
+from rig.backends.emulated.line_faults import Disturbance as Disturbance
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 
@@ -22,10 +24,6 @@ if TYPE_CHECKING:  # the process of an emulated device starts without the config
 
 BROADCAST = 0
 _SHORTEST_FRAME, _LONGEST_FRAME = 4, 256
-
-Direction = Literal["request", "reply"]
-# What becomes of bytes on the line: (direction, bytes, time s) -> what arrives instead, each with its delay, s
-Disturbance = Callable[[Direction, bytes, float], Sequence[tuple[float, bytes]]]
 
 
 @dataclass(frozen=True)

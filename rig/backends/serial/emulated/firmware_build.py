@@ -128,7 +128,7 @@ def source_folder() -> Path:
 def require_emulator(port: str | None) -> None:
     """Raise EmulationError where ``port`` names an emulated chip, and this rig has none: what is installed has no chip.
 
-    A command asks before anything slow, such as compiling the motor's model.
+    A command asks before anything slow.
     """
     for begins, chip, source in _EMULATORS:
         if port is not None and port.startswith(begins) and not (source_folder() / source).is_file():

@@ -1,0 +1,503 @@
+#include "real_motor.h"
+
+#include <math.h>
+#include <stdbool.h>
+
+static const double PI = 3.14159265358979323846;
+static const double LEAST_LEVEL_V = 1e-4;   /* of bristles: their friction is divided by the level */
+static const double LEAST_BEND_RAD = 1e-4;  /* bristles slide after at least this: stiffer ones nobody sees, and take long */
+static const double SLIDING = 1e-8;         /* share of the level that bristles which slide may still lack */
+static const double LEVEL_CHANGES = 60.0;   /* what a level that changes along the way costs, per change within a bend */
+static const double BALANCED = 1e-12;       /* of K times 1 V: bristles that pull less than this rest */
+static const double PRESSED_S = 1e-3;       /* a motor pressed against a stop looks this often whether it still is */
+enum { ROUNDS = 60 };                       /* of the search for an event, which needs about five */
+/* Where double has four bytes, as on an AVR, rounding is coarser: an event within its reach, and longer steps, will do. */
+static const double EVENT_S = sizeof(double) < 8u ? 1e-7 : 1e-14;
+static const double STRETCH = sizeof(double) < 8u ? 4.0 : 1.0;
+static const double HUGE_POWER = sizeof(double) < 8u ? 80.0 : 700.0;
+/* Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion. */
+static const double STEP_OF_TAU = 0.05;     /* s/s; any part that changes the right side */
+static const double SHORT_LAG_S = 1e-3;     /* of a shorter lag the derivative would suffer before the motion does */
+static const double STEP_OF_LAG = 0.065;    /* s/s, at 1 V s of fading drive times its time constant; longer the less there is */
+static const double STEP_OF_TURN = 0.15;    /* rad of the phase of a force over position */
+static const double STEP_OF_BRISTLE = 0.25; /* of the length over which bristles bend */
+static const double STEP_OF_SWING = 0.04;   /* rad of the swing of a motor on a spring */
+static const double STEP_OF_STRIBECK = 0.2; /* of the Stribeck velocity; longer beyond its range */
+
+/* fmin and fmax of numbers, which compilers have inline. */
+static double least(double a, double b)
+{
+    return b < a ? b : a;
+}
+
+static double most(double a, double b)
+{
+    return b > a ? b : a;
+}
+
+static bool turns(const real_motor *m)
+{
+    return m->force_sin_V != 0.0 || m->force_cos_V != 0.0 || m->friction_sin_V != 0.0 || m->friction_cos_V != 0.0;
+}
+
+static bool cogs(const real_motor *m)
+{
+    return m->cogging_sin_V != 0.0 || m->cogging_cos_V != 0.0;
+}
+
+static bool falls(const real_motor *m)
+{
+    return m->stribeck_V != 0.0 && m->stribeck_rad_s > 0.0;
+}
+
+static double staged(const real_motor *m, double u_V)
+{
+    const double beyond = fabs(u_V) - m->dead_band_V;
+    if (beyond <= 0.0) {
+        return 0.0;
+    }
+    const double sign = u_V > 0.0 ? 1.0 : -1.0;
+    const double size = beyond * (1.0 + sign * m->gain_by_sign);
+    return sign * size * (1.0 - m->sag_per_V * size);
+}
+
+static double lagged(const real_motor *m, double staged_V, double w_V, double h_s)
+{
+    return m->lag_s <= 0.0 ? staged_V : staged_V + (w_V - staged_V) * exp(-h_s / m->lag_s);
+}
+
+/* sin and cos over the travel, the cosine less its mean */
+static double over_travel(const real_motor *m, double y, double sine, double cosine)
+{
+    if (sine == 0.0 && cosine == 0.0) {
+        return 0.0;
+    }
+    const double q = y - m->centre_rad;
+    return sine * sin(q) + cosine * (cos(q) - sin(m->half_travel_rad) / m->half_travel_rad);
+}
+
+static double force(const real_motor *m, double y)
+{
+    double total = over_travel(m, y, m->force_sin_V, m->force_cos_V);
+    if (cogs(m)) {
+        const double q = m->cogging_per_rad * y;
+        total += m->cogging_sin_V * sin(q) + m->cogging_cos_V * cos(q);
+    }
+    return total;
+}
+
+static double level(const real_motor *m, double speed, double y, double t_s)
+{
+    double total = m->fc_V;
+    if (m->drift != 0.0) {
+        total += m->fc_V * m->drift * ((t_s - m->start_s) / m->duration_s - 0.5);
+    }
+    total += over_travel(m, y, m->friction_sin_V, m->friction_cos_V);
+    if (falls(m)) {
+        /* a step that is tried beyond standstill and then cut: not infinite */
+        total += m->stribeck_V * exp(least(-speed / m->stribeck_rad_s, HUGE_POWER));
+    }
+    return total;
+}
+
+static double level_at_rest(const real_motor *m, double y, double t_s)
+{
+    return level(m, 0.0, y, t_s) + m->static_V;
+}
+
+static double level_of_bristles(const real_motor *m, double speed, double y, double t_s)
+{
+    return most(level(m, speed, y, t_s), LEAST_LEVEL_V);
+}
+
+static double stiffness(const real_motor *m, double level_V)
+{
+    return least(m->bristle_V_rad, level_V / LEAST_BEND_RAD);
+}
+
+static double target(const real_motor *m, double sign, const real_state *at, double t_s)
+{
+    const double speed = sign * at->v;
+    const double friction = m->bristle_V_rad > 0.0 ? at->f : sign * level(m, speed, at->y, t_s);
+    const double viscous = speed * (m->viscous_by_direction_V_s_rad + m->drag_V_s2_rad2 * at->v);
+    return m->K_rad_s_V * (at->w + m->bias_V - force(m, at->y) - friction - viscous);
+}
+
+static double bending(const real_motor *m, double sign, const real_state *at, double t_s)
+{
+    if (m->bristle_V_rad <= 0.0) {
+        return 0.0;
+    }
+    const double speed = sign * at->v;
+    const double top = level_of_bristles(m, speed, at->y, t_s);
+    return stiffness(m, top) * (at->v - speed * at->f / top);
+}
+
+static double direction(const real_motor *m, const real_state *at, double staged_V, double t_s)
+{
+    if (at->v != 0.0) {
+        return at->v > 0.0 ? 1.0 : -1.0;
+    }
+    double pull = at->w + m->bias_V - force(m, at->y);
+    if (m->bristle_V_rad > 0.0) {
+        pull -= at->f;
+        if (fabs(pull) <= BALANCED) {
+            pull = m->lag_s > 0.0 ? staged_V - at->w : 0.0;
+            if (fabs(pull) <= BALANCED) {
+                return 0.0;
+            }
+        }
+        return pull > 0.0 ? 1.0 : -1.0;
+    }
+    const double held = level_at_rest(m, at->y, t_s);
+    return pull > held ? 1.0 : pull < -held ? -1.0 : 0.0;
+}
+
+static double phi4(double c)
+{
+    if (c < 0.5) {
+        double total = 1.0;
+        for (int k = 12; k > 4; k--) {
+            total = 1.0 - c / (double)k * total;
+        }
+        return total / 24.0;
+    }
+    return ((((1.0 - exp(-c)) / c - 1.0) / -c - 0.5) / -c - 1.0 / 6.0) / -c;
+}
+
+typedef struct {
+    double keep, half, mean, b1, b2, b4;
+} weights;
+
+static weights weights_of(double c)
+{
+    const double p3 = 1.0 / 6.0 - c * phi4(c);
+    const double p2 = 0.5 - c * p3;
+    const double p1 = 1.0 - c * p2;
+    const double keep = 1.0 - c * p1;
+    const double half = sqrt(keep);
+    const weights w = {keep, half, 2.0 * p1 / (1.0 + half), p1 - 3.0 * p2 + 4.0 * p3, 2.0 * p2 - 4.0 * p3, 4.0 * p3 - p2};
+    return w;
+}
+
+/* Rate at which the friction of bristles nears its level in the middle of a step. */
+static double sliding(const real_motor *m, double sign, const real_state *at, double a1, double t, double h)
+{
+    if (m->bristle_V_rad <= 0.0) {
+        return 0.0;
+    }
+    const double speed = most(sign * (at->v + 0.5 * h * (a1 - at->v) / m->tau_s), 0.0);
+    const double top = level_of_bristles(m, speed, at->y, t);
+    return stiffness(m, top) * speed / top;
+}
+
+/* The inner stages of a step: target velocities; from the second on velocity, position and friction of the bristles;
+ * rate of the bristles, 1/s. */
+typedef struct {
+    double a1, a2, a3, a4;
+    double v2, y2, f2, v3, y3, f3, v4, y4, f4;
+    double slide;
+} stages;
+
+static const weights NO_FADING = {1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0}; /* of a step of no time constants */
+
+/* State after `h` s in the direction `sign`, and its stages. */
+static real_state moved(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h, stages *s)
+{
+    const double tau = m->tau_s;
+    const double c = h / tau;
+    const weights k = weights_of(c);
+    const double near = 0.5 * c * k.mean;
+    const double middle = t + 0.5 * h;
+    const double p = at->y + tau * at->v;
+    real_state in = *at;
+    s->a1 = target(m, sign, &in, t);
+    s->slide = sliding(m, sign, at, s->a1, t, h);
+    const weights b = m->bristle_V_rad > 0.0 ? weights_of(h * s->slide) : NO_FADING;
+    const double near_f = 0.5 * h * b.mean;
+    const double n1 = bending(m, sign, &in, t) + s->slide * in.f;
+    in.v = s->v2 = k.half * at->v + near * s->a1;
+    in.y = s->y2 = p + 0.5 * h * s->a1 - tau * in.v;
+    in.f = s->f2 = b.half * at->f + near_f * n1;
+    in.w = lagged(m, staged_V, at->w, 0.5 * h);
+    s->a2 = target(m, sign, &in, middle);
+    const double n2 = bending(m, sign, &in, middle) + s->slide * in.f;
+    in.v = s->v3 = k.half * at->v + near * s->a2;
+    in.y = s->y3 = p + 0.5 * h * s->a2 - tau * in.v;
+    in.f = s->f3 = b.half * at->f + near_f * n2;
+    s->a3 = target(m, sign, &in, middle);
+    const double n3 = bending(m, sign, &in, middle) + s->slide * in.f;
+    in.v = s->v4 = k.half * s->v2 + near * (2.0 * s->a3 - s->a1);
+    in.y = s->y4 = p + h * s->a3 - tau * in.v;
+    in.f = s->f4 = b.half * s->f2 + near_f * (2.0 * n3 - n1);
+    in.w = lagged(m, staged_V, at->w, h);
+    s->a4 = target(m, sign, &in, t + h);
+    const double n4 = bending(m, sign, &in, t + h) + s->slide * in.f;
+    in.v = k.keep * at->v + c * (k.b1 * s->a1 + k.b2 * (s->a2 + s->a3) + k.b4 * s->a4);
+    in.y = p + h / 6.0 * (s->a1 + 2.0 * (s->a2 + s->a3) + s->a4) - tau * in.v;
+    in.f = b.keep * at->f + h * (b.b1 * n1 + b.b2 * (n2 + n3) + b.b4 * n4);
+    return in;
+}
+
+/* Largest step in the direction `sign` with a small error; infinite for a motor without parts. */
+static double longest_step(const real_motor *m, double sign, const real_state *at, double staged_V, double t_s)
+{
+    double longest = INFINITY;
+    const double tau = m->tau_s;
+    const double speed = fabs(at->v);
+    const double pull = fabs(target(m, sign, at, t_s) - at->v) / tau;
+    double distance = turns(m) ? STEP_OF_TURN : INFINITY;
+    double spring = 0.0;
+    if (m->lag_s > 0.0 && at->w != staged_V) {
+        longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * most(m->lag_s, SHORT_LAG_S), -0.2);
+    }
+    if (cogs(m)) {
+        if (m->cogging_per_rad != 0.0) {
+            distance = least(distance, STEP_OF_TURN / fabs(m->cogging_per_rad));
+        }
+        spring += fabs(m->cogging_per_rad) * (fabs(m->cogging_sin_V) + fabs(m->cogging_cos_V));
+    }
+    if (m->bristle_V_rad > 0.0) {
+        const double top = level_of_bristles(m, speed, at->y, t_s);
+        const double stiff = stiffness(m, top);
+        double left = least(most(fabs(1.0 - sign * at->f / top), SLIDING), 2.0);
+        left += LEVEL_CHANGES * (fabs(m->friction_sin_V) + fabs(m->friction_cos_V)) / stiff;
+        if (falls(m)) {
+            left += fabs(m->stribeck_V) * exp(-speed / m->stribeck_rad_s) / top;
+        }
+        distance = least(distance, STEP_OF_BRISTLE * top / stiff * pow(left, -0.25));
+        spring += stiff * left;
+    }
+    if (distance < INFINITY) {
+        longest = least(longest, 2.0 * distance / (speed + sqrt(speed * speed + 2.0 * pull * distance) + 1e-9));
+    }
+    if (spring > 0.0) {
+        longest = least(longest, STEP_OF_SWING * sqrt(tau / (m->K_rad_s_V * spring)));
+    }
+    if (falls(m)) {
+        const double unit = m->stribeck_rad_s;
+        const double fade = exp(least(speed / (5.0 * unit), 50.0));
+        const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
+        longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
+    }
+    if (falls(m) || turns(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
+        longest = least(longest, STEP_OF_TAU * tau);
+    }
+    return STRETCH * longest;
+}
+
+/* By how much the pull in the direction `sign` on a motor at rest is above its level `h` s after `t`. */
+static double margin(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h)
+{
+    const double pull = lagged(m, staged_V, at->w, h) + m->bias_V - force(m, at->y);
+    return sign * pull - level_at_rest(m, at->y, t + h);
+}
+
+/* Motion in one direction, or rest.
+ * sign         direction: +1, -1; 0 where friction holds the motor
+ * duration_s   how long it lasts
+ * released     direction in which a held motor breaks away at its end; 0: it does not
+ * reverses     whether it ends with the velocity at 0
+ * end, in      state at its end; stages of the method, unless the motor is held
+ */
+typedef struct {
+    double sign, duration_s, released;
+    bool reverses;
+    real_state end;
+    stages in;
+} step;
+
+/* The next step of a motor that friction holds, at most `longest_s`: to its end, or to where it breaks away. */
+static void rest(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
+{
+    double h = longest_s;
+    s->released = 0.0;
+    if ((m->lag_s > 0.0 || m->drift != 0.0) && m->bristle_V_rad <= 0.0) {
+        if (m->lag_s > 0.0 && m->drift != 0.0) {
+            h = least(h, most(m->lag_s, 1e-3)); /* within it the margin has no second zero */
+        }
+        for (int side = 0; side < 2; side++) {
+            const double sign = side == 0 ? 1.0 : -1.0;
+            if (margin(m, sign, at, staged_V, t_s, h) > 0.0) {
+                double low = 0.0;
+                double high = h;
+                for (int i = 0; i < ROUNDS; i++) {
+                    const double middle = 0.5 * (low + high);
+                    if (middle <= low || middle >= high) {
+                        break; /* there is no number between them */
+                    }
+                    if (margin(m, sign, at, staged_V, t_s, middle) > 0.0) {
+                        high = middle;
+                    } else {
+                        low = middle;
+                    }
+                }
+                h = high;
+                s->released = sign;
+            }
+        }
+    }
+    s->sign = 0.0;
+    s->duration_s = h;
+    s->reverses = false;
+    s->end = *at;
+    s->end.v = 0.0;
+    s->end.w = lagged(m, staged_V, at->w, h);
+}
+
+/* The next step under the constant drive `staged_V` before its lag: at most `longest_s` long, to an event. */
+static void next_step(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
+{
+    const double sign = direction(m, at, staged_V, t_s);
+    if (sign == 0.0) {
+        rest(m, at, staged_V, t_s, longest_s, s);
+        return;
+    }
+    double h = least(longest_s, longest_step(m, sign, at, staged_V, t_s));
+    s->sign = sign;
+    s->released = 0.0;
+    s->reverses = false;
+    s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
+    s->duration_s = h;
+    if (sign * s->end.v > 0.0) {
+        return;
+    }
+    if (at->v == 0.0) { /* rounding sends a motor in balance back: it stays */
+        const double w = s->end.w;
+        s->sign = 0.0;
+        s->end = *at;
+        s->end.w = w;
+        return;
+    }
+    double low = 0.0;
+    double high = h;
+    for (int i = 0; i < ROUNDS; i++) {
+        const double slope = sign * (target(m, sign, &s->end, t_s + h) - s->end.v) / m->tau_s;
+        double next = slope < 0.0 ? h - sign * s->end.v / slope : 0.5 * (low + high);
+        if (!(low < next && next < high)) {
+            next = 0.5 * (low + high);
+        }
+        const double change = fabs(next - h);
+        h = next;
+        s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
+        if (change <= EVENT_S || s->end.v == 0.0) {
+            break;
+        }
+        if (sign * s->end.v > 0.0) {
+            low = h;
+        } else {
+            high = h;
+        }
+    }
+    s->end.v = 0.0;
+    s->duration_s = h;
+    s->reverses = true;
+}
+
+/* Cuts a step of a motor in motion, which ends beyond `stop`, where it meets it. */
+static void cut(const real_motor *m, const real_state *at, double staged_V, double t_s, double stop, step *s)
+{
+    double low = 0.0;
+    double high = s->duration_s;
+    for (int i = 0; i < ROUNDS; i++) {
+        const double middle = 0.5 * (low + high);
+        const real_state there = moved(m, s->sign, at, staged_V, t_s, middle, &s->in);
+        if (s->sign * (there.y - stop) < 0.0) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    s->end = moved(m, s->sign, at, staged_V, t_s, high, &s->in);
+    s->end.v = 0.0;
+    s->end.y = stop;
+    s->duration_s = high;
+}
+
+static void take_up_play(const real_motor *m, double sign, real_state *at)
+{
+    if (sign > 0.0) {
+        at->x = most(at->x, at->y - 0.5 * m->backlash_rad);
+    } else if (sign < 0.0) {
+        at->x = least(at->x, at->y + 0.5 * m->backlash_rad);
+    }
+}
+
+void real_start(const real_motor *m, real_state *at, double y)
+{
+    at->v = 0.0;
+    at->y = y;
+    at->x = y;
+    at->w = staged(m, 0.0);
+    at->f = 0.0;
+    if (m->bristle_V_rad > 0.0) {
+        const double held = level_of_bristles(m, 0.0, y, m->start_s);
+        at->f = least(most(at->w + m->bias_V - force(m, y), -held), held);
+    }
+}
+
+void real_put(const real_motor *m, real_state *at, double v, double y)
+{
+    at->v = v;
+    at->y = y;
+    at->x = least(most(at->x, y - 0.5 * m->backlash_rad), y + 0.5 * m->backlash_rad);
+}
+
+void real_advance(const real_motor *m, real_state *at, double u_V, const double when[2], const double stops[2])
+{
+    const double drive_V = staged(m, u_V);
+    double left_s = when[1];
+    step s;
+    if (m->lag_s <= 0.0) {
+        at->w = drive_V;
+    }
+    while (left_s > 0.0) {
+        const double t = when[0] + when[1] - left_s;
+        next_step(m, at, drive_V, t, left_s, &s);
+        const double stop = s.sign > 0.0 ? stops[1] : stops[0];
+        if (s.sign != 0.0 && at->v == 0.0 && s.sign * (at->y - stop) >= 0.0) { /* pressed against it */
+            const double h = least(left_s, PRESSED_S);
+            at->w = lagged(m, drive_V, at->w, h);
+            left_s -= h;
+            continue;
+        }
+        if (s.sign * (s.end.y - stop) > 0.0) {
+            cut(m, at, drive_V, t, stop, &s);
+        }
+        *at = s.end;
+        take_up_play(m, s.sign, at);
+        left_s -= s.duration_s;
+    }
+}
+
+double real_force(const real_motor *m, double y)
+{
+    return force(m, y);
+}
+
+double real_level(const real_motor *m, double speed, double y)
+{
+    return level(m, speed, y, m->start_s);
+}
+
+double real_level_at_rest(const real_motor *m, double y)
+{
+    return level_at_rest(m, y, m->start_s);
+}
+
+double real_staged(const real_motor *m, double u_V)
+{
+    return staged(m, u_V);
+}
+
+double real_reading(const real_motor *m, double x)
+{
+    if (m->linearity_sin1_rad == 0.0 && m->linearity_cos1_rad == 0.0 && m->linearity_sin2_rad == 0.0 &&
+        m->linearity_cos2_rad == 0.0) {
+        return x;
+    }
+    const double share = (x - m->centre_rad) / m->half_travel_rad;
+    const double q = PI * share;
+    return x + m->linearity_sin1_rad * (sin(q) - 3.0 / PI * share) + m->linearity_cos1_rad * cos(q) +
+           m->linearity_sin2_rad * (sin(2.0 * q) + 1.5 / PI * share) + m->linearity_cos2_rad * cos(2.0 * q);
+}

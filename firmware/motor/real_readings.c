@@ -1,0 +1,563 @@
+#include "real_readings.h"
+
+#include <stddef.h>
+
+#include "real_motor.c" /* its steps are taken here, too, with what they leave of their stages */
+
+#define AT(number) ((int)(offsetof(real_motor, number) / sizeof(double)))
+enum {
+    TAU = AT(tau_s),
+    K = AT(K_rad_s_V),
+    FC = AT(fc_V),
+    BIAS = AT(bias_V),
+    DELAY = AT(delay_s),
+    DEAD_BAND = AT(dead_band_V),
+    GAIN = AT(gain_by_sign),
+    SAG = AT(sag_per_V),
+    LAG = AT(lag_s),
+    VISCOUS = AT(viscous_by_direction_V_s_rad),
+    STATIC = AT(static_V),
+    STRIBECK = AT(stribeck_V),
+    UNIT = AT(stribeck_rad_s),
+    DRAG = AT(drag_V_s2_rad2),
+    BRISTLE = AT(bristle_V_rad),
+    FORCE = AT(force_sin_V), /* and the cosines behind */
+    FRICTION = AT(friction_sin_V),
+    COGGING = AT(cogging_sin_V),
+    ORDER = AT(cogging_per_rad),
+    BACKLASH = AT(backlash_rad),
+    LINEARITY = AT(linearity_sin1_rad),
+    DRIFT = AT(drift)
+};
+
+/* No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does. */
+static const double RUNAWAY_RAD_S = 1e5;
+/* Steps at most, on the average over rows and edges: by the way that it turns in one, and by its time constants in one. */
+static const double STEPS_OF_ROW = 500.0;
+static const double STEPS_OF_TAUS = 1000.0;
+
+enum { STAGES = REAL_STAGE_ROWS - 3 };
+
+/* Derivatives of a state by the columns, and room to work in.
+ *
+ * v, y, f, x       of the state, by column
+ * w, given, level  by number of the motor: of the drive behind the lag and before it, and of a level of friction
+ * stage            of the right sides at the four stages of a step: target velocity and bristles' rate in turn
+ * position, cogging, stribeck   which of the derivatives cost a function of their own
+ */
+typedef struct {
+    const int64_t *which;
+    const double *orders;
+    int columns, waves, width;
+    double *v, *y, *f, *x;
+    double *w, *given, *level, *stage[STAGES];
+    bool position, cogging, stribeck;
+} slopes;
+
+/* Derivatives of a right side: of the target velocity by v and y, of the bristles' rate by v, y and f. */
+typedef struct {
+    double av, ay, rv, ry, rf;
+} by_state;
+
+static double mean_cosine(const real_motor *m)
+{
+    return sin(m->half_travel_rad) / m->half_travel_rad;
+}
+
+/* Fills `out` with the derivatives of the level; gives those by speed and position. */
+static void level_slopes(const real_motor *m, const slopes *d, double speed, double y, double t, double *out, double by[2])
+{
+    const double course = (t - m->start_s) / m->duration_s - 0.5;
+    out[FC] = 1.0 + m->drift * course;
+    out[DRIFT] = m->fc_V * course;
+    by[0] = by[1] = 0.0;
+    if (d->position) {
+        const double q = y - m->centre_rad;
+        const double sine = sin(q);
+        const double cosine = cos(q);
+        out[FRICTION] = sine;
+        out[FRICTION + 1] = cosine - mean_cosine(m);
+        by[1] = m->friction_sin_V * cosine - m->friction_cos_V * sine;
+    }
+    if (d->stribeck && m->stribeck_rad_s > 0.0) {
+        const double share = exp(-speed / m->stribeck_rad_s);
+        out[STRIBECK] = share;
+        out[UNIT] = m->stribeck_V * share * speed / (m->stribeck_rad_s * m->stribeck_rad_s);
+        by[0] = -m->stribeck_V * share / m->stribeck_rad_s;
+    }
+}
+
+static const int OF_LEVEL[] = {FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT};
+enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
+
+/* Fills two rows with the derivatives of the target velocity and of the bristles' rate at a stage, where the target
+ * velocity is `aim`. */
+static by_state right_sides(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double aim, int stage)
+{
+    double *const a = d->stage[2 * stage];
+    double *const r = d->stage[2 * stage + 1];
+    const double gain = m->K_rad_s_V;
+    const double v = at->v;
+    const double y = at->y;
+    const double speed = sign * v;
+    by_state by = {0.0, 0.0, 0.0, 0.0, 0.0};
+    a[K] = aim / gain;
+    a[BIAS] = gain;
+    a[VISCOUS] = -gain * speed;
+    a[DRAG] = -gain * v * speed;
+    by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
+    if (d->position) {
+        const double q = y - m->centre_rad;
+        const double sine = sin(q);
+        const double cosine = cos(q);
+        a[FORCE] = -gain * sine;
+        a[FORCE + 1] = -gain * (cosine - mean_cosine(m));
+        by.ay -= gain * (m->force_sin_V * cosine - m->force_cos_V * sine);
+    }
+    if (d->cogging) {
+        const double q = m->cogging_per_rad * y;
+        const double sine = sin(q);
+        const double cosine = cos(q);
+        const double slope = m->cogging_sin_V * cosine - m->cogging_cos_V * sine;
+        a[COGGING] = -gain * sine;
+        a[COGGING + 1] = -gain * cosine;
+        a[ORDER] = -gain * y * slope;
+        by.ay -= gain * m->cogging_per_rad * slope;
+    }
+    for (int k = 0; k < d->waves; k++) {
+        const double q = d->orders[k] * y;
+        a[REAL_WAVES + 2 * k] = -gain * sin(q);
+        a[REAL_WAVES + 2 * k + 1] = -gain * cos(q);
+    }
+    double by_level[2];
+    level_slopes(m, d, speed, y, t, r, by_level);
+    if (m->bristle_V_rad <= 0.0) {
+        for (int k = 0; k < LEVELS; k++) {
+            a[OF_LEVEL[k]] = -gain * sign * r[OF_LEVEL[k]];
+        }
+        by.av -= gain * by_level[0];
+        by.ay -= gain * sign * by_level[1];
+        return by;
+    }
+    const double top = level_of_bristles(m, speed, y, t);
+    const double stiff = stiffness(m, top);
+    const double share = at->f / top;
+    const bool limited = stiff < m->bristle_V_rad;
+    const double of_level = limited ? v * stiff / top : stiff * speed * share / top;
+    for (int k = 0; k < LEVELS; k++) {
+        r[OF_LEVEL[k]] *= of_level;
+    }
+    r[BRISTLE] = limited ? 0.0 : v - speed * share;
+    by.rv = stiff * (1.0 - sign * share) + of_level * sign * by_level[0];
+    by.ry = of_level * by_level[1];
+    by.rf = -stiff * speed / top;
+    return by;
+}
+
+/* Fills `out` at the numbers of the drive stage with the derivatives of the drive behind it. */
+static void staged_slopes(const real_motor *m, double u_V, double *out)
+{
+    out[DEAD_BAND] = out[GAIN] = out[SAG] = 0.0;
+    const double beyond = fabs(u_V) - m->dead_band_V;
+    if (beyond > 0.0) {
+        const double sign = u_V > 0.0 ? 1.0 : -1.0;
+        const double share = 1.0 + sign * m->gain_by_sign;
+        const double size = beyond * share;
+        const double slope = sign * (1.0 - 2.0 * m->sag_per_V * size);
+        out[DEAD_BAND] = -slope * share;
+        out[GAIN] = slope * sign * beyond;
+        out[SAG] = -sign * size * size;
+    }
+}
+
+/* Acceleration; 0 of a motor that friction holds. */
+static double acceleration(const real_motor *m, const real_state *at, double staged_V, double t_s)
+{
+    const double sign = direction(m, at, staged_V, t_s);
+    return sign == 0.0 ? 0.0 : (target(m, sign, at, t_s) - at->v) / m->tau_s;
+}
+
+static void copy_given(const slopes *d)
+{
+    for (int i = 0; i < d->width; i++) {
+        d->w[i] = d->given[i];
+    }
+}
+
+/* Carries the derivatives of the drive over `h_s`, at whose start it is `faded_V` from its end. */
+static void fade_drive(const real_motor *m, const slopes *d, double faded_V, double h_s)
+{
+    if (m->lag_s <= 0.0) {
+        copy_given(d);
+        return;
+    }
+    const double keep = exp(-h_s / m->lag_s);
+    for (int i = 0; i < REAL_NUMBERS; i++) {
+        d->w[i] = d->given[i] + (d->w[i] - d->given[i]) * keep;
+    }
+    d->w[LAG] += faded_V * keep * h_s / (m->lag_s * m->lag_s);
+}
+
+/* Takes the derivatives over an edge from `staged_V` to the drive `u_V`; returns it as it is before the lag. */
+static double step_drive(const real_motor *m, const slopes *d, double staged_V, double u_V)
+{
+    const double new_V = staged(m, u_V);
+    staged_slopes(m, u_V, d->given);
+    if (m->lag_s > 0.0) {
+        d->w[DELAY] += (staged_V - new_V) / m->lag_s;
+    } else {
+        copy_given(d);
+    }
+    return new_V;
+}
+
+/* State at the start of a piece at `t`, where the drive behind the lag is `w`, and its derivatives. */
+static real_state begin(const real_motor *m, const slopes *d, const double start[4], double t, double w)
+{
+    const double v0 = start[0];
+    const double side = start[2];
+    double bend = start[3];
+    real_state at = {v0, start[1] + 0.5 * side * m->backlash_rad, 0.0, w, start[1]};
+    for (int i = 0; i < d->columns; i++) {
+        d->v[i] = d->which[i] == REAL_V0 ? 1.0 : 0.0;
+        d->x[i] = d->which[i] == REAL_Y0 ? 1.0 : 0.0;
+        d->y[i] = d->x[i] + (d->which[i] == BACKLASH ? 0.5 * side : 0.0);
+        d->f[i] = 0.0;
+    }
+    if (m->bristle_V_rad <= 0.0) {
+        return at;
+    }
+    const double top = level_of_bristles(m, fabs(v0), at.y, t);
+    const double pull = w + m->bias_V - force(m, at.y);
+    if (bend == 0.0 && fabs(pull) > top) {
+        bend = pull > 0.0 ? 1.0 : -1.0;
+    }
+    at.f = bend != 0.0 ? bend * top : pull;
+    if (d->columns == 0) {
+        return at;
+    }
+    const double gain = m->K_rad_s_V;
+    const by_state by = right_sides(m, d, 1.0, &at, t, target(m, 1.0, &at, t), 0);
+    for (int i = 0; i < d->width; i++) {
+        d->level[i] = 0.0;
+    }
+    double by_level[2];
+    level_slopes(m, d, fabs(v0), at.y, t, d->level, by_level);
+    const double by_v = v0 > 0.0 ? by_level[0] : -by_level[0];
+    for (int i = 0; i < d->columns; i++) {
+        const int64_t p = d->which[i];
+        if (bend != 0.0) {
+            d->f[i] = bend * (d->level[p] + by_v * d->v[i] + by_level[1] * d->y[i]);
+        } else {
+            const bool known = p == BIAS || p == FORCE || p == FORCE + 1 || (COGGING <= p && p <= ORDER) || p >= REAL_WAVES;
+            d->f[i] = by.ay * d->y[i] / gain + d->w[p] + (known ? d->stage[0][p] / gain : 0.0);
+        }
+    }
+    return at;
+}
+
+/* Takes the derivatives of v, y, f through a step of a motor in motion from `at`, at `t`. */
+static void through(const real_motor *m, const slopes *d, const real_state *at, const step *now, double t, double staged_V)
+{
+    const stages *const s = &now->in;
+    const double h = now->duration_s;
+    const double tau = m->tau_s;
+    const double gain = m->K_rad_s_V;
+    const double lag = m->lag_s;
+    const double half = lag > 0.0 ? exp(-0.5 * h / lag) : 0.0;
+    const double keep = lag > 0.0 ? exp(-h / lag) : 0.0;
+    const double faded = at->w - staged_V;
+    /* weights of the step, and their derivatives by tau */
+    const double c = h / tau;
+    const double p4 = phi4(c);
+    const double p3 = 1.0 / 6.0 - c * p4;
+    const double p2 = 0.5 - c * p3;
+    const double p1 = 1.0 - c * p2;
+    const weights k = weights_of(c);
+    const double b1 = c * k.b1;
+    const double b2 = c * k.b2;
+    const double b4 = c * k.b4;
+    const double q1 = p1 - p2; /* derivatives of p1, p2, p3 by -c */
+    const double q2 = p2 - 2.0 * p3;
+    const double q3 = p3 - 3.0 * p4;
+    const double rate = -c / tau;
+    const double keep_tau = -rate * k.keep;
+    const double half_tau = -0.5 * rate * k.half;
+    const double b1_tau = rate * (b1 / c - c * (q1 - 3.0 * q2 + 4.0 * q3));
+    const double b2_tau = rate * (b2 / c - c * (2.0 * q2 - 4.0 * q3));
+    const double b4_tau = rate * (b4 / c - c * (4.0 * q3 - q2));
+    /* those of the bristles; how they change shows only in what the step leaves off */
+    const bool bristles = m->bristle_V_rad > 0.0;
+    const double slide = s->slide;
+    const weights g = bristles ? weights_of(h * slide) : NO_FADING;
+    const double near = 0.5 * h * g.mean;
+    const double middle = staged_V + faded * half;
+    const real_state at2 = {s->v2, s->y2, s->f2, middle, 0.0};
+    const real_state at3 = {s->v3, s->y3, s->f3, middle, 0.0};
+    const real_state at4 = {s->v4, s->y4, s->f4, now->end.w, 0.0};
+    const by_state d1 = right_sides(m, d, now->sign, at, t, s->a1, 0);
+    const by_state d2 = right_sides(m, d, now->sign, &at2, t + 0.5 * h, s->a2, 1);
+    const by_state d3 = right_sides(m, d, now->sign, &at3, t + 0.5 * h, s->a3, 2);
+    const by_state d4 = right_sides(m, d, now->sign, &at4, t + h, s->a4, 3);
+    const double af = bristles ? -gain : 0.0;
+    for (int i = 0; i < d->columns; i++) {
+        const int64_t p = d->which[i];
+        const double by_tau = p == TAU ? 1.0 : 0.0;
+        const double v = d->v[i];
+        const double y = d->y[i];
+        const double f = d->f[i];
+        const double drive = d->given[p];
+        double mid = drive + (d->w[p] - drive) * half;
+        double far = drive + (d->w[p] - drive) * keep;
+        if (p == LAG && lag > 0.0) {
+            mid += faded * half * 0.5 * h / (lag * lag);
+            far += faded * keep * h / (lag * lag);
+        }
+        const double along = y + tau * v + by_tau * at->v; /* of p = y + tau v */
+        const double a1 = d1.av * v + d1.ay * y + af * f + gain * d->w[p] + d->stage[0][p];
+        const double v2 = k.half * v + (1.0 - k.half) * a1 + by_tau * half_tau * (at->v - s->a1);
+        const double y2 = along + 0.5 * h * a1 - tau * v2 - by_tau * s->v2;
+        double r1 = 0.0;
+        double r2 = 0.0;
+        double r3 = 0.0;
+        double r4 = 0.0;
+        double f2 = f;
+        double f3 = f;
+        double f4 = f;
+        if (bristles) {
+            r1 = d1.rv * v + d1.ry * y + (d1.rf + slide) * f + d->stage[1][p];
+            f2 = g.half * f + near * r1;
+            r2 = d2.rv * v2 + d2.ry * y2 + (d2.rf + slide) * f2 + d->stage[3][p];
+            f3 = g.half * f + near * r2;
+        }
+        const double a2 = d2.av * v2 + d2.ay * y2 + af * f2 + gain * mid + d->stage[2][p];
+        const double v3 = k.half * v + (1.0 - k.half) * a2 + by_tau * half_tau * (at->v - s->a2);
+        const double y3 = along + 0.5 * h * a2 - tau * v3 - by_tau * s->v3;
+        if (bristles) {
+            r3 = d3.rv * v3 + d3.ry * y3 + (d3.rf + slide) * f3 + d->stage[5][p];
+            f4 = g.half * f2 + near * (2.0 * r3 - r1);
+        }
+        const double a3 = d3.av * v3 + d3.ay * y3 + af * f3 + gain * mid + d->stage[4][p];
+        const double v4 = k.half * v2 + (1.0 - k.half) * (2.0 * a3 - a1) + by_tau * half_tau * (s->v2 - 2.0 * s->a3 + s->a1);
+        const double y4 = along + h * a3 - tau * v4 - by_tau * s->v4;
+        if (bristles) {
+            r4 = d4.rv * v4 + d4.ry * y4 + (d4.rf + slide) * f4 + d->stage[7][p];
+        }
+        const double a4 = d4.av * v4 + d4.ay * y4 + af * f4 + gain * far + d->stage[6][p];
+        double v_end = k.keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
+        v_end += by_tau * (keep_tau * at->v + b1_tau * s->a1 + b2_tau * (s->a2 + s->a3) + b4_tau * s->a4);
+        d->v[i] = v_end;
+        d->y[i] = along + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * v_end - by_tau * now->end.v;
+        d->f[i] = g.keep * f + h * (g.b1 * r1 + g.b2 * (r2 + r3) + g.b4 * r4);
+    }
+}
+
+/* Jump of the velocity's derivatives at a reversal of a motion in the direction `sign`. */
+static void reverse(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double staged_V)
+{
+    const double before = (target(m, sign, at, t) - at->v) / m->tau_s;
+    const double jump = before != 0.0 ? acceleration(m, at, staged_V, t) / before : 0.0;
+    for (int i = 0; i < d->columns; i++) {
+        d->v[i] *= jump;
+    }
+}
+
+/* Jump of the velocity's derivatives where the lag or the drift lets the motor go in the direction `sign`. */
+static void release(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double staged_V)
+{
+    const double gain = m->K_rad_s_V;
+    const double aim = target(m, sign, at, t);
+    double rate = m->lag_s > 0.0 ? (staged_V - at->w) / m->lag_s : 0.0;
+    rate -= sign * m->fc_V * m->drift / m->duration_s; /* of the pull beyond the level */
+    const by_state by = right_sides(m, d, sign, at, t, aim, 0);
+    double *const a = d->stage[0];
+    a[STATIC] = -gain * sign;
+    for (int i = 0; i < d->columns; i++) {
+        const int64_t p = d->which[i];
+        const double by_p = by.ay * d->y[i] / gain + d->w[p] + (p != K ? a[p] / gain : 0.0);
+        d->v[i] += aim / m->tau_s * by_p / rate;
+    }
+    a[STATIC] = 0.0;
+}
+
+/* Jump of the velocity's derivatives at an edge without lag, at `t`, from one drive to another. */
+static void kick(const real_motor *m, const slopes *d, const real_state *before, const real_state *at, double t, const double drives_V[2])
+{
+    const double was = acceleration(m, before, drives_V[0], t);
+    const double later = was - acceleration(m, at, drives_V[1], t);
+    double slower = later; /* a short lag acts as a delay, except where it lets go of a motor at rest */
+    if (was == 0.0 && at->v == 0.0 && later != 0.0 && m->bristle_V_rad <= 0.0) {
+        const double beyond = fabs(drives_V[1] + m->bias_V - force(m, at->y)) - level_at_rest(m, at->y, t);
+        slower = later * log(fabs(drives_V[1] - drives_V[0]) / beyond);
+        slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
+    }
+    for (int i = 0; i < d->columns; i++) {
+        if (d->which[i] == DELAY) {
+            d->v[i] += later;
+        } else if (d->which[i] == LAG) {
+            d->v[i] += slower;
+        }
+    }
+}
+
+/* Fills a row of the Jacobian of the reading at `x`. */
+static void read_slopes(const real_motor *m, const slopes *d, double x, double *row)
+{
+    const double share = (x - m->centre_rad) / m->half_travel_rad;
+    const double q = PI * share;
+    const double s1 = sin(q);
+    const double c1 = cos(q);
+    const double s2 = sin(2.0 * q);
+    const double c2 = cos(2.0 * q);
+    const double by[4] = {s1 - 3.0 / PI * share, c1, s2 + 1.5 / PI * share, c2};
+    double slope = m->linearity_sin1_rad * (PI * c1 - 3.0 / PI);
+    slope -= m->linearity_cos1_rad * PI * s1;
+    slope += m->linearity_sin2_rad * (2.0 * PI * c2 + 1.5 / PI);
+    slope -= m->linearity_cos2_rad * 2.0 * PI * s2;
+    const double by_x = 1.0 + slope / m->half_travel_rad;
+    for (int i = 0; i < d->columns; i++) {
+        const int64_t k = d->which[i] - LINEARITY;
+        row[i] = by_x * d->x[i] + (0 <= k && k < 4 ? by[k] : 0.0);
+    }
+}
+
+static slopes room_for(const real_motor *m, const real_columns *c)
+{
+    slopes d;
+    double *at = c->work;
+    d.which = c->which;
+    d.orders = c->orders;
+    d.columns = (int)c->columns;
+    d.waves = (int)c->waves;
+    d.width = REAL_WAVES + 2 * d.waves;
+    d.v = at;
+    d.y = d.v + d.columns;
+    d.f = d.y + d.columns;
+    d.x = d.f + d.columns;
+    at = d.x + d.columns;
+    for (int i = 0; i < REAL_STAGE_ROWS * d.width; i++) {
+        at[i] = 0.0;
+    }
+    d.w = at;
+    d.given = d.w + d.width;
+    d.level = d.given + d.width;
+    for (int i = 0; i < STAGES; i++) {
+        d.stage[i] = d.level + (i + 1) * d.width;
+    }
+    d.position = turns(m);
+    d.cogging = cogs(m);
+    d.stribeck = m->stribeck_V != 0.0;
+    return d;
+}
+
+static void fill(double *values, int64_t count, double value)
+{
+    for (int64_t i = 0; i < count; i++) {
+        values[i] = value;
+    }
+}
+
+void real_readings(const real_motor *m, const real_record *record, const real_columns *columns, double *y_rad, double *jacobian)
+{
+    const slopes d = room_for(m, columns);
+    const bool sloping = d.columns > 0;
+    const double *const edge_s = record->edge_s;
+    const double *const u_V = record->u_V;
+    const double *const t_s = record->t_s;
+    const int64_t edges = record->edges;
+    const int64_t n = record->rows;
+    const double looks = (double)(n + edges);
+    double left = STEPS_OF_ROW * looks;
+    left += least(2.0 * (t_s[n - 1] - t_s[0]) / (STEP_OF_TAU * m->tau_s), STEPS_OF_TAUS * looks);
+    int64_t j = 0;
+    double staged_V = staged(m, u_V[0]);
+    staged_slopes(m, u_V[0], d.given);
+    copy_given(&d);
+    double w = staged_V;
+    double begun = least(t_s[0], edge_s[0] + m->delay_s);
+    step s;
+    for (int64_t piece = 0; piece < record->pieces; piece++) {
+        int64_t k = record->first[piece];
+        const int64_t last = piece + 1 < record->pieces ? record->first[piece + 1] : n;
+        double now = t_s[k];
+        double edge = j + 1 < edges ? edge_s[j + 1] + m->delay_s : INFINITY;
+        while (begun < now || edge <= now) { /* the drive, up to the piece */
+            const double until = most(least(edge, now), begun);
+            fade_drive(m, &d, w - staged_V, until - begun);
+            w = lagged(m, staged_V, w, until - begun);
+            begun = until;
+            if (edge <= now) {
+                j++;
+                staged_V = step_drive(m, &d, staged_V, u_V[j]);
+                w = m->lag_s > 0.0 ? w : staged_V;
+                edge = j + 1 < edges ? edge_s[j + 1] + m->delay_s : INFINITY;
+            }
+        }
+        real_state at = begin(m, &d, record->starts + 4 * piece, now, w);
+        for (;;) {
+            while (k < last && (t_s[k] <= now || now < edge)) {
+                if (t_s[k] <= now) {
+                    y_rad[k] = real_reading(m, at.x);
+                    if (sloping) {
+                        read_slopes(m, &d, at.x, jacobian + k * d.columns);
+                    }
+                    k++;
+                    continue;
+                }
+                const double end = least(edge, t_s[k]);
+                next_step(m, &at, staged_V, now, end - now, &s);
+                if (sloping) {
+                    if (s.sign != 0.0) {
+                        through(m, &d, &at, &s, now, staged_V);
+                    } else {
+                        fill(d.v, d.columns, 0.0);
+                    }
+                    fade_drive(m, &d, at.w - staged_V, s.duration_s);
+                    if (s.sign != 0.0 && s.sign * (s.end.y - at.x) >= 0.5 * m->backlash_rad) {
+                        for (int i = 0; i < d.columns; i++) { /* the play is taken up */
+                            d.x[i] = d.y[i] - (d.which[i] == BACKLASH ? 0.5 * s.sign : 0.0);
+                        }
+                    }
+                }
+                now = s.duration_s >= end - now ? end : now + s.duration_s;
+                const double x = at.x;
+                at = s.end;
+                at.x = x;
+                take_up_play(m, s.sign, &at);
+                left -= 1.0;
+                if (left < 0.0 || !(fabs(at.v) < RUNAWAY_RAD_S)) { /* its steps are, or would become, too short ever to end */
+                    fill(y_rad, n, NAN);
+                    fill(jacobian, n * d.columns, NAN);
+                    return;
+                }
+                if (sloping && s.reverses) {
+                    reverse(m, &d, s.sign, &at, now, staged_V);
+                }
+                if (sloping && s.released != 0.0) {
+                    release(m, &d, s.released, &at, now, staged_V);
+                }
+            }
+            if (k == last) {
+                w = at.w;
+                begun = now;
+                break;
+            }
+            j++;
+            edge = j + 1 < edges ? edge_s[j + 1] + m->delay_s : INFINITY;
+            const real_state before = at;
+            const double drives_V[2] = {staged_V, step_drive(m, &d, staged_V, u_V[j])};
+            staged_V = drives_V[1];
+            if (m->lag_s <= 0.0) {
+                at.w = staged_V;
+                if (sloping) {
+                    kick(m, &d, &before, &at, now, drives_V);
+                }
+            }
+        }
+    }
+}
+
+double real_target(const real_motor *m, double sign, const real_state *at, double t_s)
+{
+    return target(m, sign, at, t_s);
+}

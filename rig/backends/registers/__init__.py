@@ -1,0 +1,1 @@
+"""What devices on a register bus share: Modbus and smart servos."""

@@ -1,0 +1,345 @@
+"""Dynamixel protocol 2.0: packets to bytes and back. Pure.
+
+Source: ROBOTIS e-Manual, "Protocol 2.0" (GitHub ROBOTIS-GIT/emanual), and dynamixel-sdk 4.1.0. A packet is
+FF FF FD 00, id, length (2, low byte first), instruction, parameters, CRC-16 (low first). The length counts all that
+follows it. After each FF FF FD in instruction and parameters one FD is stuffed, which length and CRC count, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import IntEnum
+from typing import Literal, NamedTuple
+
+from rig.backends.servo.packets import BROADCAST as BROADCAST
+from rig.backends.servo.packets import LAST_ID as LAST_ID
+from rig.backends.servo.packets import PacketStream, any_id, is_id, one_id
+from rig.backends.servo.packets import Skipped as Skipped
+
+LONGEST = 1024  # bytes of a packet; dynamixel-sdk sends and takes no longer one
+SHORTEST = 10
+
+_HEADER = b"\xff\xff\xfd\x00"
+_BEGIN, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
+_POLYNOMIAL = 0x8005
+_TURNS = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # what Clear wants to hear before it forgets the turns
+
+
+class Instruction(IntEnum):
+    """What a packet asks for; STATUS is an answer."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+Keep = Literal["nothing", "id", "id and baud"]
+_KEEP: Mapping[Keep, int] = {"nothing": 0xFF, "id": 0x01, "id and baud": 0x02}
+
+FAILED, NO_INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)  # of a status's error
+ALERT = 0x80
+ERRORS: Mapping[int, str] = {
+    FAILED: "it could not do that",
+    NO_INSTRUCTION: "it has no such instruction, or an action came without a registered write",
+    CRC: "the packet came damaged",
+    RANGE: "the value is out of range, or the watchdog has acted",
+    LENGTH: "the write is shorter than the register",
+    LIMIT: "the value is beyond a limit that is set on it",
+    ACCESS: "the register is read-only, is none, or is locked while the torque is on",
+}
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ _POLYNOMIAL) & 0xFFFF if crc & 0x8000 else crc << 1
+        table.append(crc)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes, start: int = 0) -> int:
+    """CRC-16 of bytes, polynomial 0x8005, high bit first; ``start``: that of the bytes before."""
+    table, crc = _CRC_TABLE, start
+    for byte in data:
+        crc = (crc << 8 ^ table[crc >> 8 ^ byte]) & 0xFFFF
+    return crc
+
+
+class Frame(NamedTuple):
+    """One packet without header, length, stuffing and CRC.
+
+    id           of the servo, 0 to 252, or BROADCAST
+    instruction  0x55: a status
+    parameters   of a status its error byte comes first
+    """
+
+    id: int
+    instruction: int
+    parameters: bytes = b""
+
+    @property
+    def is_status(self) -> bool:
+        """Whether it is an answer."""
+        return self.instruction == Instruction.STATUS
+
+    def encode(self) -> bytes:
+        """As it is on the wire. Raises ValueError for an id or an instruction out of range, or for too many bytes.
+
+        The one answer to a fast read is not stuffed: several servos write it, each its part (dynamixel-sdk).
+        """
+        if not 0 <= self.instruction <= 0xFF:
+            raise ValueError(f"instruction {self.instruction} is no byte")
+        body = bytes((self.instruction,)) + self.parameters
+        if not _is_fast_reply(self.id, self.instruction):
+            body = body.replace(_BEGIN, _STUFFED)
+        length = len(body) + 2
+        if length + 7 > LONGEST:
+            raise ValueError(f"{length + 7} bytes: a packet has {LONGEST} at most")
+        packet = _HEADER + bytes((any_id(self.id), length & 0xFF, length >> 8)) + body
+        return packet + crc16(packet).to_bytes(2, "little")
+
+
+def _is_fast_reply(id: int, instruction: int) -> bool:
+    return id == BROADCAST and instruction == Instruction.STATUS
+
+
+class Stream(PacketStream[Frame]):
+    """Packets out of bytes as they arrive."""
+
+    def __init__(self) -> None:
+        super().__init__(_HEADER, _take)
+
+
+def _take(data: bytearray, at: int) -> tuple[Frame, int] | str | None:
+    """The packet whose header is at ``at``, and its length; why it is none; None while that is open."""
+    have = len(data) - at
+    if have > 4 and not is_id(data[at + 4]):
+        return f"id {data[at + 4]}"
+    if have < 7:
+        return None
+    length = data[at + 5] | data[at + 6] << 8
+    if not 3 <= length <= LONGEST - 7:
+        return f"length {length}"
+    whole = length + 7
+    if have < whole:
+        return None
+    packet = bytes(data[at : at + whole])
+    if crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+        return "CRC"
+    id, body = packet[4], packet[7:-2]
+    if _BEGIN in body and not _is_fast_reply(id, body[0]):
+        plain = body.replace(_STUFFED, _BEGIN)
+        if plain.replace(_BEGIN, _STUFFED) != body:
+            return "not stuffed"
+        body = plain
+    return Frame(id, body[0], body[1:]), whole
+
+
+# ---------------------------------------------------------------------- requests
+
+
+def ping(id: int = BROADCAST) -> bytes:
+    """Ask who is there; each answers with model number and firmware version."""
+    return Frame(id, Instruction.PING).encode()
+
+
+def read(id: int, address: int, length: int) -> bytes:
+    """Ask one servo for ``length`` bytes from ``address``. Raises ValueError for all at once, or beyond 65,535."""
+    return Frame(one_id(id), Instruction.READ, _word(address) + _word(length)).encode()
+
+
+def write(id: int, address: int, data: bytes) -> bytes:
+    """Write bytes from ``address`` on; BROADCAST writes to all, and none answers."""
+    return Frame(id, Instruction.WRITE, _word(address) + data).encode()
+
+
+def reg_write(id: int, address: int, data: bytes) -> bytes:
+    """Have bytes written at the next action."""
+    return Frame(id, Instruction.REG_WRITE, _word(address) + data).encode()
+
+
+def action(id: int = BROADCAST) -> bytes:
+    """Do what was registered."""
+    return Frame(id, Instruction.ACTION).encode()
+
+
+def factory_reset(id: int, keep: Keep) -> bytes:
+    """Put every register back to how it was shipped, but what ``keep`` says."""
+    return Frame(id, Instruction.FACTORY_RESET, bytes((_KEEP[keep],))).encode()
+
+
+def reboot(id: int) -> bytes:
+    """Start the servo anew: RAM registers as shipped, errors gone."""
+    return Frame(id, Instruction.REBOOT).encode()
+
+
+def clear_turns(id: int) -> bytes:
+    """Have the position fall back into one turn; only at rest."""
+    return Frame(id, Instruction.CLEAR, _TURNS).encode()
+
+
+def sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
+    """Ask several servos for the same registers; each answers for itself, in this order."""
+    return _sync(Instruction.SYNC_READ, address, length, ids)
+
+
+def fast_sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
+    """The same, with one answer for all (``fast_statuses``)."""
+    return _sync(Instruction.FAST_SYNC_READ, address, length, ids)
+
+
+def sync_write(address: int, data: Mapping[int, bytes]) -> bytes:
+    """Write the same registers of several servos, by id; none answers. Raises ValueError for unequal lengths."""
+    lengths = {len(values) for values in data.values()}
+    if len(lengths) != 1:
+        raise ValueError("a sync write takes the same number of bytes for each of at least one servo")
+    parameters = _word(address) + _word(lengths.pop())
+    for id, values in data.items():
+        parameters += bytes((one_id(id),)) + values
+    return Frame(BROADCAST, Instruction.SYNC_WRITE, parameters).encode()
+
+
+def bulk_read(spans: Mapping[int, tuple[int, int]]) -> bytes:
+    """Ask several servos each for an address and a length; each answers for itself, in this order."""
+    return _bulk(Instruction.BULK_READ, spans)
+
+
+def fast_bulk_read(spans: Mapping[int, tuple[int, int]]) -> bytes:
+    """The same, with one answer for all (``fast_statuses``)."""
+    return _bulk(Instruction.FAST_BULK_READ, spans)
+
+
+def bulk_write(data: Mapping[int, tuple[int, bytes]]) -> bytes:
+    """Write to several servos, by id, each an address and bytes; none answers. Raises ValueError for no servo."""
+    parameters = b"".join(
+        bytes((one_id(id),)) + _word(address) + _word(len(values)) + values for id, (address, values) in data.items()
+    )
+    if not parameters:
+        raise ValueError("a bulk write to no servo")
+    return Frame(BROADCAST, Instruction.BULK_WRITE, parameters).encode()
+
+
+def _sync(instruction: Instruction, address: int, length: int, ids: Iterable[int]) -> bytes:
+    listed = list(ids)
+    if not listed or len(set(listed)) != len(listed):
+        raise ValueError(f"ids {listed}: at least one, and each once")
+    return Frame(BROADCAST, instruction, _word(address) + _word(length) + bytes(map(one_id, listed))).encode()
+
+
+def _bulk(instruction: Instruction, spans: Mapping[int, tuple[int, int]]) -> bytes:
+    parameters = b"".join(
+        bytes((one_id(id),)) + _word(address) + _word(length) for id, (address, length) in spans.items()
+    )
+    if not parameters:
+        raise ValueError("a bulk read of no servo")
+    return Frame(BROADCAST, instruction, parameters).encode()
+
+
+def _word(value: int) -> bytes:
+    if not 0 <= value <= 0xFFFF:
+        raise ValueError(f"{value} is no address or length: 0 to 65535")
+    return value.to_bytes(2, "little")
+
+
+def request_bytes(n_parameters: int) -> int:
+    """Bytes on the wire of a request with so many of parameters, stuffing not counted."""
+    return 10 + n_parameters
+
+
+# ---------------------------------------------------------------------- answers
+
+
+class Status(NamedTuple):
+    """What a servo answered.
+
+    error  0: none; 1 to 7, see ERRORS
+    alert  it has a hardware error: its register says which
+    data   what was read; of a ping model number (2, low first) and firmware
+    """
+
+    id: int
+    error: int
+    alert: bool
+    data: bytes
+
+
+def status(id: int, data: bytes = b"", error: int = 0, *, alert: bool = False) -> bytes:
+    """A servo's answer as it is on the wire."""
+    return Frame(id, Instruction.STATUS, bytes((_error(error, alert=alert),)) + data).encode()
+
+
+def _error(error: int, *, alert: bool) -> int:
+    if not 0 <= error < ALERT:
+        raise ValueError(f"error {error} is none: 0 to {ALERT - 1}")
+    return error | (ALERT if alert else 0)
+
+
+def status_of(frame: Frame) -> Status:
+    """The answer that a packet is. Raises ValueError where it is none, or has no error byte."""
+    if not frame.is_status:
+        raise ValueError(f"a packet of instruction {frame.instruction:#04x} is no answer")
+    if not frame.parameters:
+        raise ValueError("an answer without its error byte")
+    error = frame.parameters[0]
+    return Status(frame.id, error & ~ALERT, bool(error & ALERT), frame.parameters[1:])
+
+
+def fast_statuses(frame: Frame, lengths: Mapping[int, int]) -> list[Status]:
+    """The answers in the one packet that a fast read brings: error, id, data and CRC of each servo, in a row.
+
+    lengths  bytes of data by id, in the order of the request
+    Each CRC covers the packet from its header to its place; the last is that of the packet. Raises ValueError for
+    another packet, other ids, another length, or an inner CRC that does not fit.
+    """
+    if not _is_fast_reply(frame.id, frame.instruction):
+        raise ValueError("that is no answer to a fast read")
+    whole = frame.encode()
+    expected = sum(lengths.values()) + 4 * len(lengths) - 2
+    if len(frame.parameters) != expected:
+        raise ValueError(f"{len(frame.parameters)} bytes where {expected} answer")
+    out, at = [], 8
+    for id, length in lengths.items():
+        error, sender = whole[at], whole[at + 1]
+        if sender != id:
+            raise ValueError(f"servo {sender} where {id} answers")
+        end = at + 2 + length
+        if crc16(whole[:end]) != whole[end] | whole[end + 1] << 8:
+            raise ValueError(f"CRC of servo {id}")
+        out.append(Status(id, error & ~ALERT, bool(error & ALERT), whole[at + 2 : end]))
+        at = end + 2
+    return out
+
+
+def fast_status(statuses: Iterable[Status]) -> bytes:
+    """The one packet that servos write together, as ``fast_statuses`` takes it. Raises ValueError for none."""
+    listed = list(statuses)
+    if not listed:
+        raise ValueError("an answer of no servo")
+    length = sum(len(s.data) + 4 for s in listed) + 1
+    packet = _HEADER + bytes((BROADCAST, length & 0xFF, length >> 8, Instruction.STATUS))
+    for s in listed:
+        packet += bytes((_error(s.error, alert=s.alert), one_id(s.id))) + s.data
+        packet += crc16(packet).to_bytes(2, "little")
+    return packet
+
+
+def reply_bytes(n_data: int) -> int:
+    """Bytes on the wire of an answer with so many of data, stuffing not counted."""
+    return 11 + n_data

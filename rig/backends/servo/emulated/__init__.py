@@ -1,0 +1,1 @@
+"""Emulated servos on a bus, byte-true, in virtual time and behind a pseudo-terminal."""

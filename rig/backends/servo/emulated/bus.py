@@ -1,0 +1,244 @@
+"""Emulated servos of one protocol on one half-duplex bus: wire times, who answers when, echo, faults. Pure.
+
+The caller gives the time. A servo executes a packet when its last byte has arrived. Answers to one request follow each
+other in its order, each its servo's return delay after the one before; behind one that does not answer none follows.
+What the host sends while an answer is due or on the wire damages both. A damaged packet is not executed nor answered.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.line_faults import Direction, Disturbance
+from rig.backends.servo import dynamixel, feetech
+from rig.backends.servo.emulated.dynamixel_servo import DynamixelServo
+from rig.backends.servo.emulated.faults import ReplyFault
+from rig.backends.servo.emulated.feetech_servo import FeetechServo
+from rig.backends.servo.emulated.hearing import Dynamixels, Feetechs, named_by_dynamixel, named_by_feetech
+from rig.backends.servo.emulated.servo import ServoOptions, known_model
+from rig.backends.servo.emulated.violation import Violation
+from rig.backends.servo.packets import Skipped
+
+_BITS = 10  # of a byte on the wire: 8N1
+_SILENCE_S = 0.01  # after which a packet that has begun is forgotten
+
+
+@dataclass(frozen=True)
+class LineTimes:
+    """The bus and the host's adapter.
+
+    baud       that the host sends with: a servo of another one hears nothing
+    adapter_s  from the last bit of an answer to the host
+    echo       the host hears what it sends, as on boards that tie both lines together
+    """
+
+    baud: int = 1_000_000
+    adapter_s: float = 0.0
+    echo: bool = False
+
+    def wire_s(self, n_bytes: int) -> float:
+        """Time that so many bytes take."""
+        return n_bytes * _BITS / self.baud
+
+
+class Heard(NamedTuple):
+    """A packet of the host that was whole: when its last byte arrived, and what it said."""
+
+    t_s: float
+    frame: dynamixel.Frame | feetech.Frame
+
+
+class ServoBus:
+    """Servos on a bus, powered on at time 0.
+
+    servos       what is on it, of one protocol
+    line         times; the baud may be changed at any time
+    disturbance  on the wire, both ways; None: none. May be changed at any time, and so may ``reply_fault``
+    on_output    called with the servo's place, time, s, and voltage at its motor, V, at each change
+    violations   what the host did that it must never do
+    log          packets of the host that were whole, in order; ``keeps_log`` False keeps none
+    damaged, collisions   stretches of bytes that were no packet; of the host's bytes that met an answer
+    Raises EmulationError for no servo, for both protocols on one bus, and for what a servo cannot be.
+    """
+
+    def __init__(
+        self,
+        servos: Sequence[ServoOptions],
+        line: LineTimes | None = None,
+        disturbance: Disturbance | None = None,
+        reply_fault: ReplyFault | None = None,
+        *,
+        on_output: Callable[[int, float, float], None] | None = None,
+        keeps_log: bool = True,
+    ) -> None:
+        self.line = LineTimes() if line is None else line
+        self.disturbance = disturbance
+        self.reply_fault = reply_fault
+        self.violations: list[Violation] = []
+        self.log: list[Heard] = []
+        self.damaged = self.collisions = 0
+        self.t_s = 0.0
+        self._keeps_log = keeps_log
+        protocols = {known_model(s.model).protocol for s in servos}
+        if len(protocols) != 1:
+            raise EmulationError("a bus has servos of one protocol, and at least one of them")
+        ids = [s.id for s in servos]
+        if len(set(ids)) != len(ids):
+            raise EmulationError(f"ids {ids}: each servo of a bus has its own")
+        noted = self.violations.append
+        outputs = [None if on_output is None else _to(on_output, place) for place in range(len(servos))]
+        self._protocol: Any  # the one of the two whose packets are on the wire
+        self.servos: list[DynamixelServo] | list[FeetechServo]
+        if "dynamixel" in protocols:
+            self.servos = [DynamixelServo(s, noted, o) for s, o in zip(servos, outputs, strict=True)]
+            self._protocol = Dynamixels()
+        else:
+            self.servos = [FeetechServo(s, noted, o) for s, o in zip(servos, outputs, strict=True)]
+            self._protocol = Feetechs()
+        self._coming: list[tuple[float, int, Any]] = []  # heaps by time, in order of sending where it is the same
+        self._packets: list[tuple[float, int, Any]] = []
+        self._going: list[tuple[float, int, bytes]] = []
+        self._echoes: list[tuple[float, int, bytes]] = []
+        self._n = 0
+        self._last_bit_s = -math.inf  # of the host
+        self._free_s = -math.inf  # when the last answer has left the wire
+
+    def watch(self, on_output: Callable[[int, float, float], None]) -> None:
+        """Call that from now on, as ``on_output`` of the class."""
+        for place, servo in enumerate(self.servos):
+            servo.on_output = _to(on_output, place)
+
+    def servo(self, id: int) -> DynamixelServo | FeetechServo:
+        """The first servo of that id. Raises KeyError."""
+        for servo in self.servos:
+            if servo.id == id:
+                return servo
+        raise KeyError(id)
+
+    def addressed(self) -> Counter[int]:
+        """How many packets, pings apart, went to each id, BROADCAST included; what a group instruction names counts."""
+        counted: Counter[int] = Counter()
+        for _, frame in self.log:
+            if isinstance(frame, dynamixel.Frame):
+                if frame.instruction != dynamixel.Instruction.PING:
+                    counted.update(named_by_dynamixel(frame) or {frame.id})
+            elif frame.code != feetech.Instruction.PING:
+                counted.update(named_by_feetech(frame))
+        return counted
+
+    # ------------------------------------------------------------------ the host's end
+
+    def send(self, data: bytes, t_s: float) -> None:
+        """The host hands bytes to the wire at ``t_s``, not before what it was advanced to."""
+        for delay_s, arriving in self._disturbed("request", data, t_s):
+            self._push(self._coming, t_s + delay_s, (arriving, False))
+
+    def another_master(self, data: bytes, t_s: float) -> None:
+        """Somebody else on the bus sends bytes at ``t_s``: servos hear them, and so does the host."""
+        self._push(self._coming, t_s, (data, True))
+
+    def receive(self, t_s: float) -> bytes:
+        """What has reached the host by ``t_s`` since the last call."""
+        arrived = b""
+        while (heap := self._first()) is not None and heap[0][0] <= t_s:
+            arrived += heapq.heappop(heap)[2]
+        return arrived
+
+    def _first(self) -> list[tuple[float, int, bytes]] | None:
+        """Where the next bytes for the host are."""
+        return min((heap for heap in (self._going, self._echoes) if heap), key=lambda heap: heap[0], default=None)
+
+    def next_reply_s(self) -> float:
+        """When the host gets its next bytes, as far as that is known; inf for never."""
+        heap = self._first()
+        return math.inf if heap is None else heap[0][0]
+
+    def next_event_s(self) -> float:
+        """When something happens next on the wire without the host; inf for never."""
+        return min(
+            (heap[0][0] for heap in (self._coming, self._packets, self._going, self._echoes) if heap), default=math.inf
+        )
+
+    def advance_to(self, t_s: float) -> None:
+        """Let time pass to ``t_s`` for wire and servos; none if that is past."""
+        while True:
+            coming_s = self._coming[0][0] if self._coming else math.inf
+            packet_s = self._packets[0][0] if self._packets else math.inf
+            if min(coming_s, packet_s) > t_s:
+                break
+            if packet_s <= coming_s:
+                at_s, _, frame = heapq.heappop(self._packets)
+                self._execute(frame, at_s)
+            else:
+                at_s, _, (data, is_foreign) = heapq.heappop(self._coming)
+                self._arrive(data, at_s, is_foreign=is_foreign)
+        for servo in self.servos:
+            servo.advance_to(t_s)
+        self.t_s = max(self.t_s, t_s)
+
+    # ------------------------------------------------------------------ on the wire
+
+    def _arrive(self, data: bytes, t_s: float, *, is_foreign: bool) -> None:
+        """Bytes of a host begin on the wire."""
+        if not data:
+            return
+        stream, line = self._protocol.stream, self.line
+        begins_s = max(t_s, self._last_bit_s)
+        if begins_s - self._last_bit_s > _SILENCE_S:
+            self.damaged += sum(isinstance(flushed, Skipped) for flushed in stream.flush())
+        self._last_bit_s = begins_s + line.wire_s(len(data))
+        if line.echo or is_foreign:
+            self._push(self._echoes, self._last_bit_s + line.adapter_s, data)
+        if begins_s < self._free_s:
+            self.collisions += 1
+            self._going = [(at_s, n, _inverted(answer)) for at_s, n, answer in self._going]
+            return
+        at = -len(stream.pending)
+        for taken in stream.feed(data):
+            at += len(taken.data) if isinstance(taken, Skipped) else len(taken.encode())
+            if isinstance(taken, Skipped):
+                self.damaged += 1
+            else:
+                self._push(self._packets, begins_s + line.wire_s(max(at, 0)), taken)
+
+    def _execute(self, frame: Any, t_s: float) -> None:
+        """A packet's last byte has arrived."""
+        for servo in self.servos:
+            servo.advance_to(t_s)
+        if self._keeps_log:
+            self.log.append(Heard(t_s, frame))
+        hearing = [s for s in self.servos if s.baud == self.line.baud]
+        ends_s = t_s
+        for answer in self._protocol.hear(frame, hearing, self.reply_fault):
+            begins_s, data = ends_s + answer.delay_s, answer.data
+            if begins_s < self._last_bit_s:
+                self.collisions += 1  # the host still sends what came behind its request
+                data = _inverted(data)
+                self.damaged += len(self._packets)
+                self._packets.clear()
+            ends_s = begins_s + self.line.wire_s(len(data))
+            for delay_s, arriving in self._disturbed("reply", data, begins_s):
+                arrives_s = begins_s + self.line.wire_s(len(arriving)) + self.line.adapter_s + delay_s
+                self._push(self._going, arrives_s, arriving)
+        self._free_s = ends_s if ends_s > t_s else self._free_s
+
+    def _disturbed(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        return ((0.0, data),) if self.disturbance is None else self.disturbance(direction, data, t_s)
+
+    def _push(self, heap: list[tuple[float, int, Any]], t_s: float, data: Any) -> None:
+        self._n += 1
+        heapq.heappush(heap, (t_s, self._n, data))
+
+
+def _to(on_output: Callable[[int, float, float], None], place: int) -> Callable[[float, float], None]:
+    return lambda t_s, volts: on_output(place, t_s, volts)
+
+
+def _inverted(data: bytes) -> bytes:
+    return bytes(byte ^ 0xFF for byte in data)

@@ -1,0 +1,35 @@
+"""The parameters of the emulated servo bus's process, already parsed, so that it starts without loading the config."""
+
+from __future__ import annotations
+
+import base64
+import pickle
+from dataclasses import dataclass
+
+from rig.backends.emulated.line_faults import CorruptionRate
+from rig.backends.servo.emulated.bus import LineTimes
+from rig.backends.servo.emulated.faults import ReplyFault
+from rig.backends.servo.emulated.servo import ServoOptions
+
+
+@dataclass(frozen=True)
+class Device:
+    """Servos and their line; ``follows_baud``: the line's baud is what the host sets on the port."""
+
+    servos: tuple[ServoOptions, ...]
+    line: LineTimes
+    follows_baud: bool = True
+    reply_fault: ReplyFault | None = None
+    corruption: CorruptionRate | None = None
+
+    def packed(self) -> str:
+        """As one argument of a command."""
+        return base64.b64encode(pickle.dumps(self)).decode("ascii")
+
+
+def unpacked(text: str) -> Device:
+    """What ``packed`` gave, from the process that started this one. Raises ValueError for anything else."""
+    device = pickle.loads(base64.b64decode(text))
+    if not isinstance(device, Device):
+        raise ValueError("no device")
+    return device

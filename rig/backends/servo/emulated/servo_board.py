@@ -1,0 +1,57 @@
+"""The emulated servo bus in real time: a process behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.emulated.line_faults import CorruptionRate
+from rig.backends.servo.emulated.bus import LineTimes, ServoBus
+from rig.backends.servo.emulated.device import Device
+from rig.backends.servo.emulated.faults import ReplyFault
+from rig.backends.servo.emulated.servo import ServoOptions
+from rig.backends.servo.emulated.violation import Violation
+
+
+class ServoBoard(BoardProcess):
+    """The servos of ``rig.backends.servo.emulated.bus`` in a process. Its reset button cuts their supply a moment."""
+
+    def start(
+        self,
+        servos: Sequence[ServoOptions],
+        link: Path | None = None,
+        trace: Path | None = None,
+        *,
+        line: LineTimes | None = None,
+        follows_baud: bool = True,
+        reply_fault: ReplyFault | None = None,
+        corruption: CorruptionRate | None = None,
+        violations: Path | None = None,
+    ) -> str:
+        """Start the process and return the name of its pseudo-terminal.
+
+        servos        what is on the bus
+        link, trace   as of HostBoard; the trace is of the first servo, its fault that of its errors' register
+        line          times; the time on the wire is kept
+        follows_baud  a baud that the host sets on the port is the line's; a servo of another one does not hear it
+        reply_fault, corruption   of one servo's answers, of the wire
+        violations    file that each violation is appended to, as ``violations_in`` reads it
+        Raises EmulationError where it does not start.
+        """
+        self._must_not_run()
+        line = LineTimes() if line is None else line
+        ServoBus(servos, line)  # what it cannot be is said here
+        device = Device(tuple(servos), line, follows_baud, reply_fault, corruption)
+        options = {"device": device.packed()} | ({} if violations is None else {"violations": str(violations)})
+        return self._launch((sys.executable, "-m", "rig.backends.servo.emulated.servo_process"), options, link, trace)
+
+
+def violations_in(file: Path) -> list[Violation]:
+    """What a board's file of violations has so far; none where it has not been made."""
+    if not file.exists():
+        return []
+    lines = file.read_text(encoding="ascii").split("\n")[:-1]  # without a last one that is torn
+    cut = [line.split(",", 2) for line in lines]
+    return [Violation(float(t_s), int(id), what) for t_s, id, what in cut]

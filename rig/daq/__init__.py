@@ -1,1 +1,0 @@
-"""The old names of what a driver of another package is written with; they stay."""

@@ -1,0 +1,221 @@
+"""The C library of the motor's physics (firmware/motor), and how arrays and numbers get into it.
+
+An installed rig has it beside this file. In a clone it is compiled where its sources have changed since, which takes a
+second. Each call releases the interpreter's lock, so that two fits run on two cores.
+
+``double`` is the only number of the library; an array goes in as its address. So every array is checked here first.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import POINTER, Structure, c_bool, c_double, c_int64, c_void_p
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import LibraryError
+from rig.model.library_build import NAME, CompileError, compile_library, sources_in
+from rig.package import FOLDER
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+CLONE = FOLDER.parent / "firmware" / "motor"  # the sources, in a clone
+
+
+class PlainState(Structure):
+    """``plain_state``."""
+
+    _fields_ = (("v", c_double), ("y", c_double), ("z", c_double))
+
+
+class PlainSegment(Structure):
+    """``plain_segment``."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("sign", "duration_s", "target_rad_s", "end_rad_s")),
+        ("is_series", c_bool),
+    )
+
+
+class PlainDrive(Structure):
+    """``plain_drive``."""
+
+    _fields_ = (("edge_s", c_void_p), ("u_V", c_void_p), ("edges", c_int64), ("delay_s", c_double))
+
+
+class RelayPlan(Structure):
+    """``relay_plan``."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("t_s", "t_u_s", "reading_rad", "drive_V")),
+        *((name, c_double) for name in ("h1_V", "h2_V", "lsb_rad")),
+        ("rows", c_int64),
+    )
+
+
+class TestPlan(Structure):
+    """``test_plan``."""
+
+    _fields_ = (
+        ("first", c_void_p), ("second", c_void_p), ("period_s", c_double), ("delay_s", c_double), ("strokes", c_int64),
+        ("most_strokes", c_int64),
+    )  # fmt: skip
+
+
+class RealRecord(Structure):
+    """``real_record``."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("edge_s", "u_V", "t_s", "first", "starts")),
+        *((name, c_int64) for name in ("edges", "rows", "pieces")),
+    )
+
+
+class RealColumns(Structure):
+    """``real_columns``."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("which", "orders", "work")),
+        *((name, c_int64) for name in ("columns", "waves")),
+    )
+
+
+class NoiseRows(Structure):
+    """``noise_rows``."""
+
+    _fields_ = (
+        ("t_s", c_void_p), ("starts", c_void_p), ("rows", c_int64), ("windows", c_int64), ("memory_s", c_double),
+    )  # fmt: skip
+
+
+class CycleData(Structure):
+    """``cycle_data``."""
+
+    _fields_ = (
+        ("gains", c_double * 2), ("edges", c_double * 4), ("t_s", c_void_p), ("measured", c_void_p),
+        ("weight", c_void_p), ("samples", c_int64), ("first_half", c_int64),
+    )  # fmt: skip
+
+
+class CycleSearch(Structure):
+    """``cycle_search``."""
+
+    _fields_ = (
+        ("low", c_void_p), ("high", c_void_p), ("tolerance", c_void_p), ("damping", c_double),
+        ("most_iterates", c_int64),
+    )  # fmt: skip
+
+
+_P, _D, _I = c_void_p, c_double, c_int64
+_SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
+    # plain_motor.h
+    "plain_next_segment": (PlainSegment, [_P, _D, _D, _D, _P]),
+    "plain_after": (PlainState, [_P, POINTER(PlainSegment), _P, PlainState]),
+    "plain_advance": (None, [_P, _P, _D, _D]),
+    "plain_glided": (PlainState, [PlainState, _D, _D, _D]),
+    "plain_terminal_velocity": (_D, [_P, _D, _D]),
+    "series_state": (PlainState, [PlainState, _D, _D, _P, _D]),
+    "series_expand": (_D, [_D, _D, _D, _P]),
+    "series_speed": (_D, [_P, _D]),
+    # real_motor.h
+    "real_start": (None, [_P, _P, _D]),
+    "real_put": (None, [_P, _P, _D, _D]),
+    "real_advance": (None, [_P, _P, _D, _P, _P]),
+    "real_force": (_D, [_P, _D]),
+    "real_level": (_D, [_P, _D, _D]),
+    "real_level_at_rest": (_D, [_P, _D]),
+    "real_staged": (_D, [_P, _D]),
+    "real_reading": (_D, [_P, _D]),
+    # real_readings.h
+    "real_readings": (None, [_P, POINTER(RealRecord), POINTER(RealColumns), _P, _P]),
+    "real_target": (_D, [_P, _D, _P, _D]),
+    # records.h
+    "plain_states": (None, [_P, _P, POINTER(PlainDrive), _P, _I, _P]),
+    "plain_positions": (None, [_P, _P, POINTER(PlainDrive), _P, _I, _P]),
+    "plain_jacobian": (None, [_P, _P, POINTER(PlainDrive), _P, _I, _P, _P]),
+    "relay_test": (None, [_P, POINTER(RelayPlan), _P, _P]),
+    "test_drive": (_I, [_P, POINTER(TestPlan), _P, _I, _P, _P, _P]),
+    "test_jacobian": (None, [_P, POINTER(TestPlan), _I, _P, _P, _P, _P]),
+    "test_known": (None, [_P, _P, _P]),
+    "test_variances": (c_bool, [_P, _P]),
+    "test_rows": (_D, [_P, _I, _D, _P, _P, _I, _P]),
+    "test_bounds": (None, [_P, _I, _D, _P]),
+    # coloured_noise.h
+    "noise_innovations": (_D, [POINTER(NoiseRows), _D, _P, _I, _P, _P]),
+    "noise_deviances": (None, [POINTER(NoiseRows), _P, _I, _P, _P, _P]),
+    # steady_cycle.h
+    "cycle_conditions": (None, [_P, _P, _P, _P, _P]),
+    "cycle_reversal_times": (None, [_P, POINTER(CycleData), _P]),
+    "cycle_curve": (None, [_P, POINTER(CycleData), _P, _P]),
+    "cycle_solve": (_I, [_P, _I, _P, POINTER(CycleData), POINTER(CycleSearch), _P, _P, _P]),
+}
+
+
+def library_file() -> Path:
+    """The library, compiled anew in a clone whose sources have changed. Raises LibraryError."""
+    if not CLONE.is_dir():
+        return Path(__file__).parent / NAME
+    built = FOLDER.parent / "build" / "motor" / NAME
+    newest = max(file.stat().st_mtime_ns for file in CLONE.iterdir())
+    if not built.is_file() or built.stat().st_mtime_ns < newest:
+        try:
+            compile_library(sources_in(CLONE), built)
+        except CompileError as error:
+            raise LibraryError(str(error)) from error
+    return built
+
+
+def _loaded() -> ctypes.CDLL:
+    file = library_file()
+    try:
+        loaded = ctypes.CDLL(str(file))
+    except OSError as error:
+        raise LibraryError(f"the motor's physics cannot be loaded ({error}): install rig again") from error
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(loaded, name)
+        function.restype, function.argtypes = result, arguments
+    return loaded
+
+
+LIBRARY = _loaded()
+_START = c_double * 0
+
+
+def numbers(*values: float) -> ctypes.Array[c_double]:
+    """Numbers in a row, as the library takes a struct of doubles."""
+    return (c_double * len(values))(*values)
+
+
+def given(values: Array | Sequence[float]) -> Array:
+    """An array that the library reads: contiguous, of doubles."""
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def room(count: int) -> Array:
+    """Room for so many numbers that the library works in."""
+    return np.empty(count)
+
+
+def address(values: NDArray[Any]) -> int:
+    """Where ``values``, of any unit, are; they have to live as long as the call."""
+    if values.flags.writeable and values.size:  # a third of the time that the other way takes
+        return ctypes.addressof(_START.from_buffer(values.data))
+    return int(values.ctypes.data)
+
+
+def filled(values: Array, *shape: int) -> int:
+    """Address of ``values``, of any unit, which the library fills. Raises ValueError on another shape or type."""
+    if values.shape != shape or values.dtype != np.float64 or not values.flags.carray:
+        raise ValueError(f"a loop fills a contiguous array of doubles of shape {shape}, not {values.shape}")
+    return address(values)
+
+
+def require_size(values: Array | Rows, count: int, what: str) -> None:
+    """Raise ValueError on an array of another size, which the library would read beyond."""
+    if values.size != count:
+        raise ValueError(f"{what}: {values.size} numbers, not {count}")

@@ -1,0 +1,183 @@
+"""The C library of the motor's physics: how it is compiled and loaded, and what it is given."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import re
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real_motors import CASES, FRAME, relay, with_parts
+
+from rig.design import compiled as design
+from rig.errors import LibraryError
+from rig.identify.noise import noise_of
+from rig.model import library, library_build, stribeck
+from rig.model.compiled import coloured_noise, motion, real_motion, sampled_relay, steady_cycle
+from rig.model.library import LIBRARY
+from rig.model.real_motor import Frame, Pieces, RealMotor, index, response_and_jacobian
+from rig.model.step import Plant, State
+
+C = library.CLONE
+PLANT = (0.2, 5.0, 0.4, 0.4, 0.5, 0.5, 0.0, 0.0)
+
+
+def fields(header: str, name: str) -> tuple[str, ...]:
+    """Names of the fields of a struct of doubles."""
+    bodies = re.findall(r"typedef struct \{([^}]*)\} (\w+);", (C / header).read_text(encoding="utf-8"))
+    (body,) = [body for body, of in bodies if of == name]
+    return tuple(re.findall(r"(\w+)(?=[,;])", body))
+
+
+def constant(header: str, name: str) -> int:
+    (value,) = re.findall(rf"\b{name} = (\d+)", (C / header).read_text(encoding="utf-8"))
+    return int(value)
+
+
+def test_numbers_stand_in_the_same_order_on_both_sides() -> None:
+    assert fields("real_motor.h", "real_motor") == RealMotor._fields + Frame._fields
+    assert fields("real_motor.h", "real_state") == ("v", "y", "f", "w", "x")
+    assert fields("plain_motor.h", "plain_motor") == Plant._fields
+    assert fields("plain_motor.h", "plain_state") == State._fields
+    assert constant("real_readings.h", "REAL_NUMBERS") == real_motion.NUMBERS == len(RealMotor._fields)
+    assert constant("real_readings.h", "REAL_STAGE_ROWS") == real_motion._STAGE_ROWS
+    assert constant("plain_motor.h", "SERIES_ORDER") == stribeck.ORDER
+    assert constant("records.h", "TEST_WIDTH") == design.WIDTH
+    assert constant("steady_cycle.h", "CYCLE_NUMBERS") == steady_cycle.NUMBERS
+
+
+@pytest.mark.parametrize("source", library_build.SOURCES)
+def test_it_allocates_nothing_and_keeps_nothing(source: str, tmp_path: Path) -> None:
+    """All that it asks of its surroundings are functions of numbers; nothing that it has can be written to."""
+    made = tmp_path / "one.o"
+    options = [option for option in library_build.OPTIONS if option != "-shared"]
+    subprocess.run([*library_build.compiler(), *options, "-fPIC", "-c", C / source, "-o", made], check=True)
+    listed = subprocess.run(["nm", made], check=True, capture_output=True, text=True).stdout
+    symbols = [(words[-2], words[-1]) for words in map(str.split, listed.splitlines())]
+    # what the linker fills in once, such as a table's addresses, is not written to by the library
+    assert {name for kind, name in symbols if kind in "BbCD" or (kind == "d" and not name.startswith(".L"))} == set()
+    ours = re.compile(r"^(plain|series|real|relay|test|noise|cycle)_\w+$")
+    mathematics = {"exp", "expm1", "log", "log1p", "sin", "cos", "sincos", "pow", "sqrt", "floor", "fmin", "fmax"}
+    others = {name for kind, name in symbols if kind == "U" and not ours.match(name)} - mathematics
+    assert others <= {"_GLOBAL_OFFSET_TABLE_", "memset", "memcpy", "__stack_chk_fail"}
+
+
+def test_the_interpreters_lock_is_released() -> None:
+    assert type(LIBRARY) is ctypes.CDLL  # a PyDLL would keep it
+
+
+def test_fits_side_by_side_give_what_they_give_alone() -> None:
+    edges, levels = relay(2.0)
+    t_s = np.arange(0.0, 2.4, 0.01)
+
+    def readings(names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        free = [index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "delay_s")]
+        found = response_and_jacobian(with_parts(*names), FRAME, (edges, levels), t_s, Pieces.one(), free)
+        return found.y_rad, found.by_number
+
+    alone = [readings(names) for names in CASES.values()]
+    with ThreadPoolExecutor(4) as pool:
+        for one, other in zip(alone, pool.map(readings, CASES.values()), strict=True):
+            assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Another clone, in which nothing is compiled yet."""
+    folder = tmp_path / "clone" / "firmware" / "motor"
+    shutil.copytree(C, folder)
+    monkeypatch.setattr(library, "CLONE", folder)
+    monkeypatch.setattr(library, "FOLDER", tmp_path / "clone" / "rig")
+    return folder
+
+
+def test_a_clone_compiles_it_where_a_source_has_changed(clone: Path) -> None:
+    built = library.library_file()
+    assert built == clone.parents[1] / "build" / "motor" / library_build.NAME
+    first = built.stat()
+    assert library.library_file().stat().st_mtime_ns == first.st_mtime_ns  # not again
+    os.utime(clone / "plain_motor.c", ns=(first.st_mtime_ns + 1, first.st_mtime_ns + 1))
+    assert library.library_file().stat().st_mtime_ns > first.st_mtime_ns
+    assert ctypes.CDLL(str(built)).plain_advance is not None
+    assert [path.name for path in built.parent.iterdir()] == [library_build.NAME]
+
+
+def test_a_source_that_does_not_compile_is_said_and_leaves_nothing(clone: Path) -> None:
+    (clone / "records.c").write_text("not C\n", encoding="utf-8")
+    with pytest.raises(LibraryError, match=r"compiling the motor's physics failed: .*\n(.*\n)*.*records.c:1"):
+        library.library_file()
+    assert list((clone.parents[1] / "build" / "motor").iterdir()) == []
+
+
+def test_without_a_compiler_it_says_what_to_install(clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert library_build.compiler() == []
+    with pytest.raises(LibraryError, match=r"there is no C compiler: install one .*pip install ziglang"):
+        library.library_file()
+
+
+def test_an_installed_rig_has_it_beside_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "CLONE", tmp_path / "nowhere")
+    assert library.library_file() == Path(library.__file__).parent / library_build.NAME
+
+
+def test_a_library_that_cannot_be_loaded_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "library_file", lambda: tmp_path / "nothing")
+    with pytest.raises(LibraryError, match=r"cannot be loaded .*: install rig again"):
+        library._loaded()
+
+
+def test_an_array_that_it_cannot_fill_is_refused() -> None:
+    t_s = np.arange(4.0)
+    drive = np.zeros(1), np.ones(1), 0.0
+    for out in (np.empty(3), np.empty((2, 4)), np.empty((3, 4)).T, np.empty(8)[::2], np.empty(4, dtype=np.float32)):
+        with pytest.raises(ValueError, match="a loop fills a contiguous array of doubles of shape"):
+            motion.response(PLANT, (0.0, 0.0, 0.0), drive, t_s, out)
+    kept = np.empty(4)
+    kept.flags.writeable = False
+    with pytest.raises(ValueError, match="a loop fills"):
+        motion.response(PLANT, (0.0, 0.0, 0.0), drive, t_s, kept)
+
+
+def test_arrays_that_do_not_fit_together_are_refused() -> None:
+    """Of the library itself nobody could ask it: it would read beyond their ends."""
+    one, two, rows = np.ones(1), np.ones(2), np.zeros(1, dtype=np.int64)
+    y, six = np.empty(2), np.empty((2, 6))
+    calls = [
+        lambda: motion.response(PLANT, (0.0, 0.0, 0.0), (two, one, 0.0), two, y),
+        lambda: motion.response(PLANT, (0.0, 0.0, 0.0), (np.empty(0), np.empty(0), 0.0), two, y),
+        lambda: coloured_noise.deviances(one, rows, 1.0, two, two, y),
+        lambda: coloured_noise.deviances(two, rows + 1, 1.0, two, two, y),
+        lambda: sampled_relay.relay_test(PLANT, (1.0, 1.0), (two, one), (two, two, 0.0), (0, 0, 0), np.empty((2, 5))),
+        lambda: steady_cycle.curve(np.ones(5), (1.0, 1.0), np.ones(4), (1, 1), two, y, six),
+        lambda: design.known(np.ones((6, 7)), np.ones((5, 5)), np.empty((5, 5))),
+        lambda: design.drive(PLANT, (False, two, one), (0.01, 0.0), (0.0, 0.0, 0.0), 0, y, np.empty((2, 2))),
+        lambda: real_motion.readings(
+            (tuple(RealMotor(0.2, 5.0, 0.4)), tuple(Frame())),
+            (one, one), two, (rows + 2, np.zeros((1, 4))), (rows, np.empty(0)), (y, np.empty((2, 0))),
+        ),
+    ]  # fmt: skip
+    for call in calls:
+        with pytest.raises(ValueError):
+            call()
+
+
+def test_what_goes_in_may_be_of_any_order_in_memory() -> None:
+    """Read-only, as a recording's columns are, or every second number of another array."""
+    t_s, residual = np.arange(0.0, 4.0, 0.01), np.sin(np.arange(400.0) ** 2)
+    wide = np.zeros((400, 2))
+    wide[:, 0], wide[:, 1] = t_s, residual
+    wide.flags.writeable = False
+    assert noise_of(wide[:, 1], wide[:, 0], [400]) == noise_of(residual, t_s, [400])
+    y, same = np.empty(400), np.empty(400)
+    motion.response(PLANT, (0.0, 0.0, 0.0), (np.zeros(1), np.ones(1), 0.0), t_s, y)
+    motion.response(PLANT, (0.0, 0.0, 0.0), (np.zeros(1), np.ones(1), 0.0), wide[:, 0], same)
+    assert np.array_equal(y, same) and math.isfinite(y[-1]) and y[-1] > 1.0
