@@ -6,8 +6,9 @@ resistance; a slow random load. Each is recorded twice, on two days: gain and fr
 are those of real logs: a position loop on steps or on a sine, open steps both ways, random levels. Sensors are a
 potentiometer, an encoder, or one with coarse steps.
 
-It shares no code with ``rig.model``; its loop is in C, in ``outside.c``, compiled where it has changed. The measure is not the name of a law: numbers within u95, ok beyond 5 %, motion
-that was not seen, records of one motor beside each other.
+It shares no code with ``rig.model``; its loop is in C, in ``outside.c``, compiled where it has changed. The measure is
+not the name of a law: numbers within u95, ok beyond 5 %, motion that was not seen, records of one motor beside each
+other.
 
     PYTHONPATH=tools python -m campaign_real.outside [--motors 100] [--seed 31] [--rows FILE] [--page]
 """
