@@ -8,8 +8,10 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,7 +140,8 @@ def test_a_library_that_cannot_be_loaded_is_said(tmp_path: Path, monkeypatch: py
 def test_an_array_that_it_cannot_fill_is_refused() -> None:
     t_s = np.arange(4.0)
     drive = np.zeros(1), np.ones(1), 0.0
-    for out in (np.empty(3), np.empty((2, 4)), np.empty((3, 4)).T, np.empty(8)[::2], np.empty(4, dtype=np.float32)):
+    misfits: list[Any] = [np.empty(3), np.empty((2, 4)), np.empty((3, 4)).T, np.empty(8)[::2], np.empty(4, np.float32)]
+    for out in misfits:
         with pytest.raises(ValueError, match="a loop fills a contiguous array of doubles of shape"):
             motion.response(PLANT, (0.0, 0.0, 0.0), drive, t_s, out)
     kept = np.empty(4)
@@ -151,7 +154,7 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
     """Of the library itself nobody could ask it: it would read beyond their ends."""
     one, two, rows = np.ones(1), np.ones(2), np.zeros(1, dtype=np.int64)
     y, six = np.empty(2), np.empty((2, 6))
-    calls = [
+    calls: list[Callable[[], object]] = [
         lambda: motion.response(PLANT, (0.0, 0.0, 0.0), (two, one, 0.0), two, y),
         lambda: motion.response(PLANT, (0.0, 0.0, 0.0), (np.empty(0), np.empty(0), 0.0), two, y),
         lambda: coloured_noise.deviances(one, rows, 1.0, two, two, y),

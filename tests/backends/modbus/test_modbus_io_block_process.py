@@ -42,6 +42,7 @@ from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
 from rig.cli import main
+from rig.package import VERSION
 
 pytestmark = pytest.mark.realtime
 
@@ -119,7 +120,7 @@ def test_the_stock_client_reads_arms_and_drives_it(tcp: bool) -> None:
     with ModbusBoard() as board, stock_client(start(board, tcp)) as client:
         who = client.read_device_information(device_id=1)
         assert isinstance(who, ReadDeviceInformationResponse)
-        assert who.information == {0: b"rig", 1: b"emulated I/O block", 2: b"0.1.0"}
+        assert who.information == {0: b"rig", 1: b"emulated I/O block", 2: VERSION.encode()}
         assert client.read_holding_registers(POSITION, count=4, device_id=1).registers == [512, 0, 0, 0]
         assert client.write_registers(WATCHDOG, list(LONG_WATCHDOG), device_id=1).count == 6
         assert client.read_holding_registers(WATCHDOG, count=6, device_id=1).registers == list(LONG_WATCHDOG)
