@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 
 from typing_extensions import override
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # these load slowly
     from rig.backends.links.usb_adapters import Adapter
     from rig.calibration import DriveMap
     from rig.model.bench import BenchParameters
+    from rig.results import JsonObject
 
 OwnSection = TypeVar("OwnSection", bound=Section)
 
@@ -146,7 +147,7 @@ class Backend(ABC):
         """Error of the recorded time of a drive against that of a sample, at most, s."""
         return 1e-4
 
-    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]] | None:
+    def rehearsed(self, e: Experiment) -> dict[str, JsonObject] | None:
         """The keys of ``daq`` and ``emulated`` that put an emulated device, in virtual time, in place of the real one.
 
         A key of ``daq`` that is None goes. None: rig emulates no such device.

@@ -99,10 +99,8 @@ class Identification:
     def answer(self) -> Answer | None:
         """The numbers to use, with their laws, u95 and verdict, as in result.json; None without an estimate."""
         law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
-        return answer_of(
-            {method: estimate.as_result() for method, estimate in self.estimates.items()},
-            **({} if law is None else law.of_answer(self.leading, largest_V)),
-        )
+        found = {method: estimate.as_result() for method, estimate in self.estimates.items()}
+        return answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
 
     @property
     def evidence(self) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +42,9 @@ from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries, Window
 from rig.recording.stage import StageKind
 from rig.results import (
+    Answer,
     BudgetEntry,
+    EstimateResult,
     FittedRecord,
     FoundLawResult,
     GradedNumber,
@@ -53,6 +54,7 @@ from rig.results import (
     PieceResult,
     PredictsResult,
 )
+from rig.results.answer import answer_of
 
 Array = NDArray[np.float64]
 
@@ -256,19 +258,23 @@ class MotorLaw:
             found["fc_less_bias_V"], found["fc_V"] = found["fc_V"], GradedNumber(grade=NOT_KNOWN)
         return found
 
-    def of_answer(self, estimate: Estimate | None, largest_V: float) -> dict[str, Any]:
-        """What ``answer_of`` takes beside the estimates.
+    def answer(
+        self, estimates: Mapping[str, EstimateResult], estimate: Estimate | None, largest_V: float
+    ) -> Answer | None:
+        """The answer with these laws; None without an estimate.
 
+        estimates   by method, of the plain motor
         estimate    that of the answer
         largest_V   largest drive of the tests, V
         """
         predicts = self.predicts
-        return {
-            "grade": None if estimate is None or not estimate.is_motor else self.graded(estimate, largest_V),
-            "predicts": None if predicts is None else PredictsResult(**predicts._asdict()),
-            "holds": self.holds,
-            "with_laws": None if self.estimate is None else self.estimate.as_result(),
-            "law": tuple(
+        return answer_of(
+            estimates,
+            grade=None if estimate is None or not estimate.is_motor else self.graded(estimate, largest_V),
+            predicts=None if predicts is None else PredictsResult(**predicts._asdict()),
+            holds=self.holds,
+            with_laws=None if self.estimate is None else self.estimate.as_result(),
+            law=tuple(
                 FoundLawResult(
                     name=one.law.name,
                     value=one.size,
@@ -279,10 +285,10 @@ class MotorLaw:
                 )
                 for one in self.found
             ),
-            "law_frame": None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
-            "u95": self.budget.u95,
-            "u95_absolute": self.budget.u95_absolute,
-        }
+            law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
+            u95={**self.budget.u95},
+            u95_absolute={**self.budget.u95_absolute},
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,12 +172,13 @@ class Bench:
     async def check(self) -> Checked:
         """What `rig check` says of the config, and a ``confirmation`` with which it may be started."""
         found = await answer_of("rig.panel.prospect", self._own_config())
-        digest = found.pop("digest", "")
         confirmation = None
         if found["plan"] is not None:
             confirmation = secrets.token_urlsafe(12)
-            self._confirmation = _Confirmation(confirmation, digest, time.monotonic() + _CONFIRMED_FOR_S)
-        return {**found, "confirmation": confirmation}
+            self._confirmation = _Confirmation(confirmation, found["digest"], time.monotonic() + _CONFIRMED_FOR_S)
+        return {
+            "lines": found["lines"], "may_run": found["may_run"], "plan": found["plan"], "confirmation": confirmation,
+        }  # fmt: skip
 
     def start(self, confirmation: object) -> Started:
         """Start ``rig run`` on the config as it was checked. Raises RefusedError if anything is in the way."""

@@ -129,21 +129,14 @@ def _summary(folder: Path, meta: RunMeta, result: RunResult | None, notes: list[
     if lasts_s is not None and not math.isfinite(lasts_s):
         lasts_s = None
     return {
-        "name": folder.name,
-        "when": meta.started_utc or _stamp(folder.name),
+        "name": folder.name, "when": meta.started_utc or _stamp(folder.name),
         "command": None if meta.script is None else meta.script.name,
-        "config": meta.name,
-        "backend": meta.backend,
-        "emulated": meta.emulated,
-        "rehearsal": bool(meta.rehearsal),
-        "verdict": "failed" if fault else None if answer is None else answer.verdict or None,
-        "fault": fault,
+        "config": meta.name, "backend": meta.backend, "emulated": meta.emulated, "rehearsal": bool(meta.rehearsal),
+        "verdict": "failed" if fault else None if answer is None else answer.verdict or None, "fault": fault,
         "estimate": None if answer is None else _numbers(answer),
         "says": [] if answer is None else [line for line in (graded_words(answer), *validity(answer)) if line],
-        "lasts_s": lasts_s,
-        "report": (folder / REPORT).is_file(),
-        "notes": notes,
-    }
+        "lasts_s": lasts_s, "report": (folder / REPORT).is_file(), "notes": notes,
+    }  # fmt: skip
 
 
 def _numbers(estimate: EstimateResult) -> dict[str, tuple[float, float | None] | None]:

@@ -360,10 +360,7 @@ def live(run: str, number: int, snapshot: Snapshot, rows: Sequence[LiveRow]) -> 
     limits, planes, cycle, health = snapshot.limits, snapshot.planes, snapshot.cycle, snapshot.loop
     runner = snapshot.runner
     return {
-        "type": "live",
-        "n": number,
-        "run": run,
-        "command": snapshot.command,
+        "type": "live", "n": number, "run": run, "command": snapshot.command,
         "pid": None if runner is None else runner.pid,
         "age_ms": None if snapshot.age_s is None else round(1e3 * snapshot.age_s),
         "rows": {
@@ -372,19 +369,14 @@ def live(run: str, number: int, snapshot: Snapshot, rows: Sequence[LiveRow]) -> 
             "u_V": [_rounded(row.u_V, 4) for row in rows],
             "z_rad_s": [_rounded(row.z_rad_s, 5) for row in rows],
         },
-        "stage": snapshot.stage,
-        "words": snapshot.words,
-        "stage_left_s": _rounded(snapshot.left.stage_s, 1),
-        "run_left_s": _rounded(snapshot.left.run_s, 1),
+        "stage": snapshot.stage, "words": snapshot.words,
+        "stage_left_s": _rounded(snapshot.left.stage_s, 1), "run_left_s": _rounded(snapshot.left.run_s, 1),
         "cycles": None if cycle is None else cycle.number,
         "amplitude_rad": None if cycle is None else _rounded(cycle.amplitude_rad, 5),
         "period_s": None if cycle is None else _rounded(cycle.period_s, 5),
-        "drive_is_off": snapshot.drive_is_off,
-        "is_over": snapshot.is_over,
+        "drive_is_off": snapshot.drive_is_off, "is_over": snapshot.is_over,
         "loop": {
-            "late": _late(snapshot),
-            "latest_us": _rounded(health.latest_us, 0),
-            "skipped": health.skipped,
+            "late": _late(snapshot), "latest_us": _rounded(health.latest_us, 0), "skipped": health.skipped,
             "link_errors": health.link_errors,
         },
         "limits": {
@@ -392,10 +384,10 @@ def live(run: str, number: int, snapshot: Snapshot, rows: Sequence[LiveRow]) -> 
             "hard_rad": None if limits is None else _finite(limits.hard_rad),
             "drive_V": None if limits is None else limits.max_u_V,
         },
-        "planes": None
-        if planes is None
-        else {"y_rad": [0.0], "z_rad_s": [0.0], "h1_V": planes.h1_V, "h2_V": planes.h2_V},
-    }
+        "planes": None if planes is None else {
+            "y_rad": [0.0], "z_rad_s": [0.0], "h1_V": planes.h1_V, "h2_V": planes.h2_V,
+        },
+    }  # fmt: skip
 
 
 def _late(snapshot: Snapshot) -> int | None:

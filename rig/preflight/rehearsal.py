@@ -120,9 +120,11 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
             "rehearse a copy of this config with `driver: simulated`, and without port and options",
         )
         raise ConfigError([document.located(problem)])
-    daq = {key: value for key, value in (_section(document.data, "daq") | keys["daq"]).items() if value is not None}
+    daq: JsonObject = {
+        key: value for key, value in (_section(document.data, "daq") | keys["daq"]).items() if value is not None
+    }
     own = _section(document.data, "emulated")
-    motor = _section(own, "motor") | made_motor(sheet, e)
+    motor: JsonObject = {**_section(own, "motor"), **made_motor(sheet, e)}
     if not own:
         own = keys["emulated"]
         if e.sensor.encoder is None:
@@ -134,7 +136,7 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
             motor["stop_rad"] = [low_rad - _BEYOND_HARD_RAD, high_rad + _BEYOND_HARD_RAD]
     if sheet.coasting is not None:
         own = own | {"coasting": sheet.coasting}
-    data = document.data | {"daq": daq, "emulated": own | {"motor": motor, "rehearsal": True}}
+    data: JsonObject = {**document.data, "daq": daq, "emulated": {**own, "motor": motor, "rehearsal": True}}
     found, _ = check(replace(document, data=data), pace=pace)
     assert found.emulated is not None
     if problems := [document.located(problem) for problem in _unfit(found, found.emulated.motor)]:

@@ -267,7 +267,7 @@ def print_stages(events: Tail, waiting: EndOfInput) -> None:
                 text = stage_line(event)
             except (ValueError, KeyError, TypeError):
                 continue  # whoever reads the run afterwards says what is wrong with its files
-            goes_on = event.get("kind") == "stage" and event["name"] == stage
+            goes_on = event.get("kind") == "stage" and str(event["name"]) == stage
             stage = str(event["name"]) if event.get("kind") == "stage" else stage
             if text is not None and not goes_on:
                 try:

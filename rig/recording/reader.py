@@ -138,7 +138,8 @@ def read_events(
         if not line.strip():
             continue
         try:
-            event, left_out = _typed(path, RunEvent, line_of(path, line, number), number, strict=strict)
+            value = _parse_object(path, line_of(path, line, number), number)
+            event, left_out = _salvaged(path, RunEvent, value, number, strict=strict)
         except RecordingError as error:
             if broken is None:
                 raise
@@ -169,11 +170,6 @@ def _read_part(path: Path, kind: type[_File], *, strict: bool) -> tuple[_File | 
     part, left_out = _salvaged(path, kind, read_object(path), None, strict=strict)
     notes = [f"{words}; rig leaves it out" for words in left_out] + remarks(part)
     return part, [f"{path.name}: {note}" for note in notes]
-
-
-def _typed(path: Path, kind: type[_P], text: str, line: int, *, strict: bool) -> tuple[_P, list[str]]:
-    """A line with a JSON object as a part, and a sentence on each wrong value, which is left out."""
-    return _salvaged(path, kind, _parse_object(path, text, line), line, strict=strict)
 
 
 def _salvaged(path: Path, kind: type[_P], value: JsonObject, line: int | None, *, strict: bool) -> tuple[_P, list[str]]:

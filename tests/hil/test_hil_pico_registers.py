@@ -202,7 +202,7 @@ def test_inputs_that_become_high_one_after_the_other_are_a_pulse(build_with: Cal
 
 def test_a_program_without_its_checksum_is_not_started(tmp_path: Path) -> None:
     parameters = pico_parameters(HELD)
-    uf2 = bytearray(Path(parameters["uf2"]).read_bytes())
+    uf2 = bytearray(Path(str(parameters["uf2"])).read_bytes())
     uf2[32] ^= 1  # the first byte of the program
     damaged = tmp_path / "damaged.uf2"
     damaged.write_bytes(uf2)

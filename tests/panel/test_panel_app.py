@@ -10,7 +10,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 from urllib.parse import quote
 
 import httpx2 as httpx
@@ -26,6 +26,7 @@ from rig.live.stop_flag import Runner, StopFlag
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
 from rig.panel.bench import StopAnswer
+from rig.panel.messages import Checked, Compared, Drawn, RunRow, State, Stop
 from rig.panel.processes import StartedProcess
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
 from rig.panel.watch import Follower
@@ -111,6 +112,21 @@ def test_a_browser_without_a_session_watches_and_stops_and_no_more(watcher: Test
     assert said["may_run"] is False
     assert said["confirmation"] is None
     assert all(line["severity"] == "error" for line in said["lines"])
+
+
+def test_each_answer_has_the_keys_of_its_type(watcher: TestClient, operator: TestClient) -> None:
+    """What a process of its own has answered is not validated: this does it."""
+    name = "20260103T000000Z-run-whole"
+    answers = [
+        (watcher.get("/api/state"), State), (operator.post("/api/check"), Checked), (watcher.post("/api/stop"), Stop),
+        (watcher.get(f"/api/compare?run={quote(HOSTILE)}&run=20260101T000000Z-run-broken"), Compared),
+    ]  # fmt: skip
+    for answer, kind in answers:
+        assert answer.json().keys() == get_type_hints(kind).keys(), answer.text
+    row, *_ = watcher.get("/api/runs").json()["runs"]
+    assert row.keys() == get_type_hints(RunRow).keys()
+    shown = watcher.get(f"/api/runs/{name}").json()
+    assert shown.keys() == get_type_hints(RunRow).keys() | get_type_hints(Drawn).keys()
 
 
 def test_each_answer_forbids_foreign_code_framing_and_telling(watcher: TestClient) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
@@ -22,6 +22,7 @@ from rig.config.schema import Experiment
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
+    from rig.results import JsonObject
 
 _STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
 
@@ -149,7 +150,7 @@ class ModbusBackend(LineBackend):
         return emulated_board(e, link, trace)
 
     @override
-    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
+    def rehearsed(self, e: Experiment) -> dict[str, JsonObject]:
         """An I/O block with the config's register map, on the same kind of line."""
         port = "emulated-tcp" if is_tcp(e.daq.port) else "emulated"
         return {"daq": {"port": port, "usb_serial": None}, "emulated": {}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
@@ -25,6 +25,7 @@ from rig.config.schema import Experiment
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
     from rig.calibration import DriveMap
+    from rig.results import JsonObject
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 _RESONATOR_PPM = 4000.0  # an Uno's ceramic resonator is good to half a percent
@@ -152,7 +153,7 @@ class SerialBackend(LineBackend):
         return emulated_board(e, link, trace, chip=chip)
 
     @override
-    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
+    def rehearsed(self, e: Experiment) -> dict[str, JsonObject]:
         """The firmware's core on this machine, with the board's steps of the drive, behind the same USB adapter."""
         if is_emulated(e):
             return {"daq": {"port": without_real_time(e.daq.port or "")}, "emulated": {}}

@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts
@@ -32,6 +31,7 @@ from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of, is_virtual
 from rig.config.schema import Experiment
 from rig.faults import Fault
+from rig.results import JsonObject
 
 
 @contextmanager
@@ -138,7 +138,7 @@ def emulated_pico(e: Experiment) -> VirtualPico:
     return VirtualPico(_pico_parameters(e))
 
 
-def _pico_parameters(e: Experiment) -> dict[str, Any]:
+def _pico_parameters(e: Experiment) -> JsonObject:
     emulated = emulated_of(e)
     bench = bench_parameters(emulated, e.tachometer)
     options = variant_of(bench, e.daq.baud, e.drive.bridge)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
@@ -14,6 +14,9 @@ from rig.backends.clock import VirtualClock
 from rig.backends.emulated.shaft import ShaftPath
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.results import JsonObject
 
 _ROUNDED_S = 1e-6  # the last digit in samples.csv
 
@@ -63,7 +66,7 @@ class SimulatedBackend(Backend):
         return True
 
     @override
-    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
+    def rehearsed(self, e: Experiment) -> dict[str, JsonObject]:
         """As it is."""
         return {"daq": {}, "emulated": {}}
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from rig.backends.emulated.board_process import BoardProcess
+from rig.results import JsonObject
 
 
 class PicoBoard(BoardProcess):
@@ -17,7 +17,7 @@ class PicoBoard(BoardProcess):
     seconds is not caught up.
     """
 
-    def start(self, parameters: dict[str, Any], link: Path | None = None, trace: Path | None = None) -> str:
+    def start(self, parameters: JsonObject, link: Path | None = None, trace: Path | None = None) -> str:
         """Start the process and return the name of its port.
 
         parameters  as ``pico_parameters`` gives them

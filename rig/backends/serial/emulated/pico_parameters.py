@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
+from rig.results import JsonObject
 
 _BITS_PER_BYTE = 10
 
@@ -22,7 +22,7 @@ def pico_parameters(
     dead_time_s: float = 0.0,
     wires: int | None = None,
     build_folder: Path | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """What a ``VirtualPico`` is made of; firmware and emulator are built.
 
     bench            what is behind the board; its ``drive_counts`` is the chip's own business
@@ -42,7 +42,7 @@ def pico_parameters(
         "uf2": str(firmware.uf2),
         "addon": str(firmware.bench),
         "byte_ns": round(1e9 * _BITS_PER_BYTE / options.baud),
-        "options": list(of_bench.items()),
+        "options": [list(option) for option in of_bench.items()],
         "bridge": options.bridge,
         "dead_time_s": dead_time_s,
         "clock_error_ppm": clock_error_ppm,

@@ -8,18 +8,32 @@ import math
 import subprocess
 import weakref
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NotRequired, TypedDict
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Plug
 
 if TYPE_CHECKING:  # it loads slowly
+    from pydantic import JsonValue
+
     from rig.model.bench import DriveWiring, SensorWiring
+    from rig.results import JsonObject
 
 _END_S = 10.0
 
 PicoContact = Literal["e_stop", "end_low", "end_high"]
 PicoHang = Literal["main loop", "everything", "tick", "converter", "counter"]
+
+
+class _Said(TypedDict):
+    """What the emulator answers."""
+
+    received: str
+    now_ns: float
+    results: list[Any]
+    error: NotRequired[str]
+
+
 PicoStall = Literal["main loop", "tick"]
 
 
@@ -69,7 +83,7 @@ class VirtualPico(Plug):
         self._to_send = b""
         self._received = b""
         self._now_ns = 0.0
-        self._say(parameters)
+        self._say(dict(parameters))
 
     # ------------------------------------------------------------------ port
 
@@ -156,31 +170,30 @@ class VirtualPico(Plug):
     def _run(self, until_ns: float, *, until_byte: bool) -> None:
         self._ask({"until_ns": until_ns, "until_byte": until_byte, "calls": []})
 
-    def _call(self, method: str, *given: object) -> Any:
+    def _call(self, method: str, *given: JsonValue) -> Any:
         return self._ask({"until_ns": None, "until_byte": False, "calls": [[method, *given]]})[0]
 
-    def _ask(self, what: dict[str, Any]) -> list[Any]:
+    def _ask(self, what: JsonObject) -> list[Any]:
         said = self._say({"send": self._to_send.hex(), **what})
         self._to_send = b""
         self._received += bytes.fromhex(said["received"])
         self._now_ns = said["now_ns"]
-        results: list[Any] = said["results"]
-        return results
+        return said["results"]
 
-    def _say(self, what: Mapping[str, Any]) -> dict[str, Any]:
+    def _say(self, what: JsonObject) -> _Said:
         """One line there and one back. Raises EmulationError with the emulator's words where it fails."""
         assert self._process.stdin is not None and self._process.stdout is not None
         if self._process.stdin.closed:
             raise EmulationError("this emulated Pico has ended")
         try:
-            self._process.stdin.write(json.dumps(dict(what)).encode() + b"\n")
+            self._process.stdin.write(json.dumps(what).encode() + b"\n")
             self._process.stdin.flush()
             line = self._process.stdout.readline()
         except OSError:
             line = b""
         if not line:
             raise EmulationError(f"the Pico's emulator ended, status {self._process.wait(_END_S)}: its words are above")
-        said: dict[str, Any] = json.loads(line)
+        said: _Said = json.loads(line)
         if "error" in said:
             raise EmulationError(said["error"])
         return said
