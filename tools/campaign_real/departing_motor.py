@@ -41,7 +41,8 @@ def _loaded() -> ctypes.CDLL:
 _LIBRARY = _loaded()
 
 
-def _row(*values: float) -> ctypes.Array[ctypes.c_double]:
+def row_of(*values: float) -> ctypes.Array[ctypes.c_double]:
+    """Numbers as C reads them."""
     return (ctypes.c_double * len(values))(*values)
 
 
@@ -160,10 +161,10 @@ def relay_test(
             force[k] = keep * force[k - 1] + np.sqrt(1.0 - keep * keep) * rng.standard_normal()
     out, pushed_V = np.empty((rows, 5)), departures.random_V * force
     _LIBRARY.departing_relay_test(
-        _row(motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V),
-        _row(*departures.numbers()),
-        _row(bench.period_s, bench.delay_s, bench.lsb_rad, *begin_and_whole_s, step_s),
-        _row(*gains_V),
+        row_of(motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V),
+        row_of(*departures.numbers()),
+        row_of(bench.period_s, bench.delay_s, bench.lsb_rad, *begin_and_whole_s, step_s),
+        row_of(*gains_V),
         noise.ctypes.data,
         pushed_V.ctypes.data,
         rows,
@@ -193,16 +194,16 @@ class MovingShaft:
         begin_and_whole_s: tuple[float, float],
         step_s: float = STEP_S,
     ) -> None:
-        self._motor = _row(motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V)
+        self._motor = row_of(motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V)
         self._departures = departures
-        self._numbers = _row(*departures.numbers())
+        self._numbers = row_of(*departures.numbers())
         self._begin_s, self._whole_s = begin_and_whole_s
         self._step_s = step_s
-        self._state = _row(*[0.0] * 5)
+        self._state = row_of(*[0.0] * 5)
 
     def advance(self, u_V: float, force_V: float, t_s: float, dt_s: float) -> None:
         """Let ``dt_s`` pass from ``t_s``, s, on, under the drive ``u_V`` and the random force ``force_V``, V."""
-        timing, drive = _row(self._begin_s + t_s, self._whole_s, self._step_s), _row(u_V, force_V)
+        timing, drive = row_of(self._begin_s + t_s, self._whole_s, self._step_s), row_of(u_V, force_V)
         _LIBRARY.departing_advance(self._motor, self._numbers, timing, drive, dt_s, self._state)
 
     @property

@@ -6,8 +6,9 @@ resistance; a slow random load. Each is recorded twice, on two days: gain and fr
 are those of real logs: a position loop on steps or on a sine, open steps both ways, random levels. Sensors are a
 potentiometer, an encoder, or one with coarse steps.
 
-It shares no code with ``rig.model``. The measure is not the name of a law: numbers within u95, ok beyond 5 %, motion
-that was not seen, records of one motor beside each other.
+It shares no code with ``rig.model``; its loop is in C, in ``outside.c``, compiled where it has changed. The measure is
+not the name of a law: numbers within u95, ok beyond 5 %, motion that was not seen, records of one motor beside each
+other.
 
     PYTHONPATH=tools python -m campaign_real.outside [--motors 100] [--seed 31] [--rows FILE] [--page]
 """
@@ -15,6 +16,7 @@ that was not seen, records of one motor beside each other.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import math
 import sys
@@ -25,13 +27,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from rich.progress import track
 
+from campaign_real.departing_motor import row_of
 from real_records.siblings import next_record
 from rig.identify import IdentifyError, identify
 from rig.identify.departures.budget import Entry
+from rig.model.library_build import NAME, compile_library
 from rig.recording.recording import Recording, from_columns
 from shared.cases import spread
 from shared.page import render, today, write
@@ -47,8 +50,23 @@ KINDS = ("friction", "force", "coupling", "warming", "load friction", "supply", 
 SENSORS = ("potentiometer", "encoder", "coarse")
 DAYS = 0.025  # standard deviation of gain and friction between days
 STEP_S = 5e-5
+SOURCE = Path(__file__).with_suffix(".c")
 WRONG = 0.05  # an ok answer that is farther off is wrong
 NEXT = 1.05
+
+
+def _loaded() -> ctypes.CDLL:
+    built = SOURCE.parents[2] / "build" / "campaign_real_outside" / NAME
+    if not built.is_file() or built.stat().st_mtime_ns < SOURCE.stat().st_mtime_ns:
+        compile_library([SOURCE], built)
+    loaded = ctypes.CDLL(str(built))
+    numbers = ctypes.c_void_p
+    loaded.outside_record.argtypes = [numbers] * 6 + [ctypes.c_int64, numbers]
+    loaded.outside_record.restype = ctypes.c_double
+    return loaded
+
+
+_LIBRARY = _loaded()
 
 
 @dataclass(frozen=True)
@@ -172,7 +190,7 @@ def recorded(bench: Bench, drive: str, rng: np.random.Generator, name: str) -> t
     """One record, and what is true of tau, K and the mean friction in it."""
     rows = round(bench.duration_s / bench.period_s)
     number = DRIVES.index(drive)
-    levels = _levels(bench, drive, rng, rows)
+    levels = np.ascontiguousarray(_levels(bench, drive, rng, rows), dtype=np.float64)
     force = np.zeros(rows)
     keep = math.exp(-bench.period_s / 0.5)
     for k in range(1, rows):
@@ -180,14 +198,16 @@ def recorded(bench: Bench, drive: str, rng: np.random.Generator, name: str) -> t
     goal_rad = 0.5 * bench.K_rad_s_V * bench.largest_V * bench.tau_s
     gain = rng.uniform(1.0, 4.0) * bench.largest_V / max(goal_rad, 1e-6) / 2.0
     out = np.empty((rows, 3))
-    friction_V = _simulated(
-        (bench.tau_s, bench.K_rad_s_V, bench.fc_V, bench.bias_V, bench.largest_V),
-        tuple(asdict(bench.outside).values()),
-        (bench.period_s, 0.3 * bench.period_s, STEP_S),
-        (number < 2, gain, goal_rad),
-        levels,
-        bench.outside.random_V * force,
-        out,
+    pushed_V = bench.outside.random_V * force
+    friction_V = _LIBRARY.outside_record(
+        row_of(bench.tau_s, bench.K_rad_s_V, bench.fc_V, bench.bias_V, bench.largest_V),
+        row_of(*asdict(bench.outside).values()),
+        row_of(bench.period_s, 0.3 * bench.period_s, STEP_S),
+        row_of(float(number < 2), gain, goal_rad),
+        levels.ctypes.data,
+        pushed_V.ctypes.data,
+        rows,
+        out.ctypes.data,
     )
     y_rad = out[:, 1] + bench.noise_rad * rng.standard_normal(rows)
     if bench.step_rad > 0.0:
@@ -219,69 +239,6 @@ def _levels(bench: Bench, drive: str, rng: np.random.Generator, rows: int) -> Ar
     else:
         found = bench.largest_V * rng.uniform(-1.0, 1.0, count)
     return np.asarray(found[number], dtype=np.float64)
-
-
-@njit(cache=True)
-def _simulated(motor, outside, timing, loop, levels, force, out):  # type: ignore[no-untyped-def]
-    """Rows of t, y and u; the mean friction while the shaft turns, V."""
-    tau, K, fc, bias, most = motor
-    share, share_n, share_phi, fA, fn, fphi, mass, spring, damping, warm, warm_s, by_load, supply, _ = outside
-    period, delay, step = timing
-    closed, gain, goal = loop
-    v = y = u = 0.0
-    load_v = load_y = 0.0
-    total = 0.0
-    count = 0
-    for k in range(levels.size):
-        t = k * period
-        read = load_y if mass > 0.0 else y
-        new = levels[k]
-        if closed:
-            new = min(max(gain * (goal * levels[k] - read), -most), most)
-        out[k, 0], out[k, 1], out[k, 2] = t, read, new
-        n = max(1, round(period / step))
-        h = period / n
-        for i in range(n):
-            if i * h >= delay:
-                u = new
-            warmth = 1.0 - np.exp(-(t + i * h) / warm_s)
-            K_now = K * (1.0 - 0.5 * warm * warmth)
-            tau_now = tau * (1.0 - 0.5 * warm * warmth)
-            middle = y + 0.5 * h * v
-            f = fA * np.sin(fn * middle + fphi)
-            level = fc * (1.0 - warm * warmth) * (1.0 + share * np.sin(share_n * middle + share_phi)) + by_load * abs(f)
-            w = u
-            current = u - v / K_now
-            if u * current > 0.0:
-                w = u * (1.0 - supply * abs(current) / most)
-            push = w + bias - f + force[k]
-            own_tau = tau_now
-            if mass > 0.0:
-                own_tau = tau_now * (1.0 - mass)
-                # the coupling's torque, as a voltage: at equal speeds and angles it is 0
-                twist = (y - load_y) * spring * spring + 2.0 * damping * spring * (v - load_v)
-                push -= tau_now * mass * (1.0 - mass) * twist / K_now
-                load_v += h * (1.0 - mass) * twist
-                load_y += h * load_v
-            sign = 0.0
-            if v > 0.0:
-                sign = 1.0
-            elif v < 0.0:
-                sign = -1.0
-            elif push > level:
-                sign = 1.0
-            elif push < -level:
-                sign = -1.0
-            if sign == 0.0:
-                continue
-            total += level
-            count += 1
-            next_v = v + (K_now * (push - sign * level) - v) * -np.expm1(-h / own_tau)
-            if v * next_v < 0.0 or (v != 0.0 and next_v * sign < 0.0):
-                next_v = 0.0
-            y += 0.5 * h * (v + next_v)
-            v = next_v
-    return total / max(count, 1)
 
 
 def row(seed: int, number: int) -> Row:
