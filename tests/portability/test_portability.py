@@ -56,7 +56,7 @@ def test_on_windows_all_but_the_devices_of_linux(tmp_path: Path) -> None:
     [run] = (tmp_path / "runs").iterdir()
     assert run.name.endswith("Z-run-simulated")
     assert {path.name for path in run.iterdir()} == {
-        *("config.yaml", "meta.json", "samples.csv", "events.jsonl", "result.json", "report.html")
+        *("config.yaml", "meta.json", "samples.csv", "events.jsonl", "result.json", "report.html", "curves.json")
     }
     assert not any(":" in path.name for path in tmp_path.rglob("*"))
     assert b"\r" not in (run / "samples.csv").read_bytes()
