@@ -358,7 +358,7 @@ def test_by_hand_the_shaft_stands_where_the_hand_says() -> None:
         ({"sensor": {"counts_max": 1023}}, "an encoder has no counts_max"),
         ({"sensor": {"encoder": {"counts_per_turn": 2}}}, "sensor.encoder.counts_per_turn"),
         ({"sensor": {"encoder": {"counts_per_turn": 64, "sign": 0}}}, "sensor.encoder.sign"),
-        ({"sensor": {"encoder": None}}, "needs `calibration`, of a potentiometer, or `encoder`"),
+        ({"sensor": {"encoder": None}}, "needs `calibration`, of a potentiometer, `encoder`, or `servo`"),
         ({"limits": {"travel": "none"}}, "`travel: none` leaves no soft_rad"),
         ({"limits": {"soft_rad": None}}, "soft_rad missing"),
         ({"limits": {"turns": 3}}, "`turns` bounds a shaft that turns without end"),

@@ -51,7 +51,8 @@ def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
     config.write_text("as checked")
 
     async def answer_of(name: str, *paths: Path) -> dict[str, Any]:
-        return {"may_run": True, "plan": {"jog_V": 1.0}, "digest": hashlib.sha256(config.read_bytes()).hexdigest()}
+        digest = hashlib.sha256(config.read_bytes()).hexdigest()
+        return {"lines": [], "may_run": True, "plan": {"jog_V": 1.0}, "digest": digest}
 
     def start(out: Path, command: str, arguments: Sequence[str]) -> StartedProcess:
         started.append((command, arguments[-2:]))
