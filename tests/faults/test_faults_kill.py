@@ -38,8 +38,8 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
     config["daq"] |= {"port": str(link), "adapter": "none"}
     config["breakaway"] |= {"ramp_V_s": 0.8, "rest_s": 0.2}
     # so slow that there is room for a long watchdog: beside other tests the machine stands still for a while
-    config["daq"]["watchdog_s"], config["limits"]["max_speed_rad_s"] = 0.3, 3.2
-    config["relay"] = {"gains": [{"h1_V": 0.3, "h2_V": 0.65}], "cycles": 60}
+    config["daq"]["watchdog_s"], config["limits"]["max_speed_rad_s"] = 0.2, 3.9
+    config["relay"] = {"gains": [{"h1_V": 0.35, "h2_V": 0.75}], "cycles": 60}
     del config["tracking"]
     config["drive"]["bridge"] = "pwm-dir"  # nobody can tell by its name that nothing turns behind it
     path = tmp_path / "kill.yaml"
@@ -55,7 +55,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
             events = list(runs.glob("*/events.jsonl"))
             return events[0].read_text().count('"cycle"') if events else 0
 
-        wait_until(lambda: cycles() >= 6)
+        wait_until(lambda: cycles() >= 12)
         os.kill(loop.pid, number)
         killed_s = time.monotonic()
         status = loop.wait()
