@@ -15,7 +15,7 @@ from typing import Final, Protocol
 from typing_extensions import override
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
-from rig.backends.registers.bus import LATE_TIMEOUTS, BusClient, Reply
+from rig.backends.registers.bus import ATTEMPTS, LATE_TIMEOUTS, BusClient, Reply
 from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
@@ -31,6 +31,7 @@ _REST_COUNTS: Final = 1  # that a shaft at rest may move by
 _REST_S: Final = 0.04  # for which it must
 _COASTS_S: Final = 1.0  # longest wait for rest
 _LOOK_S: Final = 0.005
+_CUTS_S: Final = 0.02  # until torque off shows in the duty that acts
 _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: one can be damaged
 _SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
 _STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
@@ -209,10 +210,11 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def safe_stop(self) -> bool:
         """Duty 0 until the shaft rests, or torque off at once; True once duty 0 and torque off are confirmed."""
-        stopped = super().safe_stop()
+        stopped = super().safe_stop() or (self._met and self._cut_off())
         if self._guardian is not None and stopped:
             self._guardian.rest()  # the duty is 0
-        return stopped and self._torque_off()
+        self._is_off = stopped and self._torque_off()
+        return self._is_off
 
     @override
     def close(self) -> None:
@@ -270,6 +272,14 @@ class ServoDriver(RegisterDriver[Ask]):
         held = self._map.drive.unpack(self._stored(self._map.drive))
         if held != 0:
             raise Fault("ARM_READBACK", f"{self._map.drive}: sent 0, stored {held:g}")
+        if (words := self._other_mode()) is not None:  # there its torque would drive it to a goal of its own
+            raise Fault("DEVICE_RESET", words)
+
+    def _other_mode(self) -> str | None:
+        """What to say of a servo that is not in PWM mode any more, as after its supply has failed; None: it is."""
+        model = self._setup.model
+        mode = self._link.value(model.roles["mode"])
+        return None if mode == model.pwm_mode else f"{model.role('mode')} reads {mode}, not {model.pwm_mode}"
 
     @override
     def _await_armed(self) -> None:
@@ -302,17 +312,37 @@ class ServoDriver(RegisterDriver[Ask]):
             self._written = [one for one in self._written if one[0].name != "watchdog"]
         asked(self._setting(self._map.drive, 0.0), timeout_s)
 
+    def _cut_off(self) -> bool:
+        """Torque off at once, where no duty 0 was confirmed: in another mode it says nothing to a servo."""
+        for _ in range(ATTEMPTS):
+            try:
+                self._settle()
+                self._write_torque_off(self._client.asked, self._timeout_s)
+                until_s = self._transport.now_s() + _CUTS_S
+                if self._is_stopped(until_s, until_s):
+                    return True
+            except Fault as fault:
+                if fault.code == "LINK_LOST":
+                    return False
+                self._client.is_suspect = True
+        return False
+
     def _torque_off(self) -> bool:
-        """Wait until the shaft rests, torque off; True once that is read back."""
+        """Wait until the shaft rests, torque off; True once that is read back. One lost reply is none."""
         control = self._map.control
         assert control is not None
-        try:
-            if self._setup.brakes:
-                self._await_rest()
-            self._client.asked(self._setting(control, self._map.stop), self._timeout_s)
-            return control.unpack(self._stored(control)) == self._map.stop
-        except Fault:
-            return False
+        for _ in range(ATTEMPTS):
+            try:
+                self._settle()
+                if self._setup.brakes:
+                    self._await_rest()
+                self._client.asked(self._setting(control, self._map.stop), self._timeout_s)
+                return control.unpack(self._stored(control)) == self._map.stop
+            except Fault as fault:
+                if fault.code == "LINK_LOST":
+                    return False
+                self._client.is_suspect = True
+        return False
 
     def _await_rest(self) -> None:
         """Until the shaft has stood for a while, or for as long as any shaft takes."""
@@ -433,6 +463,8 @@ class ServoDriver(RegisterDriver[Ask]):
             return
         if self._link.value(self._setup.model.roles["torque"]) == 0:
             raise Fault("DEVICE_RESET", f"{words}: its torque is off")
+        if (other := self._other_mode()) is not None:
+            raise Fault("DEVICE_RESET", f"{words}: {other}")
         raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
 
     def _check_health(self, values: Mapping[str, float]) -> None:
@@ -479,10 +511,8 @@ class ServoDriver(RegisterDriver[Ask]):
             return fault
         if self._watchdog_has_acted():
             return Fault("DEVICE_WATCHDOG", fault.detail)
-        roles = self._setup.model.roles
-        if self._link.value(roles["mode"]) != self._setup.model.pwm_mode:
-            return Fault("DEVICE_RESET", f"{fault.detail}; it is in another mode")
-        return fault
+        other = self._other_mode()
+        return fault if other is None else Fault("DEVICE_RESET", f"{fault.detail}; {other}")
 
     def _watchdog_has_acted(self) -> bool:
         name = self._setup.model.roles.get("watchdog")
