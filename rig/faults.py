@@ -177,7 +177,7 @@ FAULTS: dict[str, FaultEntry] = {
         "end the program that drives it, or switch its torque off there; then type `rig run CONFIG` again",
     ),
     "SERVO_SETUP": FaultEntry(
-        "the servo is set so that it could move unasked",
+        "the servo is set so that it could move unasked, or would not answer",
         "change the register that is named here with the maker's program (DYNAMIXEL Wizard, FD), then type `rig run "
         "CONFIG` again",
     ),

@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # pyserial comes with it
     from rig.backends.links.serial_port import SerialPort
     from rig.backends.servo.scan import Seen
 
+_SILENCE_S = 0.2  # after which the keeper stops a horn that turns
 _BAUD = click.option("--baud", type=int, default=1_000_000, show_default=True, help="Of the bus.")
 _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 _PORT = click.argument("port")
@@ -122,7 +123,7 @@ def restore(port: str, id: int, baud: int) -> None:
     from rig.backends.servo.scan import known_servo
     from rig.backends.servo.scan import restore as put_right
 
-    store = store_of(port, id, None)
+    store = store_of(port, id)
     with faults(), opened(port, baud) as line:
         values = put_right(known_servo(line, id, baud), store)
     if values is None:
@@ -144,6 +145,7 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
     """
     from rig.backends.servo.before import store_of
     from rig.backends.servo.facts import facts as tried
+    from rig.backends.servo.keeper import starter
     from rig.backends.servo.scan import known_servo
 
     def powered() -> None:
@@ -156,7 +158,8 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
         link = known_servo(line, id, baud)
         _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
         found = []
-        for fact in tried(link, store_of(port, id, None), None if yes else powered):
+        watched = starter(line.descriptor, _SILENCE_S)
+        for fact in tried(link, store_of(port, id), None if yes else powered, watched):
             click.echo(fact.words)
             found.append(fact)
         firmware = link.value(link.model.roles["firmware"])

@@ -94,11 +94,18 @@ class Kept:
         return confirmed
 
     def restore(self) -> bool:
-        """Put the device back; whether every order was confirmed, once."""
+        """Put the device back, one order after the other; whether each was confirmed.
+
+        None goes out before the one ahead of it was confirmed: the first takes the torque away, and without that the
+        next ones could let an old drive act again. What may stay on in between the last one ends, whatever became of
+        the others.
+        """
         until_s = time.monotonic() + _PERSISTS_S
-        while not all(self._given(self._restore, _RESTORES_S)):
-            if time.monotonic() > until_s:
-                return False
+        for order in self._restore:
+            while not self._confirmed(order, _RESTORES_S):
+                if time.monotonic() > until_s:
+                    self._given(self._restore[-1:], _RESTORES_S)
+                    return False
         return True
 
     def _given(self, orders: Sequence[Order], answers_s: float) -> list[bool]:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from rig.backends.links.usb_port import usb_port
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.backends.servo.models import ServoModel
 from rig.faults import Fault
@@ -25,6 +26,8 @@ _RESET_BY_MODE: Final = (
     "feedforward_1st_gain",
     "profile_acceleration",
     "profile_velocity",
+    "goal_current",  # in a gripper's mode it bounds what the servo may squeeze with
+    "goal_velocity",
 )
 # In the order in which they are put back: the mode after the limit, because changing it sets the goal to the limit
 _CHANGED: Final = {
@@ -68,7 +71,7 @@ class BeforeStore:
         try:
             text = self.path.read_text(encoding="utf-8")
         except FileNotFoundError:
-            return None
+            return self._values  # somebody has deleted it meanwhile
         except OSError as error:
             raise Fault("SERVO_CHANGED", f"{self.path}: {error.strerror}") from error
         try:
@@ -111,9 +114,12 @@ def state_folder() -> Path:
     return (Path(base) if base.startswith("/") else Path.home() / ".local/state") / "rig"
 
 
-def store_of(port: str, id: int, serial: str | None) -> BeforeStore:
-    """The file of one servo: by the serial number of its adapter on USB, else by the port's name, and by its id."""
-    where = serial or Path(port).name
+def store_of(port: str, id: int) -> BeforeStore:
+    """The file of one servo, by its id and the serial number of its adapter on USB, else the name of the device file.
+
+    The same for every command and config, by whatever name they have the port: a file that nobody finds again is none.
+    """
+    where = usb_port(port).serial_number or Path(port).resolve().name
     return BeforeStore(state_folder() / f"servo-{re.sub(r'[^A-Za-z0-9_.-]', '_', where)}-{id}.json")
 
 

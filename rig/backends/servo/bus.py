@@ -17,6 +17,7 @@ from rig.faults import Fault
 
 REFUSAL = "SERVO_REFUSED"
 PING_S = 0.004  # in which a servo that is there begins to answer a ping
+_FEETECH_ID = 5  # address of a servo's id
 _PING_BYTES = 10 + 14  # of a ping and its answer
 
 
@@ -110,7 +111,7 @@ class Bus(Protocol[Ask]):
         raise NotImplementedError
 
     def ping(self, id: int) -> Ask:
-        """Ask whether a servo is there."""
+        """Ask whether a servo is there; its answer is never the bytes of the question."""
         raise NotImplementedError
 
     def reboot(self) -> Ask:
@@ -196,7 +197,8 @@ class FeetechBus(Bus):
 
     @override
     def ping(self, id: int) -> Ask:
-        return Ask(feetech.ping(id), f"servo {id}", 0)
+        # not by a ping: one that has an error of its supply answers that with the very same bytes, like an echo
+        return Ask(feetech.read(id, _FEETECH_ID, 1), f"servo {id}", 1)
 
     @override
     def reboot(self) -> Ask:
@@ -265,7 +267,7 @@ class ServoLink:
         return True
 
     def is_there(self, id: int) -> tuple[int, ...] | None:
-        """What a servo of that id answers a ping, as bytes; None where none answers."""
+        """What a servo of that id answers when it is asked who it is, as bytes; None where none answers."""
         own, self.bus.id = self.bus.id, id  # the answer must be from that one
         try:
             return tuple(self._pings.asked(self.bus.ping(id), PING_S + self.bus.wire_s(_PING_BYTES)).pdu[1:])

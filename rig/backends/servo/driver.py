@@ -171,7 +171,7 @@ class ServoDriver(RegisterDriver[Ask]):
         remarks = look(self._link, self._setup)
         self._met = True  # from here on it is ours to stop
         self._is_changed = True
-        opened = set_up(self._link, self._setup, self._store)
+        opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
         self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)
         self.failsafe = DeviceWatchdog(self._setup.watchdog_s) if opened.has_watchdog else None
         if opened.slope_V_s is not None:
@@ -179,8 +179,6 @@ class ServoDriver(RegisterDriver[Ask]):
         _, round_trip_s = self._introduced()
         model = self._setup.model
         self.backend = f"{self._name} (id {self._setup.id}, {model.name}, firmware {opened.firmware})"
-        if self._start_guardian is not None:
-            self._guardian = self._start_guardian(self._link, self._store)
         return DeviceInfo(
             build=str(opened.firmware),
             board=model.name,
@@ -247,6 +245,10 @@ class ServoDriver(RegisterDriver[Ask]):
             except Fault as fault:
                 if fault.code != "LINK_TIMEOUT" or self._transport.now_s() >= until_s:
                     raise
+
+    def _have_it_watched(self) -> None:
+        if self._start_guardian is not None:
+            self._guardian = self._start_guardian(self._link, self._store)
 
     @override
     def _set(self, register: Register, words: list[int]) -> None:

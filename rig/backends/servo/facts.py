@@ -12,7 +12,9 @@ from typing import Final
 
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.driver import Guardian
 from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_up
+from rig.faults import Fault
 
 _STILL_STEPS: Final = 3  # of the drive: far below what breaks a shaft away
 _TURNS_SHARE: Final = 0.12  # of full duty, under which a free horn turns
@@ -47,17 +49,30 @@ def setup_for(link: ServoLink) -> ServoSetup:
     return ServoSetup(model, link.bus.id, True, False, _HOT_degC, supply_V, 2048, most, 0.06)
 
 
-def facts(link: ServoLink, store: BeforeStore, powered: Powered | None = None) -> Iterator[Fact]:
+def facts(
+    link: ServoLink,
+    store: BeforeStore,
+    powered: Powered | None = None,
+    guardian: Callable[[ServoLink, BeforeStore], Guardian] | None = None,
+) -> Iterator[Fact]:
     """Try them one after the other; the registers are put back at the end, whatever happens.
 
-    powered  None: what needs the supply cut is left out
+    powered   None: what needs the supply cut is left out
+    guardian  starts who stops the servo if this process dies; None: in virtual time nobody does
     Raises Fault as an opening does, and LINK_*.
     """
     setup = setup_for(link)
     leave_no_trace(link, setup, store)
     look(link, setup)
+    watching: list[Guardian] = []
+
+    def watched() -> None:
+        if guardian is not None:
+            watching.append(guardian(link, store))
+
+    restored = False
     try:
-        opened = set_up(link, setup, store)
+        opened = set_up(link, setup, store, watched)
         if "watchdog" in link.model.roles:
             yield Fact(
                 "watchdog_stops",
@@ -67,14 +82,19 @@ def facts(link: ServoLink, store: BeforeStore, powered: Powered | None = None) -
             yield _fed_by(link)
             yield _resumes(link)
         yield _delay(link)
-        yield from _stops(link, has_watchdog=opened.has_watchdog)
+        yield from _stops(link, watching[0] if watching else None, has_watchdog=opened.has_watchdog)
         if link.model.protocol == "feetech":
             yield _least_duty(link)
             if powered is not None:
                 yield _keeps_mode(link, powered)
     finally:
-        put_back(link, store.load(link.model) or {})
-        store.clear()
+        try:
+            put_back(link, store.load(link.model) or {})
+            store.clear()
+            restored = True
+        finally:
+            for one in watching:
+                one.end(restored=restored)
 
 
 def _still(link: ServoLink, duty: int) -> None:
@@ -147,7 +167,7 @@ def _delay(link: ServoLink) -> Fact:
     return Fact("duty_told_after_s", round(middle_s, 6), f"a duty is told {1e3 * middle_s:.2f} ms after it was sent")
 
 
-def _stops(link: ServoLink, *, has_watchdog: bool) -> Iterator[Fact]:
+def _stops(link: ServoLink, guardian: Guardian | None, *, has_watchdog: bool) -> Iterator[Fact]:
     """How soon a turning horn slows down: at duty 0, with torque off, and by the watchdog."""
     roles = link.model.roles
     ways: list[tuple[str, Callable[[], None]]] = [
@@ -157,7 +177,7 @@ def _stops(link: ServoLink, *, has_watchdog: bool) -> Iterator[Fact]:
     if has_watchdog:
         ways.append(("watchdog", lambda: link.put(roles["watchdog"], 1)))
     for name, stop in ways:
-        slowed_s = _slowed_s(link, stop, silent=name == "watchdog")
+        slowed_s = _slowed_s(link, stop, guardian, silent=name == "watchdog")
         key = f"slows_s_{name.replace(' ', '_')}"
         if slowed_s is None:
             yield Fact(key, None, f"the horn did not turn under {_TURNS_SHARE:.0%} of full duty")
@@ -165,7 +185,7 @@ def _stops(link: ServoLink, *, has_watchdog: bool) -> Iterator[Fact]:
             yield Fact(key, round(slowed_s, 4), f"{name}: its speed fell to 37 % within {1e3 * slowed_s:.0f} ms")
 
 
-def _slowed_s(link: ServoLink, stop: Callable[[], None], *, silent: bool) -> float | None:
+def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | None, *, silent: bool) -> float | None:
     """Time until its speed has fallen to 37 %, s; None where it did not turn. A watchdog's own time is in it."""
     model, now_s = link.model, link.now_s
     position, turn = model.roles["position"], model.counts_per_turn
@@ -173,21 +193,34 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], *, silent: bool) -> flo
     def step(before: int, after: int) -> int:
         return (after - before + turn // 2) % turn - turn // 2
 
-    _still(link, round(_TURNS_SHARE * model.full_drive))
+    def lives(wait_s: float) -> None:
+        """Wait, heard by the keeper: a process that is stopped meanwhile, as by Ctrl-Z, must not leave it turning."""
+        until_s = now_s() + wait_s
+        while True:
+            if guardian is not None:
+                if guardian.has_acted:
+                    raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
+                guardian.beat()
+            if (left_s := until_s - now_s()) <= 0.0:
+                return
+            link.client.wait(min(left_s, _LOOK_S))
+
+    lives(0.0)
     try:
-        link.client.wait(_TURNS_S)
+        _still(link, round(_TURNS_SHARE * model.full_drive))
+        lives(_TURNS_S)
         first, from_s = link.value(position), now_s()
-        link.client.wait(5.0 * _LOOK_S)
+        lives(5.0 * _LOOK_S)
         last, at_s = link.value(position), now_s()
         speed = abs(step(first, last)) / (at_s - from_s)
         if abs(step(first, last)) < 5:
             return None
         stop()
         if silent:  # reading would feed it
-            link.client.wait(0.02)
+            lives(0.02)
         began_s, before, before_s = now_s(), link.value(position), now_s()
         while now_s() - began_s < _STOPS_S:
-            link.client.wait(_LOOK_S)
+            lives(_LOOK_S)
             after, after_s = link.value(position), now_s()
             if abs(step(before, after)) / (after_s - before_s) < _FELL_TO * speed:
                 return after_s - began_s
@@ -195,6 +228,8 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], *, silent: bool) -> flo
         return _STOPS_S
     finally:
         _off(link)
+        if guardian is not None:
+            guardian.rest()
 
 
 def _least_duty(link: ServoLink) -> Fact:

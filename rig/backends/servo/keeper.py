@@ -65,8 +65,11 @@ class ServoKeeper:
             is_ready = select.select([self._process.stdout], [], [], _STARTS_S)[0]
             if not is_ready or self._process.stdout.read(len(_READY)) != _READY:
                 raise Fault("SERVO_UNWATCHED", "it was not ready in time")
-        except OSError as error:
-            raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
+        except (OSError, Fault) as error:
+            self._process.kill()  # one that comes late would write to a servo that is another program's by then
+            self._process.wait()
+            self._let_go()
+            raise Fault("SERVO_UNWATCHED", error.detail if isinstance(error, Fault) else str(error)) from error
 
     @property
     def has_acted(self) -> bool:

@@ -51,7 +51,7 @@ def servo_driver(e: Experiment, line: Line) -> ServoDriver:
     servo = servo_of(e)
     descriptor = getattr(line.transport, "descriptor", None)
     is_real = e.daq.port not in EMULATED_PORTS and not line.emulated
-    store = store_of(e.daq.port or "", servo.id, e.daq.usb_serial) if is_real else BeforeStore()
+    store = store_of(e.daq.port or "", servo.id) if is_real else BeforeStore()
     # what only stops the servo, on a link that it has inherited, needs nobody to stop it
     guardian = None if descriptor is None or line.answered else starter(descriptor, e.daq.watchdog_s)
     return ServoDriver(

@@ -5,6 +5,7 @@ Nothing is written before every check has passed and the values of before are on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,6 +20,7 @@ _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own vol
 _LISTENS_S: Final = 0.05  # for another master
 _TORQUE_BY_GOAL, _SLAVE = 0x08, 0x02  # bits of Dynamixel's drive mode
 _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuration
+_ANSWERS_ALL: Final = {"dynamixel": 2, "feetech": 1}  # level at which a servo answers every instruction
 _NO_SHADOW: Final = 253  # from here on there is no second id
 _MANY_TURNS: Final = 0x10  # bit of Feetech's phase
 _PROTECTS: Final = 0x24  # bits of Feetech's unloading condition: overload and heat
@@ -132,14 +134,19 @@ def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Le
     return Left((*remarks, remark), acted)
 
 
-def set_up(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Opened:
+def set_up(
+    link: ServoLink, setup: ServoSetup, store: BeforeStore, watched: Callable[[], None] = lambda: None
+) -> Opened:
     """Keep the values of before, then set the servo up, torque off, drive 0, and prove its watchdog.
 
+    watched  has somebody stop the servo if this process dies; called once the values are kept, before anything is
+             written
     Raises Fault LINK_*, ARM_READBACK, SERVO_CHANGED, SERVO_REFUSED.
     """
     model = setup.model
     before = values_of(link)
     store.save(model, setup.id, before)
+    watched()
     torque, drive, mode, limit = (model.roles[role] for role in ("torque", "drive", "mode", "max_drive"))
     link.put(torque, 0)
     if "watchdog" in model.roles:
@@ -217,6 +224,8 @@ def _check_setup(link: ServoLink) -> None:
         bits = link.value(roles["startup"])
         if bits & (_TORQUE_AT_START | _RAM_AT_START):
             raise Fault("SERVO_SETUP", f"{model.role('startup')} reads {bits}: it can drive as soon as it has supply")
+    if (level := link.value(roles["answers"])) < _ANSWERS_ALL[model.protocol]:
+        raise Fault("SERVO_SETUP", f"{model.role('answers')} reads {level}: it does not answer what is written")
     if "lock" in roles and link.value(roles["lock"]) != 1:
         raise Fault("SERVO_SETUP", f"{model.role('lock')} is 0: what rig writes would stay for good")
     if "phase" in roles and (bits := link.value(roles["phase"])) & _MANY_TURNS:

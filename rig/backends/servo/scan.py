@@ -109,7 +109,11 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
 def reboot(port: Transport, link: ServoLink) -> None:
     """Start a servo anew, and wait until it answers. Raises Fault LINK_TIMEOUT, SERVO_REFUSED."""
     client = BusClient[Ask](port, link.bus)
-    client.asked(link.bus.reboot(), 0.1)
+    try:
+        client.asked(link.bus.reboot(), 0.1)
+    except Fault as fault:
+        if fault.code != "LINK_TIMEOUT" or link.model.protocol != "feetech":  # a Feetech is on its way at once
+            raise
     until_s = port.now_s() + _REBOOTS_S
     while link.is_there(link.bus.id) is None:
         if port.now_s() > until_s:

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
+from rig.backends.links.usb_port import usb_port
+from rig.backends.servo import dynamixel, feetech
+from rig.backends.servo.before import BeforeStore, store_of
+from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.facts import facts
+from rig.backends.servo.scan import reboot
 from rig.faults import Fault
 
 
@@ -59,3 +67,130 @@ def test_one_lost_request_of_a_stop_leaves_no_torque_on(protocol: str, lost: int
     bench.bus.write = write  # type: ignore[method-assign]  # of this bus alone
     assert bench.driver.safe_stop()
     assert left < 0 and not bench.servo.is_on
+
+
+class Watching:
+    """A keeper that only notes what had been written when it was called, and whether it was let go."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.written_before: int | None = None
+        self.ended: bool | None = None
+        self.has_acted = False
+        self.turned_unheard_s = 0.0  # longest time that the servo was given a duty that turns it, and nobody heard rig
+        self._heard_s: float | None = None
+
+    def __call__(self, link: ServoLink, store: BeforeStore) -> Watching:
+        codes = [f.instruction if isinstance(f, dynamixel.Frame) else f.code for _, f in self.bench.bus.bus.log]
+        self.written_before = sum(code == feetech.Instruction.WRITE for code in codes)  # the same of both
+        assert store.load(link.model)
+        return self
+
+    def beat(self) -> None:
+        self.rest()
+        self._heard_s = self.bench.bus.now_s()
+
+    def rest(self) -> None:
+        if self._heard_s is not None:
+            self.turned_unheard_s = max(self.turned_unheard_s, self.bench.bus.now_s() - self._heard_s)
+        self._heard_s = None
+
+    def end(self, *, restored: bool) -> None:
+        self.ended = restored
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_the_keeper_watches_before_anything_is_written(protocol: str) -> None:
+    """While the watchdog is tried the torque is on: who kills rig there would leave it on."""
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.driver._start_guardian = watching
+    bench.opened()
+    assert watching.written_before == 0
+    bench.driver.close()
+    assert watching.ended is True
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_the_keeper_watches_while_facts_are_tried(protocol: str) -> None:
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    assert list(facts(bench.driver._link, bench.store, None, watching))
+    assert watching.written_before == 0 and watching.ended is True
+    assert 0.0 < watching.turned_unheard_s < 0.06  # it hears rig while the horn turns: Ctrl-Z stops it
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_facts_end_where_the_keeper_had_to_act(protocol: str) -> None:
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    watching.has_acted = True
+    with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
+        list(facts(bench.driver._link, bench.store, None, watching))
+    assert watching.ended is True and not bench.servo.is_on
+
+
+def test_goals_that_a_mode_change_resets_are_put_back() -> None:
+    """In the mode of a gripper its goal of current bounds what it may squeeze with."""
+    bench = Bench("dynamixel")
+    wanted = {"operating_mode": 5, "goal_current": 120, "goal_velocity": 33}
+    for name, value in wanted.items():
+        bench.servo.put(name, value)
+    bench.armed()
+    bench.tick(0.3)
+    bench.driver.safe_stop()
+    bench.driver.close()
+    assert {name: bench.servo.value(name) for name in wanted} == wanted and bench.wrong() == []
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_file_of_before_that_is_deleted_meanwhile_is_not_needed(protocol: str, tmp_path: Path) -> None:
+    bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
+    registers = bench.registers()
+    bench.armed()
+    (tmp_path / "servo.json").unlink()
+    bench.driver.safe_stop()
+    bench.driver.close()
+    assert bench.registers() == registers
+
+
+def test_a_feetech_with_an_error_of_its_supply_is_no_echo() -> None:
+    """Its answer to a ping would be the ping's own bytes: the whole bus would be taken for one that echoes."""
+    assert feetech.ping(4) == feetech.status(4, errors=feetech.VOLTAGE)
+    bench = Bench("feetech")
+    for servo in bench.bystanders:
+        servo._failed |= feetech.VOLTAGE  # type: ignore[attr-defined]  # it is one of Feetech's
+        servo._protect()  # type: ignore[attr-defined]
+    bench.opened()
+    assert not bench.driver._bus.echoes
+    bench.driver.close()
+
+
+@pytest.mark.parametrize(
+    ("protocol", "name", "level"), [("dynamixel", "status_return_level", 1), ("feetech", "response_level", 0)]
+)
+def test_a_servo_that_does_not_answer_writes_is_refused_before_any(protocol: str, name: str, level: int) -> None:
+    bench = Bench(protocol)
+    bench.servo.put(name, level)
+    with pytest.raises(Fault, match="does not answer") as raised:
+        bench.opened()
+    assert raised.value.code == "SERVO_SETUP" and bench.store.load(bench.setup.model) is None
+
+
+def test_every_name_of_a_port_leads_to_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "ttyUSB7").touch()
+    (tmp_path / "usb-FTDI-if00").symlink_to(tmp_path / "ttyUSB7")
+    own, other = (store_of(str(tmp_path / name), 1).path for name in ("ttyUSB7", "usb-FTDI-if00"))
+    assert own == other
+    port = usb_port("/dev/ttyUSB7")
+    monkeypatch.setattr(
+        "rig.backends.servo.before.usb_port", lambda device: port._replace(device=device, serial_number="FT1")
+    )
+    assert store_of("/dev/ttyUSB0", 1).path == store_of("/dev/ttyUSB1", 1).path != own
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_that_reboots_answers_again(protocol: str) -> None:
+    bench = Bench(protocol)
+    reboot(bench.bus, bench.driver._link)
+    assert not bench.servo.is_on

@@ -114,7 +114,14 @@ def test_what_is_not_confirmed_is_not_called_a_stop_and_is_tried_on() -> None:
 def test_a_restoring_goes_on_until_every_order_is_confirmed() -> None:
     device = Scripted((), ORDERS, [True, False, True])
     assert device.restore()
-    assert device.heard == [b"duty", b"torque"] * 2
+    assert device.heard == [b"duty", b"torque", b"torque"]
+
+
+def test_no_order_of_a_restoring_goes_out_before_the_one_ahead_is_confirmed() -> None:
+    """The first takes the torque away: to clear a watchdog without that would let the old duty act again."""
+    device = Scripted((), (Order(b"torque off", b"ok"), Order(b"watchdog 0", b"ok"), Order(b"last", b"ok")), [False])
+    assert not device.restore()
+    assert set(device.heard) == {b"torque off", b"last"} and device.heard[-1] == b"last"
 
 
 @pytest.mark.parametrize(("stopped", "restored", "words"), [

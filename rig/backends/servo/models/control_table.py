@@ -34,6 +34,7 @@ BAUDS: Mapping[int, int] = {**BAUDS_330, 7: 4_500_000}
 
 ROLES: Mapping[str, str] = {
     "id": "id",
+    "answers": "status_return_level",
     "baud": "baud_rate",
     "return_delay": "return_delay_time",
     "model_number": "model_number",

@@ -24,6 +24,7 @@ _A = 6.5e-3
 BAUDS: Mapping[int, int] = {0: 1_000_000, 1: 500_000, 2: 250_000, 3: 128_000, 4: 115_200}
 
 ROLES: Mapping[str, str] = {
+    "answers": "response_level",
     "id": "id",
     "baud": "baud_rate",
     "return_delay": "return_delay_time",
