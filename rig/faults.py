@@ -52,7 +52,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_UNIT": FaultEntry(
         "another unit answered",
-        "give each device on the line a unit id of its own, and put this device's in daq.modbus.unit",
+        "give each device on the line a unit id of its own, and put this device's in daq.modbus.unit, "
+        "of a servo in daq.servo.id",
     ),
     "MODBUS_EXCEPTION": FaultEntry(
         "the device refused a request",

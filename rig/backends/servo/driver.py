@@ -287,7 +287,10 @@ class ServoDriver(RegisterDriver[Ask]):
     def _await_armed(self) -> None:
         control = self._map.control
         assert control is not None
-        if (held := control.unpack(self._stored(control))) != self._map.arm:
+        held = control.unpack(self._stored(control))
+        if self._bus.alerts(bytes((self._errors,))):  # why it takes no torque
+            raise self._alert()
+        if held != self._map.arm:
             raise Fault("ARM_READBACK", f"{control}: sent {self._map.arm}, stored {held:g}")
 
     # ------------------------------------------------------------------ stopping

@@ -91,7 +91,7 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 
     Raises Fault SECOND_MASTER, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
     """
-    _check_alone(link)
+    check_alone(link)
     _check_errors(link)
     _check_setup(link)
     _check_supply(link, setup)
@@ -125,7 +125,7 @@ def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Le
     values = store.load(link.model)
     if values is None:
         return Left(remarks, ())
-    _check_alone(link)  # somebody else may have taken it over since
+    check_alone(link)  # somebody else may have taken it over since
     watchdog = link.model.roles.get("watchdog")
     acted = ("DEVICE_WATCHDOG",) if watchdog is not None and link.value(watchdog) == -1 else ()
     put_back(link, values)
@@ -181,8 +181,8 @@ def check_model(link: ServoLink, setup: ServoSetup) -> None:
         )
 
 
-def _check_alone(link: ServoLink) -> None:
-    """A master that talks on this bus is heard while rig is silent."""
+def check_alone(link: ServoLink) -> None:
+    """Raise Fault SECOND_MASTER where another one talks on this bus while rig is silent."""
     before = link.client.statistics["stale_bytes"]
     link.client.wait(_LISTENS_S)
     heard = link.client.statistics["stale_bytes"] - before

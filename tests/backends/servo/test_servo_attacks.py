@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from servo_bench import PROTOCOLS, Bench
+from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.before import BeforeStore, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.facts import facts
-from rig.backends.servo.scan import reboot
+from rig.backends.servo.scan import reboot, restore
 from rig.faults import Fault
 
 
@@ -67,6 +67,31 @@ def test_one_lost_request_of_a_stop_leaves_no_torque_on(protocol: str, lost: int
     bench.bus.write = write  # type: ignore[method-assign]  # of this bus alone
     assert bench.driver.safe_stop()
     assert left < 0 and not bench.servo.is_on
+
+
+@pytest.mark.parametrize(("protocol", "bit"), [("dynamixel", 0x20), ("feetech", feetech.CURRENT)])
+def test_a_torque_that_is_refused_for_an_error_is_told_by_its_name(protocol: str, bit: int) -> None:
+    bench = Bench(protocol)
+    bench.opened()
+    bench.servo.fail(bit)  # type: ignore[attr-defined]  # both protocols have it
+    with pytest.raises(Fault, match="SERVO_OVERLOAD"):
+        bench.driver.arm(bench.limits)
+    bench.driver.close()
+    assert not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_nothing_is_put_back_while_another_master_talks(protocol: str, tmp_path: Path) -> None:
+    bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
+    bench.opened()
+    link, codec = bench.driver._link, dynamixel if protocol == "dynamixel" else feetech
+    written = len(bench.bus.bus.log)
+    for k in range(6):
+        bench.bus.bus.another_master(codec.ping(BYSTANDERS[0]), bench.bus.now_s() + 0.0053 + 0.01 * k)
+    with pytest.raises(Fault, match="SECOND_MASTER"):
+        restore(link, bench.store)
+    own = [frame for who, frame in bench.bus.bus.log[written:] if frame.id == bench.own.id]
+    assert own == [] and bench.store.load(link.model)
 
 
 class Watching:
