@@ -20,6 +20,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from rig.link_turn import turn_on
+
 READY: Final = b"ready\n"
 ACTED: Final = b"s"  # it has stopped the device because the host was silent
 BEAT: Final = b"b"  # the host lives, and a drive may be on
@@ -29,6 +31,7 @@ _ATTEMPTS: Final = 3  # of a stop, at least
 _PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
 _ANSWERS_S: Final = 0.015
 _RESTORES_S: Final = 0.1  # an EEPROM takes its time
+_TURN_S: Final = 0.2  # longest wait for another process that stops the device
 _STOPS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -52,8 +55,9 @@ def main(arguments: list[str]) -> int:
     ended = keep(pipe, orders["silence_s"], kept)
     if ended:
         return 0
-    confirmed = kept.stop()
-    restored = kept.restore()
+    with turn_on(link, _TURN_S):  # the keeper of a law stops the device, too, and a reply tells not to whom
+        confirmed = kept.stop()
+        restored = kept.restore()
     kept.tell(orders["before"], orders["note"], stopped=confirmed, restored=restored)
     return 0
 

@@ -17,6 +17,11 @@ class InheritedLink:
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
+    @property
+    def descriptor(self) -> int:
+        """Number of the open file or socket."""
+        return self._descriptor
+
     def write(self, data: bytes) -> None:
         """Send all of ``data``. Raises Fault LINK_LOST if the link is dead or takes no more."""
         try:

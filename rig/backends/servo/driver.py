@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Final, Protocol
 
@@ -25,12 +26,14 @@ from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
 from rig.calibration import Scaling
 from rig.faults import Fault
+from rig.link_turn import turn_on
 from rig.signals import Limits, Sample
 
 _REST_COUNTS: Final = 1  # that a shaft at rest may move by
 _REST_S: Final = 0.04  # for which it must
 _COASTS_S: Final = 1.0  # longest wait for rest
 _LOOK_S: Final = 0.005
+_TURN_S: Final = 3.0  # longest wait for the servo's keeper: it stops, and puts back
 _CUTS_S: Final = 0.02  # until torque off shows in the duty that acts
 _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: one can be damaged
 _SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
@@ -112,6 +115,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._bus, self._setup, self._store = bus, setup, store
         self._link = ServoLink(transport, self._client, bus, setup.model, max(timeouts.reply_s, UNHURRIED_S))
         self._start_guardian = guardian
+        self._only_stops = answered
         self._guardian: Guardian | None = None
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
@@ -207,7 +211,13 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def safe_stop(self) -> bool:
-        """Duty 0 until the shaft rests, or torque off at once; True once duty 0 and torque off are confirmed."""
+        """Duty 0 until the shaft rests, or torque off at once; True once duty 0 and torque off are confirmed.
+
+        Where another process has opened the servo, torque off alone, at once: its keeper may have put all else back.
+        """
+        if self._only_stops:
+            with turn_on(self.descriptor, _TURN_S) if self.descriptor is not None else nullcontext():
+                return super().safe_stop() and self._torque_off()
         stopped = super().safe_stop() or (self._met and self._cut_off())
         if self._guardian is not None and stopped:
             self._guardian.rest()  # the duty is 0
@@ -295,9 +305,18 @@ class ServoDriver(RegisterDriver[Ask]):
 
     # ------------------------------------------------------------------ stopping
 
+    @property
+    def _off(self) -> Ask:
+        """Torque off."""
+        assert self._map.control is not None
+        return self._setting(self._map.control, self._map.stop)
+
     @override
     def _write_stop(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
         """Duty 0; where the servo takes none, as after its watchdog has acted, torque off first."""
+        if self._only_stops:
+            asked(self._off, timeout_s)
+            return
         try:
             asked(self._setting(self._map.drive, 0.0), timeout_s)
         except Fault as fault:
@@ -309,9 +328,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._units = 0
 
     def _write_torque_off(self, asked: Callable[[Ask, float], Reply], timeout_s: float) -> None:
-        control, watchdog = self._map.control, servo_map(self._setup.model).watchdog
-        assert control is not None
-        asked(self._setting(control, self._map.stop), timeout_s)
+        watchdog = servo_map(self._setup.model).watchdog
+        asked(self._off, timeout_s)
         if watchdog is not None:
             asked(self._setting(watchdog, 0.0), timeout_s)
             self._written = [one for one in self._written if one[0].name != "watchdog"]
@@ -339,9 +357,9 @@ class ServoDriver(RegisterDriver[Ask]):
         for _ in range(ATTEMPTS):
             try:
                 self._settle()
-                if self._setup.brakes:
+                if self._setup.brakes and not self._only_stops:
                     self._await_rest()
-                self._client.asked(self._setting(control, self._map.stop), self._timeout_s)
+                self._client.asked(self._off, self._timeout_s)
                 return control.unpack(self._stored(control)) == self._map.stop
             except Fault as fault:
                 if fault.code == "LINK_LOST":
@@ -365,7 +383,8 @@ class ServoDriver(RegisterDriver[Ask]):
     def _settle(self) -> None:
         if not self._client.is_suspect:
             return
-        self._client.unheard(self._setting(self._map.drive, 0.0), LATE_TIMEOUTS * self._timeout_s)
+        stop = self._off if self._only_stops else self._setting(self._map.drive, 0.0)
+        self._client.unheard(stop, LATE_TIMEOUTS * self._timeout_s)
 
     # ------------------------------------------------------------------ what the values mean
 

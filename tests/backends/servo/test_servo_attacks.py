@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 
+from rig.backends.driver import Timeouts
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.before import BeforeStore, store_of
 from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.facts import facts
 from rig.backends.servo.scan import reboot, restore
 from rig.faults import Fault
+from rig.link_turn import turn_on
 
 
 def use_limit_of_config(bench: Bench) -> None:
@@ -219,3 +223,47 @@ def test_a_servo_that_reboots_answers_again(protocol: str) -> None:
     bench = Bench(protocol)
     reboot(bench.bus, bench.driver._link)
     assert not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_who_only_stops_writes_nothing_but_torque_off(protocol: str) -> None:
+    """A law's keeper stops the servo beside the servo's own, which may have put the goals back just before."""
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.4)
+    daq, before = bench.e.daq, len(bench.bus.bus.log)
+    stopper = ServoDriver(
+        bench.bus, bench.setup, daq.baud, bench.e.scaling, Timeouts(daq.timeout_s, 0.2), BeforeStore(), answered=True
+    )
+    assert stopper.safe_stop() and not bench.servo.is_on
+    torque = bench.setup.model.role("torque")
+    wide = 2 if protocol == "dynamixel" else 1  # bytes of an address
+    written = [
+        frame.parameters
+        for _, frame in bench.bus.bus.log[before:]
+        if (frame.instruction if isinstance(frame, dynamixel.Frame) else frame.code) == feetech.Instruction.WRITE
+    ]
+    assert written and set(written) == {torque.address.to_bytes(wide, "little") + b"\0"}
+
+
+def test_two_processes_that_stop_a_device_take_turns(tmp_path: Path) -> None:
+    with (tmp_path / "port").open("w+b") as port:
+        with turn_on(port.fileno(), 1.0) as mine:
+            assert mine
+            assert _told_by_another(port.fileno()) == b"n"
+        assert _told_by_another(port.fileno()) == b"y"
+
+
+def _told_by_another(port: int) -> bytes:
+    """Whether another process that has the same open file gets its turn at once."""
+    told, tells = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        with turn_on(port, 0.0) as its:
+            os.write(tells, b"y" if its else b"n")
+        os._exit(0)
+    os.waitpid(pid, 0)
+    answer = os.read(told, 1)
+    os.close(told)
+    os.close(tells)
+    return answer
