@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import Final
 
 from typing_extensions import override
 
@@ -21,6 +21,7 @@ from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
+from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.opening import ServoSetup, error_words, leave_no_trace, look, set_up
 from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
@@ -52,27 +53,6 @@ _ERROR_FAULTS: Final = {
         (0x02, "DEVICE_SENSOR"),
     ),
 }
-
-
-class Guardian(Protocol):
-    """Who stops the servo if this process dies or hangs."""
-
-    @property
-    def has_acted(self) -> bool:
-        """Whether it has stopped the servo because this process was silent."""
-        ...
-
-    def beat(self) -> None:
-        """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
-        ...
-
-    def rest(self) -> None:
-        """Nothing drives: silence is no sign of anything."""
-        ...
-
-    def end(self, *, restored: bool) -> None:
-        """It is needed no more."""
-        ...
 
 
 class ServoDriver(RegisterDriver[Ask]):

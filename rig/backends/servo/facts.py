@@ -12,7 +12,7 @@ from typing import Final
 
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
-from rig.backends.servo.driver import Guardian
+from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_up
 from rig.faults import Fault
 
