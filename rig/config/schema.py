@@ -395,6 +395,20 @@ class MotorSection(_Section):
         description="speed of the measured shaft at drive.supply_V without load, behind its gear; it bounds what the "
         "shaft travels where the sensor does not show it: rather too high than too low"
     )
+    stall_torque_N_m: Positive | None = Field(
+        None, description="of the measured shaft at drive.supply_V, held; section `load` needs it: rather too low"
+    )
+
+
+class LoadSection(_Section):
+    """A mass on an arm on the measured shaft: what gravity does to it when nothing holds it."""
+
+    mass_kg: Positive = Field(description="of arm and mass together")
+    arm_m: Positive = Field(description="from the shaft's axis to their centre of mass")
+    axis: Literal["horizontal", "vertical"] = Field(
+        "horizontal", description="of the shaft; vertical: gravity turns nothing"
+    )
+    hangs: bool = Field(False, description="the arm hangs straight down at 0 rad: it falls to there, from either side")
 
 
 class BreakawaySection(_Section):
@@ -790,6 +804,7 @@ class Experiment(_Section):
     motor: MotorSection | None = Field(
         None, description="what its data sheet says; a run needs it, only recordings of older versions lack it"
     )
+    load: LoadSection | None = Field(None, description="a mass on an arm on a servo's horn; leave out where it is free")
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")
     relay: RelaySection = Field(description="the relay experiment")

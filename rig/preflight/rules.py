@@ -21,6 +21,7 @@ from rig.config.sensor import count_rad, range_rad
 from rig.control.laws import OptionError, construct, registered
 from rig.control.sweep_plan import TooShortError
 from rig.plug_ins import PlugInError
+from rig.preflight.attached import attached_rules
 from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes, has_strokes
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
@@ -506,6 +507,7 @@ _RULES: tuple[Rule, ...] = (
     _watchdog,
     _limits,
     _room_to_stop,
+    attached_rules,
     _drive,
     _breakaway,
     _gains,

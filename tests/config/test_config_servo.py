@@ -117,3 +117,80 @@ def test_a_load_without_a_watchdog_bounds_the_drive(tmp_path: Path) -> None:
     most_V = float(said[0].rpartition("at most ")[2].split()[0])
     path = changed(tmp_path, daq=daq, drive={"max_V": most_V}, motor={"no_load_speed_rad_s": 40.0})
     assert not any("could leave" in line for line in problems(path))
+
+
+ARM = {"mass_kg": 0.1, "arm_m": 0.1}  # 0.94 V of a servo of 0.52 N m at 5 V; friction is 0.13 V
+LEVER = {"mass_kg": 0.01, "arm_m": 0.1}  # 0.09 V
+TORQUE = {"stall_torque_N_m": 0.52}
+
+
+def loaded(
+    tmp_path: Path, load: dict[str, Any], attached: str = "load", name: str = "servo", **sections: Any
+) -> list[str]:
+    servo = {"daq": {"servo": {"attached": attached}}}
+    return problems(changed(tmp_path, name, load=load, **{"motor": TORQUE} | servo | sections))
+
+
+@pytest.mark.parametrize("attached", ["load", "joint"])
+@pytest.mark.parametrize(("load", "words"), [
+    (ARM, "the arm falls when the torque goes off"),
+    (LEVER, ""),
+    (ARM | {"hangs": True}, ""),
+    (ARM | {"axis": "vertical"}, ""),
+])  # fmt: skip
+def test_an_arm_that_falls_is_refused(load: dict[str, Any], words: str, attached: str, tmp_path: Path) -> None:
+    said = loaded(tmp_path, load, attached)
+    assert (words == "" and said == []) or (len(said) == 1 and words in said[0]), said
+    assert words == "" or all(way in said[0] for way in ("on its rest", "load.hangs: true", "off the horn"))
+
+
+def test_friction_that_holds_the_arm_is_that_of_the_breakaway_check(tmp_path: Path) -> None:
+    pull_V = 9.81 * 0.1 * 0.1 / 0.52 * 5.0
+    for times, holds in ((2.9, False), (3.1, True)):
+        said = loaded(tmp_path, ARM, breakaway={"max_V": times * pull_V}, drive={"max_V": 3.2})
+        assert any("the arm falls" in line for line in said) is not holds
+
+
+def test_a_load_needs_its_torque_and_something_attached(tmp_path: Path) -> None:
+    said = problems(changed(tmp_path, load=LEVER, daq={"servo": {"attached": "load"}}))
+    assert len(said) == 1 and "stall_torque_N_m is missing" in said[0]
+    said = loaded(tmp_path, LEVER, "nothing")
+    assert len(said) == 1 and "nothing is attached" in said[0]
+
+
+def test_a_joint_whose_arm_swings_to_a_stop_is_refused(tmp_path: Path) -> None:
+    limits = {"soft_rad": [-0.6, 1.2], "hard_rad": [-1.1, 2.2], "max_speed_rad_s": 6.0}
+    slow: dict[str, Any] = {"limits": limits, "drive": {"max_V": 0.8}}
+    assert loaded(tmp_path, ARM | {"hangs": True}, "load", **slow) == []
+    said = loaded(tmp_path, ARM | {"hangs": True}, "joint", **slow)
+    assert len(said) == 1 and "can swing through 0 rad" in said[0] and "at most 1.1 rad" in said[0]
+
+
+def test_a_joint_has_room_for_its_watchdog_and_a_unit_of_it(tmp_path: Path) -> None:
+    """3 periods, time-out, watchdog, 20 ms and coasting are 0.18 s; 1.6 V are 3.84 rad/s."""
+    far_rad = 0.18 * 12.0 * 1.6 / 5.0
+    joint: dict[str, Any] = {"daq": {"servo": {"attached": "joint"}}}
+    for more_rad, fits in ((0.002, True), (-0.002, False)):
+        hard_rad = 1.2 + far_rad + more_rad
+        said = problems(changed(tmp_path, limits={"hard_rad": [-hard_rad, hard_rad]}, **joint))
+        assert (said == []) is fits, said
+    assert len(said) == 1 and "watchdog has acted" in said[0]
+    most_V = float(said[0].rpartition("at most ")[2].split()[0])
+    limits = {"hard_rad": [-hard_rad, hard_rad]}
+    assert 1.58 < most_V < 1.6 and problems(changed(tmp_path, limits=limits, drive={"max_V": most_V}, **joint)) == []
+    assert problems(changed(tmp_path, limits=limits)) == []  # a free horn has no stop
+
+
+def test_a_load_without_a_watchdog_stays_inside_from_the_soft_limit_on(tmp_path: Path) -> None:
+    limits = {"soft_rad": [-1.2, 1.2], "hard_rad": [-1.4, 1.4]}
+    load: dict[str, Any] = {"daq": {"servo": {"attached": "load"}}}
+    said = problems(changed(tmp_path, "servo-sts3215", limits=limits, **load))
+    assert len(said) == 1 and "within 0.1 s of a soft limit" in said[0]
+    most_V = float(said[0].rpartition("at most ")[2].split()[0])
+    assert abs(most_V - 0.2 / 0.1 * 7.4 / 6.0) < 0.02
+    assert problems(changed(tmp_path, "servo-sts3215", limits=limits, drive={"max_V": most_V}, **load)) == []
+
+
+def test_a_load_is_of_a_servo(tmp_path: Path) -> None:
+    said = problems(changed(tmp_path, "demo", load=LEVER))
+    assert len(said) == 1 and "load on a servo alone" in said[0]

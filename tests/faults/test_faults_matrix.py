@@ -34,6 +34,7 @@ from faults.backends import (
     MODBUS,
     PLAIN,
     SEPARATE,
+    SERVO,
     TCP,
     Backend,
 )
@@ -68,6 +69,7 @@ def share() -> list[tuple[Row, Backend]]:
     plain = [row for row in ROWS if not any(trait in (*row.only, *row.other) for trait in own.values())]
     cases += [(row, LINKS[k % len(LINKS)]) for k, row in enumerate(plain) if not is_alike(row)]
     cases += [(row, CHIP_ENCODER) for row in ROWS if row.only == ("encoder",)]
+    cases += [(row, SERVO) for row in ROWS]
     return [(row, backend) for row, backend in cases if _cycle_or_start(row, backend)]
 
 
@@ -198,7 +200,7 @@ def test_each_row_is_tried_in_each_stage_or_the_page_says_why_not() -> None:
         tried = {stage for backend in BACKENDS for stage in stages_of(row, backend)}
         if row.early:
             assert tried == {START}
-        elif row.only == ("relay",):
+        elif row.only in (("relay",), ("servo",)):
             assert tried == {CYCLE}
         elif "tcp" in row.only:
             assert tried == {CYCLE, PAUSE, ARMING}

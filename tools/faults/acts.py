@@ -12,6 +12,7 @@ from pathlib import Path
 from faults import damage, host, strangers
 from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep
+from faults.servo import talk
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 
@@ -269,6 +270,7 @@ ACTS: Mapping[str, Act] = {
     "drives lost": _up(lambda: damage.only(is_drive, damage.lost)),
     "replies reordered": _down(damage.reordered),
     "replies stale": _down(damage.stale),
+    "another master": talk,
     "device reset": lambda injector: injector.device.reset(2),
     "firmware hang": _hang,
     "brown-out": _brown_out,

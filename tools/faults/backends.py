@@ -6,6 +6,7 @@ import copy
 import itertools
 import math
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ import yaml
 from faults.bounds import Times
 from faults.injector import FaultInjector
 from faults.language import Language, ModbusLanguage, SerialLanguage
+from faults.servo import InjectableServo, ServoLanguage, told_by_driver
 from faults.stages import Course
 from rig.backends.backend import Line, truth_of
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
@@ -31,6 +33,8 @@ from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import BLOCK_ROWS, Kind
 from rig.backends.serial.link_budget import block_share
+from rig.backends.servo import dynamixel
+from rig.backends.servo.line import emulated_bus, servo_of, setup_of
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
 from rig.control.motion import CycleWatch
@@ -62,9 +66,11 @@ _MODBUS_UNITS = 10000
 _STOP_BYTES = 8  # of FC06
 _BYTE_BITS = 11
 _BITS_PER_BYTE = 10
+_FASTEST = 255  # of a servo's slope
 _BROWN_OUT, _BOOT_S = 4, 0.05
 _LOOKS_APART = 25  # ticks between two looks at the recorder
 _STEP_S = 0.002  # of the model
+_LONG_S = 60.0  # after which a motor has the speed of its drive
 _SETTLED_S = 6.0  # by when the relay with GAINS_V has its cycle
 OVERSPEED = 1.2  # times the largest speed: the guard's
 _WELL_ABOVE = 1.4  # times static friction: as the guard has it
@@ -88,6 +94,7 @@ class Backend:
     remark       what else is to be said of it
     base         the config that ``changes`` are of
     hangs        what of the program may stand still, by the emulator's names; empty where it has one hang alone
+    told     while it is entered, the driver tells the language what its frames do not say
     """
 
     key: str
@@ -102,6 +109,7 @@ class Backend:
     remark: str = ""
     base: str = "demo.yaml"
     hangs: tuple[str, ...] = ()
+    told: Callable[[FaultInjector], AbstractContextManager[None]] = lambda _: nullcontext()
 
     def config(self, course: Course = "relay") -> dict[str, Any]:
         """Of a relay test of a few cycles with given gains, or of a stroke test, on the bench of ``base``.
@@ -109,7 +117,7 @@ class Backend:
         course  "search": the gains are searched; "run": a short tracking check follows
         """
         config: dict[str, Any] = yaml.safe_load((ROOT / "config" / self.base).read_text(encoding="utf-8"))
-        tracking = config.pop("tracking")
+        tracking = config.pop("tracking", {})
         config["name"] = f"fault-{self.key}"
         config["breakaway"]["ramp_V_s"] = RAMP_V_S
         config["relay"] = {"gains": [{"h1_V": GAINS_V[0], "h2_V": GAINS_V[1]}], "cycles": CYCLES}
@@ -191,9 +199,11 @@ def _clock_error_ppm(experiment: Experiment) -> float:
 
 
 def _fling_s(experiment: Experiment) -> float:
-    """As ``Times.fling``."""
+    """As ``Times.fling``; nan where that drive makes no shaft so fast."""
     motor, top_rad_s = _bench(experiment).motor, experiment.limits.max_speed_rad_s
     time_s, state = 0.0, State(-top_rad_s, 0.0)
+    if motor.advance(state, 0.25 * experiment.drive.supply_V, _LONG_S).v < OVERSPEED * top_rad_s:
+        return math.nan
     while state.v < OVERSPEED * top_rad_s:
         state, time_s = motor.advance(state, 0.25 * experiment.drive.supply_V, _STEP_S), time_s + _STEP_S
     return time_s
@@ -430,6 +440,18 @@ def _block_language(experiment: Experiment) -> ModbusLanguage:
     return ModbusLanguage(experiment.drive.supply_V / _MODBUS_UNITS, separate=separate, tcp=tcp, bare=bare)
 
 
+def _servo_stop_s(experiment: Experiment) -> float:
+    """With the ramp of the duty, from the largest drive to 0."""
+    slope = servo_of(experiment).table.role("slope")
+    ramp_s = experiment.drive.max_V / (_FASTEST * slope.scale)
+    return dynamixel.request_bytes(2 + 2) * _BITS_PER_BYTE / experiment.daq.baud + ramp_s
+
+
+def _servo_language(experiment: Experiment) -> ServoLanguage:
+    table = servo_of(experiment).table
+    return ServoLanguage(table, experiment.drive.supply_V / table.full_drive, setup_of(experiment).zero_counts)
+
+
 _SERIAL = {"daq": {"port": "emulated-chip", "timeout_s": 0.02}}
 # samples are older: at the same limits a little less speed than with the host's relay
 _RELAY = _SERIAL | {"relay": {"where": "device"}, "limits": {"max_speed_rad_s": 4.6}}
@@ -573,6 +595,25 @@ PICO_ENCODER = replace(
     base="encoder.yaml",
     hangs=("main loop", "everything", "tick", "counter"),
 )
+SERVO = Backend(
+    "servo",
+    "a Dynamixel XL330 on its bus",
+    ("servo",),
+    {"breakaway": {"ramp_V_s": 0.2}},
+    _servo_stop_s,
+    math.nan,
+    lambda e: InjectableServo(emulated_bus(e)),
+    _servo_language,
+    _through_injector("emulated"),
+    remark=(
+        "[config/servo.yaml](../../config/servo.yaml), 1 Mbaud, a watchdog that works. The drive is the voltage\n"
+        "at its motor. The limits are the host's alone; the keeper is tried in real time, by\n"
+        "`tests/backends/servo/test_servo_keeper.py`. The relay cycle only, and the rows of wire, servo and host.\n"
+        "*frame* holds the ramp of the duty, from `drive.max_V` to 0."
+    ),
+    base="servo.yaml",
+    told=told_by_driver,
+)
 PLAIN = (CHIP, BOARD, MODBUS)
 OTHERS = (
     CHIP_RELAY,
@@ -584,5 +625,6 @@ OTHERS = (
     PICO,
     CHIP_ENCODER,
     PICO_ENCODER,
+    SERVO,
 )  # which differ from these in the link, in the board or the sensor, or in where the test runs
 BACKENDS = PLAIN + OTHERS

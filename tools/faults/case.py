@@ -165,6 +165,7 @@ def _opened(injector: FaultInjector, backend: Backend) -> Iterator[None]:
     """Rig connects to the injector. Nobody's hand sets the zero of an encoder in passing: that takes `rig home`."""
     with (
         lines_opened_by(lambda device, e: nullcontext(backend.line(injector))),
+        backend.told(injector),
         patch.object(rig.backends.serial.opening, "_by_hand", lambda e, line: None),
     ):
         yield

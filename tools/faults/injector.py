@@ -102,6 +102,11 @@ class FaultInjector:
         self._is_interrupted = False
         self._asleep_s = self._asleep_before_s = 0.0
 
+    @property
+    def language(self) -> Language:
+        """The wire format."""
+        return self._language
+
     # ------------------------------------------------------------------ faults
 
     def schedule(self, fault_s: float, act: Callable[[FaultInjector], None]) -> None:

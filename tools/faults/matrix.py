@@ -19,6 +19,7 @@ from faults.backends import (
     PICO,
     PICO_ENCODER,
     PLAIN,
+    SERVO,
     TCP,
     Backend,
 )
@@ -37,6 +38,13 @@ ALIKE = (
     "folder unwritable, in the run", "recorder killed", "stop flag cut short", "config changed in the run",
     "friction too high to start",
     *strangers.ACTS,
+)  # fmt: skip
+
+# what is tried on a servo
+OF_SERVO = (
+    "cable out", "port gone", "garbage", "bit flips, to the host", "one bit flip", "truncated replies",
+    "duplicated replies", "replies late", "replies too late", "one reply lost", "replies lost", "replies stale",
+    "another master", "device reset", "sensor jumps", "host SIGINT", "host SIGTERM", "host SIGSTOP, 1 s",
 )  # fmt: skip
 
 
@@ -65,9 +73,12 @@ def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
     only what an encoder changes. The board: all stages. Other devices: also the stages in which they differ from the
     board. These are the chip's own inputs and resets, what a block without limits does not see, and on the I/O block
     all that may happen while it is disarmed or armed again, since its requests differ then from those of a tick.
+    A servo: ``OF_SERVO``, in the relay cycle.
     """
     is_own = any(trait in ("encoder", "pico") for trait in (*row.only, *row.other))
     is_for_one = is_alike(row) and "encoder" not in row.only
+    if backend is SERVO:
+        return (CYCLE,) if row.name in OF_SERVO and row.is_for(CYCLE.traits(backend.traits)) else ()
     if row.name in strangers.ACTS and backend not in (BOARD, CHIP):
         stages: tuple[Stage, ...] = ()
     elif (backend in (CHIP_STROKES, PICO, PICO_ENCODER) and is_for_one) or (backend is PICO_ENCODER and not is_own):

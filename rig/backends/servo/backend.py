@@ -127,6 +127,11 @@ class ServoBackend(LineBackend):
             "step of 1 ms a servo samples and drives no manual says"
         )
 
+        if e.daq.servo is not None and e.daq.servo.attached != "nothing" and e.load is None:
+            yield (
+                "without section `load` rig cannot tell whether what is on the horn falls when the torque goes off: "
+                "try it by hand"
+            )
         if e.daq.servo is not None and "tick" not in e.daq.servo.table.roles:
             yield (
                 f"{e.daq.servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "

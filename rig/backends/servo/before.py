@@ -148,10 +148,15 @@ def put_back(link: ServoLink, values: Mapping[str, int]) -> None:
 
 
 def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:
-    """The same as instructions, without a look in between."""
+    """The same as instructions, without a look in between. What the EEPROM holds already is left out: it wears out."""
     model, roles = link.model, link.model.roles
     asks = [link.write_of(roles["torque"], 0)]
     if "watchdog" in roles:
         asks.append(link.write_of(roles["watchdog"], 0))
-    asks += [link.write_of(name, values[name]) for name in _CHANGED[model.protocol] if name in values]
+    changed = (name for name in _CHANGED[model.protocol] if name in values)
+    asks += [
+        link.write_of(name, values[name])
+        for name in changed
+        if not model.is_eeprom(model[name]) or link.value(name) != values[name]
+    ]
     return [*asks, link.write_of(roles["torque"], 0)]

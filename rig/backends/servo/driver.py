@@ -389,7 +389,11 @@ class ServoDriver(RegisterDriver[Ask]):
             return self._position
         step = (position - last + turn // 2) % turn - turn // 2
         if 2 * abs(step) >= turn // 2 and self._armed:
-            raise Fault("SENSOR_JUMP", f"from {last} to {position} counts in one tick: {step / turn:+.2f} turns")
+            zero = self._setup.zero_counts
+            raise Fault(
+                "SENSOR_JUMP",
+                f"from {last - zero} to {last + step - zero} counts in one tick: {step / turn:+.2f} turns",
+            )
         self._position = last + step
         return self._position
 
@@ -435,10 +439,15 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _check_armed(self, values: Mapping[str, float]) -> None:
-        """Whether duty, heat, supply and clock are as they must be. Raises Fault."""
-        self._check_duty(values)
-        self._check_health(values)
-        self._check_tick(values)
+        """Whether duty, heat, supply and clock are as they must be. Raises Fault, which tells where the shaft was."""
+        try:
+            self._check_duty(values)
+            self._check_health(values)
+            self._check_tick(values)
+        except Fault as fault:
+            if fault.code.startswith("LINK_"):
+                raise
+            raise Fault(fault.code, f"{fault.detail}; at {self._counts(values)}") from fault
 
     @override
     def _check_pause(self, values: Mapping[str, float]) -> None:

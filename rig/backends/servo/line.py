@@ -22,7 +22,7 @@ from rig.backends.servo.emulated.servo import ServoOptions
 from rig.backends.servo.emulated.servo_board import ServoBoard
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.keeper import starter
-from rig.backends.servo.link_budget import adapter_of
+from rig.backends.servo.link_budget import adapter_of, longest_return_delay_s
 from rig.backends.servo.opening import ServoSetup
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.calibration import largest_drive_in_units
@@ -82,6 +82,7 @@ def setup_of(e: Experiment) -> ServoSetup:
         zero_counts=_sensor(e).zero_counts,
         max_units=largest_drive_in_units(e.device_limits, drive_map),
         watchdog_s=e.daq.watchdog_s,
+        longest_delay_s=longest_return_delay_s(e.daq, servo, e.period_s),
     )
 
 

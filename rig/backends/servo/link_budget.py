@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.backends.link_budget import LinkBudget
+from rig.backends.link_budget import LINK_SHARE, LinkBudget
 from rig.backends.links.usb_adapters import Adapter, adapter_by_name, adapter_delay_s
 from rig.backends.registers.link_budget import Transaction, serial_budget, turnaround_term
 from rig.backends.servo.registers import servo_map
@@ -10,7 +10,7 @@ from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.config.schema import Daq
 
 BITS_PER_BYTE = 10  # start, 8 data, stop
-TURNAROUND_S = 0.0001  # until its reply begins, with the return delay at 0; assumed, no manual says it
+TURNAROUND_S = 0.0001  # until its reply begins, without its return delay; assumed, no manual says it
 DITHER_S = 0.001  # of a servo that tells no clock: it is asked at another place within its step each time
 _REQUEST_BYTES = {"dynamixel": 10, "feetech": 6}  # without parameters
 _REPLY_BYTES = {"dynamixel": 11, "feetech": 6}
@@ -45,6 +45,13 @@ def tick_budget(daq: Daq, servo: Servo, baud: int | None = None) -> LinkBudget:
     baud   instead of the config's, to see which would do
     """
     return _sum(daq, servo, daq.baud if baud is None else baud, transactions(servo))
+
+
+def longest_return_delay_s(daq: Daq, servo: Servo, period_s: float) -> float:
+    """The return delay that a servo may keep: what the tick's link still has room for, behind each request, s."""
+    asked = transactions(servo)
+    spare_s = LINK_SHARE * period_s - _sum(daq, servo, daq.baud, asked).total_s
+    return max(spare_s / len(asked), 0.0)
 
 
 def reading_budget(daq: Daq, servo: Servo) -> LinkBudget:

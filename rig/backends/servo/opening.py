@@ -47,6 +47,7 @@ class ServoSetup:
     zero_counts   position register at 0 rad
     max_units     largest drive of the experiment, steps
     watchdog_s    silence after which its watchdog acts, s
+    longest_delay_s  return delay that a tick has room for, s: one that is not longer stays as it is
     """
 
     model: ServoModel
@@ -58,6 +59,7 @@ class ServoSetup:
     zero_counts: int
     max_units: int
     watchdog_s: float
+    longest_delay_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,9 @@ def set_up(
     link.put(torque, 0)
     if "watchdog" in model.roles:
         link.put(model.roles["watchdog"], 0)  # one that has acted takes no goal
-    link.hold(model.roles["return_delay"], 0)
+    delay = model.role("return_delay")
+    if link.value(delay.name) * delay.scale > setup.longest_delay_s:  # of EEPROM, as limit, mode and slope are
+        link.hold(delay.name, 0)
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
     link.hold(mode, model.pwm_mode)
     link.put(drive, 0)

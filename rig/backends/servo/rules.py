@@ -95,27 +95,37 @@ def _travel(e: Experiment, servo: Servo) -> Iterator[Problem]:
             "a servo's position is known within one turn alone when it is switched on",
             f"within {-_HALF_TURN_RAD:.2f} and {_HALF_TURN_RAD:.2f} rad",
         )
-    if has_watchdog(servo) and not e.daq.accept_no_watchdog:
-        return
-    if servo.attached == "joint" and servo.supply_switch is None:
+    if not (low < e.limits.soft_rad[0] and e.limits.soft_rad[1] < high):
+        return  # said already
+    is_proven = has_watchdog(servo) and not e.daq.accept_no_watchdog
+    if servo.attached == "joint" and not is_proven and servo.supply_switch is None:
         yield wrong(
             "daq.servo.attached",
             "a joint with stops, and nothing in the servo takes the duty away when the host is silent",
             "put a switch into the servo's supply, try it, and name it in daq.servo.supply_switch; or free the horn",
         )
-    elif servo.attached == "load":
-        room = min(high, -low)
-        full_rad_s = e.limits.max_speed_rad_s
-        if e.motor is not None:
-            full_rad_s = e.motor.no_load_speed_rad_s * e.drive.max_V / e.drive.supply_V
-        if full_rad_s * _NO_WATCHDOG_S > room:
-            most_V = e.drive.max_V * room / (full_rad_s * _NO_WATCHDOG_S)
-            yield wrong(
-                "drive.max_V",
-                f"at {e.drive.max_V:g} V the shaft could leave limits.hard_rad within {_NO_WATCHDOG_S:g} s, and "
-                "nothing in the servo takes the duty away when the host is silent",
-                f"at most {most_V * 0.995:.3g} volts",
-            )
+    elif servo.attached == "load" and not is_proven:
+        yield from full_drive_stays_inside(
+            e, _NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
+        )
+
+
+def full_drive_stays_inside(e: Experiment, for_s: float, why: str) -> Iterator[Problem]:
+    """A shaft at the speed of full drive stays inside the hard limits for so long, from a soft limit on.
+
+    Up to there full drive may be outward. Without ``motor`` its speed is the largest one to expect.
+    """
+    (low, high), (soft_low, soft_high) = e.limits.hard_rad, e.limits.soft_rad
+    room, top_rad_s = min(high - soft_high, soft_low - low), e.limits.max_speed_rad_s
+    if e.motor is not None:
+        top_rad_s = e.motor.no_load_speed_rad_s * e.drive.max_V / e.drive.supply_V
+    if top_rad_s * for_s > room:
+        most_V = e.drive.max_V * room / (top_rad_s * for_s)
+        yield wrong(
+            "drive.max_V",
+            f"at {e.drive.max_V:g} V the shaft could leave limits.hard_rad within {for_s:.3g} s of a soft limit, {why}",
+            f"at most {most_V * 0.995:.3g} volts, or more room between limits.soft_rad and limits.hard_rad",
+        )
 
 
 def _fits(e: Experiment, servo: Servo, baud: int) -> bool:

@@ -8,11 +8,15 @@ import pytest
 from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 
-from rig.backends.servo.before import BeforeStore
+from rig.backends.servo.before import BeforeStore, order_of
+from rig.backends.servo.line import servo_of
+from rig.backends.servo.link_budget import longest_return_delay_s
 from rig.faults import Fault
 
 NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
 MOST_WRITES = 2  # of each register of the EEPROM: changed, and put back
+# of the EEPROM in a run on a servo as shipped: mode, limit and slope; a Feetech's lock keeps all of it out of there
+ALL_WRITES = {"dynamixel": 6, "feetech": 0}
 LAST_STEP = 60  # of the writes of an opening and a run: all of them are fewer
 
 
@@ -46,6 +50,7 @@ def test_a_run_leaves_every_register_as_it_was_and_writes_little(protocol: str) 
     written = bench.servo.eeprom_writes
     assert not written.keys() & NEVER
     assert all(count <= MOST_WRITES for count in written.values()), written
+    assert written.total() <= ALL_WRITES[protocol], written
     assert [bytes(s._active[:64]) for s in bench.bystanders] == [one[:64] for one in others]
     assert all(s.eeprom_writes.total() == 0 and not s.is_on for s in bench.bystanders)
     assert bench.wrong() == []
@@ -63,6 +68,48 @@ def test_a_second_run_writes_no_more_than_the_first(protocol: str) -> None:
     bench.another()
     run(bench)
     assert all(count <= 2 * first[name] for name, count in bench.servo.eeprom_writes.items())
+
+
+@pytest.mark.parametrize(
+    ("shipped", "setup", "writes"),
+    [
+        ({}, {}, {"operating_mode", "pwm_limit", "pwm_slope"}),
+        ({}, {"longest_delay_s": 0.0}, {"operating_mode", "pwm_limit", "pwm_slope", "return_delay_time"}),
+        ({"return_delay_time": 0}, {"longest_delay_s": 0.0}, {"operating_mode", "pwm_limit", "pwm_slope"}),
+        ({}, {"fastest_slope": False}, {"operating_mode", "pwm_limit"}),
+        ({"pwm_slope": 255}, {}, {"operating_mode", "pwm_limit"}),
+        ({"pwm_slope": 255, "operating_mode": 16}, {}, {"pwm_limit"}),
+    ],
+)
+def test_only_what_differs_is_written_and_put_back(
+    shipped: dict[str, int], setup: dict[str, float], writes: set[str]
+) -> None:
+    bench = Bench(registers=shipped, setup=setup)
+    before = owned(bench)
+    if "operating_mode" in shipped:
+        before["goal_pwm"] = 0  # in PWM mode it is the duty: the end leaves 0
+    run(bench)
+    assert owned(bench) == before and bench.wrong() == []
+    assert bench.servo.eeprom_writes == dict.fromkeys(writes, 2)
+
+
+@pytest.mark.parametrize("delay_left", [True, False])
+def test_what_the_keeper_would_put_back_is_what_was_changed(delay_left: bool) -> None:
+    bench = Bench(setup={} if delay_left else {"longest_delay_s": 0.0})
+    bench.opened()
+    values = bench.store.load(bench.setup.model)
+    assert values is not None and "return_delay_time" in values
+    about = {ask.about.split()[0] for ask in order_of(bench.driver._link, values)}
+    assert {"operating_mode", "pwm_limit", "pwm_slope", "position_p_gain", "torque_enable"} <= about
+    assert ("return_delay_time" in about) is not delay_left
+
+
+def test_a_return_delay_that_the_tick_has_no_room_for_is_set_to_0() -> None:
+    """2 x 0.5 ms beside the exchange of 0.9 ms fit 80 % of 10 ms, not of 2 ms."""
+    e = Bench().e
+    servo = servo_of(e)
+    assert longest_return_delay_s(e.daq, servo, 0.010) > 0.5e-3 > longest_return_delay_s(e.daq, servo, 0.002)
+    assert longest_return_delay_s(e.daq, servo, 0.0005) == 0.0
 
 
 def killed_at(protocol: str, step: int, tmp_path: Path) -> bool:
