@@ -51,7 +51,8 @@ def test_a_run_leaves_every_register_as_it_was_and_writes_little(protocol: str) 
     assert not written.keys() & NEVER
     assert all(count <= MOST_WRITES for count in written.values()), written
     assert written.total() <= ALL_WRITES[protocol], written
-    assert [bytes(s._active[:64]) for s in bench.bystanders] == [one[:64] for one in others]
+    end = 64 if protocol == "dynamixel" else 56  # beyond it is what the servo measures
+    assert [bytes(s._active[:end]) for s in bench.bystanders] == [one[:end] for one in others]
     assert all(s.eeprom_writes.total() == 0 and not s.is_on for s in bench.bystanders)
     assert bench.wrong() == []
     assert bench.store.load(bench.setup.model) is None
