@@ -148,15 +148,10 @@ def put_back(link: ServoLink, values: Mapping[str, int]) -> None:
 
 
 def order_of(link: ServoLink, values: Mapping[str, int]) -> list[Ask]:
-    """The same as instructions, without a look in between. What the EEPROM holds already is left out: it wears out."""
+    """The same as instructions, without a look in between: made before anything is changed, so it holds all of it."""
     model, roles = link.model, link.model.roles
     asks = [link.write_of(roles["torque"], 0)]
     if "watchdog" in roles:
         asks.append(link.write_of(roles["watchdog"], 0))
-    changed = (name for name in _CHANGED[model.protocol] if name in values)
-    asks += [
-        link.write_of(name, values[name])
-        for name in changed
-        if not model.is_eeprom(model[name]) or link.value(name) != values[name]
-    ]
+    asks += [link.write_of(name, values[name]) for name in _CHANGED[model.protocol] if name in values]
     return [*asks, link.write_of(roles["torque"], 0)]

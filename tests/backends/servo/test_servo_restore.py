@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 
 from rig.backends.servo.before import BeforeStore, order_of
+from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.line import servo_of
 from rig.backends.servo.link_budget import longest_return_delay_s
 from rig.faults import Fault
@@ -94,15 +96,21 @@ def test_only_what_differs_is_written_and_put_back(
     assert bench.servo.eeprom_writes == dict.fromkeys(writes, 2)
 
 
-@pytest.mark.parametrize("delay_left", [True, False])
-def test_what_the_keeper_would_put_back_is_what_was_changed(delay_left: bool) -> None:
-    bench = Bench(setup={} if delay_left else {"longest_delay_s": 0.0})
-    bench.opened()
-    values = bench.store.load(bench.setup.model)
-    assert values is not None and "return_delay_time" in values
-    about = {ask.about.split()[0] for ask in order_of(bench.driver._link, values)}
-    assert {"operating_mode", "pwm_limit", "pwm_slope", "position_p_gain", "torque_enable"} <= about
-    assert ("return_delay_time" in about) is not delay_left
+def test_what_the_keeper_would_put_back_is_known_before_anything_is_written() -> None:
+    """It starts then: what the servo holds at that time says nothing of what will be changed."""
+    bench = Bench()
+    orders: list[set[str]] = []
+
+    def watched(link: ServoLink, store: BeforeStore) -> NoReturn:
+        values = store.load(link.model)
+        assert values is not None and bench.servo.eeprom_writes.total() == 0
+        orders.append({ask.about.split()[0] for ask in order_of(link, values)})
+        raise Fault("SERVO_UNWATCHED", "no keeper")
+
+    bench.driver._start_guardian = watched
+    with pytest.raises(Fault, match="SERVO_UNWATCHED"):
+        bench.opened()
+    assert {"operating_mode", "pwm_limit", "pwm_slope", "return_delay_time", "position_p_gain"} <= orders[0]
 
 
 def test_a_return_delay_that_the_tick_has_no_room_for_is_set_to_0() -> None:
