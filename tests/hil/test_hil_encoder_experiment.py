@@ -260,8 +260,9 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
     assert refused.value.code == "DEVICE_NO_ZERO"
 
 
-def test_a_signal_in_the_last_moment_of_a_homing_leaves_no_zero(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("is_lost", [False, True], ids=["a signal", "the reply to ZERO is lost"])
+def test_what_happens_in_the_last_moment_of_a_homing_leaves_no_zero(
+    is_lost: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = with_end_switches(tmp_path)
     with connect(experiment) as bench:
@@ -271,10 +272,12 @@ def test_a_signal_in_the_last_moment_of_a_homing_leaves_no_zero(
 
         def signalled(here_rad: float) -> None:
             set_zero(here_rad)
+            if is_lost:
+                raise Fault("LINK_TIMEOUT", "no reply")
             os.kill(os.getpid(), signal.SIGINT)
 
         monkeypatch.setattr(driver, "set_zero", signalled)
-        with pytest.raises(Fault, match="INTERRUPTED"):
+        with pytest.raises(Fault, match="LINK_TIMEOUT" if is_lost else "INTERRUPTED"):
             zero.find_by_switch(experiment, bench, StopFlag())
         with pytest.raises(Fault, match="DEVICE_NO_ZERO"):
             driver.arm(experiment.device_limits)

@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import dynamixel_sdk
 import pytest
 from servo_bench import Bench
 
 from rig.backends.driver import Timeouts
 from rig.backends.servo.before import BeforeStore
 from rig.backends.servo.driver import ServoDriver
-
-dynamixel_sdk = pytest.importorskip("dynamixel_sdk")
 
 HEADER = [0xFF, 0xFF, 0xFD, 0x00]
 TURN_RAD_S_PER_STEP = 2.354 * 5.0 / 885
