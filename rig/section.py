@@ -22,4 +22,4 @@ Interval = Annotated[tuple[float, float], AfterValidator(_rising)]
 class Section(BaseModel):
     """Strict: an unknown key is an error, numbers are finite, objects are frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)

@@ -12,9 +12,6 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from rig.results import (
     Answer,
@@ -62,6 +59,10 @@ def show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]
     if not sys.stdout.isatty():
         click.echo("\n".join([title, *plain_table(headings, rows)]))
         return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=title)
     for k, heading in enumerate(headings):
         table.add_column(heading, no_wrap=k == 0, overflow="fold")
@@ -82,14 +83,14 @@ def plain_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[
 @contextmanager
 def progress(what: str, as_json: bool) -> Iterator[Callable[[int, int], None] | None]:
     """A progress bar. Yields the function (done, total) that moves it; None in a pipe or for JSON: there is no bar."""
-    console = Console(stderr=True)
-    if as_json or not console.is_terminal:
+    if as_json or not sys.stderr.isatty():
         yield None
         return
+    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -97,11 +98,12 @@ def progress(what: str, as_json: bool) -> Iterator[Callable[[int, int], None] | 
 @contextmanager
 def patience(what: str) -> Iterator[None]:
     """A spinner while the block runs; none in a pipe."""
-    console = Console(stderr=True)
-    if console.is_terminal:
-        with console.status(what):
-            yield
-    else:
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
         yield
 
 

@@ -35,6 +35,8 @@ static const double RUNAWAY_RAD_S = 1e5;
 /* Steps at most, on the average over rows and edges: by the way that it turns in one, and by its time constants in one. */
 static const double STEPS_OF_ROW = 500.0;
 static const double STEPS_OF_TAUS = 1000.0;
+/* Of a drive behind a lag so many of its time constants ago nothing is left within the rounding. */
+static const double FORGOTTEN_LAGS = 40.0;
 
 enum { STAGES = REAL_STAGE_ROWS - 3 };
 
@@ -457,6 +459,22 @@ static void fill(double *values, int64_t count, double value)
     }
 }
 
+/* The edge that acts at `now`; the first one before it. */
+static int64_t edge_at(const real_record *record, double delay_s, double now)
+{
+    int64_t low = 0;
+    int64_t high = record->edges;
+    while (high - low > 1) {
+        const int64_t middle = low + (high - low) / 2;
+        if (record->edge_s[middle] + delay_s <= now) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
 void real_readings(const real_motor *m, const real_record *record, const real_columns *columns, double *y_rad, double *jacobian)
 {
     const slopes d = room_for(m, columns);
@@ -469,12 +487,12 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
     const double looks = (double)(n + edges);
     double left = STEPS_OF_ROW * looks;
     left += least(2.0 * (t_s[n - 1] - t_s[0]) / (STEP_OF_TAU * m->tau_s), STEPS_OF_TAUS * looks);
-    int64_t j = 0;
-    double staged_V = staged(m, u_V[0]);
-    staged_slopes(m, u_V[0], d.given);
+    int64_t j = edge_at(record, m->delay_s, t_s[0] - FORGOTTEN_LAGS * most(m->lag_s, 0.0));
+    double staged_V = staged(m, u_V[j]);
+    staged_slopes(m, u_V[j], d.given);
     copy_given(&d);
     double w = staged_V;
-    double begun = least(t_s[0], edge_s[0] + m->delay_s);
+    double begun = least(t_s[0], edge_s[j] + m->delay_s);
     step s;
     for (int64_t piece = 0; piece < record->pieces; piece++) {
         int64_t k = record->first[piece];

@@ -14,11 +14,17 @@ static inline double most(double a, double b)
 /* The first edge that acts at `now` or before it; where there is none, the first. */
 static int64_t edge_at(const plain_drive *drive, double now)
 {
-    int64_t j = 0;
-    while (j + 1 < drive->edges && drive->edge_s[j + 1] + drive->delay_s <= now) {
-        j++;
+    int64_t low = 0;
+    int64_t high = drive->edges;
+    while (high - low > 1) {
+        const int64_t middle = low + (high - low) / 2;
+        if (drive->edge_s[middle] + drive->delay_s <= now) {
+            low = middle;
+        } else {
+            high = middle;
+        }
     }
-    return j;
+    return low;
 }
 
 static double end_of(const plain_drive *drive, int64_t j)

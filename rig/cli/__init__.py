@@ -9,42 +9,51 @@ Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
 
 from __future__ import annotations
 
-from typing import Any
+import ast
+from collections.abc import Iterator, Mapping, MutableMapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, cast
 
 import click
 
-from rig.cli import (
-    calibrate,
-    campaign,
-    check,
-    compare,
-    config,
-    design,
-    doctor,
-    emulate,
-    export,
-    flash,
-    home,
-    identify,
-    init,
-    jog,
-    list,
-    panel,
-    predict,
-    predict_run,
-    rehearse,
-    relay,
-    replay,
-    report,
-    run,
-    schema,
-    servo,
-    survey,
-    track,
-    tune,
-)
-from rig.cli.failure import EXIT_FAILED
 from rig.package import VERSION
+
+_GROUPS = {
+    "Try it, without hardware": ("config", "emulate", "predict"),
+    "Measure a motor": ("run", "identify", "relay", "survey", "design", "track"),
+    "Use what was measured": ("report", "predict-run", "list", "compare", "tune", "export"),
+    "A bench of your own": (
+        "init", "servo", "rehearse", "flash", "doctor", "calibrate", "home", "jog", "check", "panel", "schema",
+    ),
+    "Evidence": ("replay", "campaign"),
+}  # fmt: skip
+_NAMES = tuple(name for names in _GROUPS.values() for name in names)
+
+
+class _ByName(Mapping[str, click.Command]):
+    """The commands by name, each loaded when it is asked for: all of them together take half a second."""
+
+    def __getitem__(self, name: str) -> click.Command:
+        if name not in _NAMES:
+            raise KeyError(name)
+        loaded = vars(import_module(f"rig.cli.{name.replace('-', '_')}")).values()
+        return next(one for one in loaded if isinstance(one, click.Command) and one.name == name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_NAMES)
+
+    def __len__(self) -> int:
+        return len(_NAMES)
+
+
+def _first_sentence(name: str) -> str:
+    """The first paragraph of a command's help, from its file: the command itself need not be loaded."""
+    file = Path(__file__).with_name(f"{name.replace('-', '_')}.py")
+    for one in ast.parse(file.read_bytes()).body:
+        if isinstance(one, ast.FunctionDef) and any("click" in ast.dump(line) for line in one.decorator_list):
+            return (ast.get_docstring(one) or "").split("\n\n")[0]
+    raise LookupError(f"{file} has no command")
 
 
 class _Commands(click.Group):
@@ -54,56 +63,24 @@ class _Commands(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
+            from rig.cli.failure import EXIT_FAILED
+
             click.echo("rig: interrupted; no drive is on", err=True)
             ctx.exit(EXIT_FAILED)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Each command with the whole first sentence of its help, group by group."""
-        widest = max(map(len, self.commands))
-        for title, commands in _GROUPS.items():
+        widest = max(map(len, _NAMES))
+        for title, names in _GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl([(str(of.name).ljust(widest), (of.help or "").split("\n\n")[0]) for of in commands])
+                formatter.write_dl([(name.ljust(widest), _first_sentence(name)) for name in names])
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=_Commands,
+    commands=cast(MutableMapping[str, click.Command], _ByName()),
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(VERSION, prog_name="rig")
 def main() -> None:
     """Identify and control a friction-impeded DC motor by relay feedback."""
-
-
-_GROUPS = {
-    "Try it, without hardware": (config.ready_configs, emulate.emulate, predict.predict),
-    "Measure a motor": (
-        run.run,
-        identify.identify,
-        relay.relay,
-        survey.survey,
-        design.design,
-        track.track,
-    ),
-    "Use what was measured": (
-        report.report,
-        predict_run.predict_run,
-        list.list_runs,
-        compare.compare,
-        tune.tune,
-        export.export,
-    ),
-    "A bench of your own": (
-        init.init,
-        servo.servo,
-        rehearse.rehearse,
-        flash.flash,
-        doctor.doctor,
-        calibrate.calibrate,
-        home.home,
-        jog.jog,
-        check.check,
-        panel.panel,
-        schema.schema,
-    ),
-    "Evidence": (replay.replay, campaign.campaign),
-}
-for _commands in _GROUPS.values():
-    for _command in _commands:
-        main.add_command(_command)

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from rig.backends.emulated.errors import EmulationError
-from rig.config import ConfigError
 from rig.faults import Fault
 from rig.live.unrecorded import BusyError
 from rig.recording.errors import CannotWriteError, RecordingError
 
-if TYPE_CHECKING:  # scipy comes with it
+if TYPE_CHECKING:  # each loads slowly
+    from rig.config import ConfigError
     from rig.identify import IdentifyError
 
 EXIT_FAILED = 1

@@ -26,7 +26,8 @@ from rig.identify.departures.budget import COVERAGE, Entry
 from rig.identify.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.nuisances import OF
-from rig.identify.departures.pieces import Cut, is_plain
+from rig.identify.departures.pieces import Cut
+from rig.model.real_motor import is_plain
 
 Array = NDArray[np.float64]
 

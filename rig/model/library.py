@@ -76,12 +76,27 @@ class RealRecord(Structure):
     )
 
 
+class RealWindow(Structure):
+    """``real_window``."""
+
+    _fields_ = (("record", RealRecord), ("frame", c_double * 4))
+
+
 class RealColumns(Structure):
     """``real_columns``."""
 
     _fields_ = (
         *((name, c_void_p) for name in ("which", "orders", "work")),
         *((name, c_int64) for name in ("columns", "waves")),
+    )
+
+
+class BorderedRows(Structure):
+    """``bordered_rows``."""
+
+    _fields_ = (
+        *((name, c_void_p) for name in ("residual", "by_number", "by_start", "first")),
+        *((name, c_int64) for name in ("rows", "numbers", "pieces", "number_stride", "start_stride")),
     )
 
 
@@ -132,8 +147,12 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "real_staged": (_D, [_P, _D]),
     "real_reading": (_D, [_P, _D]),
     # real_readings.h
-    "real_readings": (None, [_P, POINTER(RealRecord), POINTER(RealColumns), _P, _P]),
     "real_target": (_D, [_P, _D, _P, _D]),
+    # windows.h
+    "windows_readings": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
+    "windows_plain": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
+    "bordered_sums": (None, [POINTER(BorderedRows), _P, _P]),
+    "bordered_reduce": (None, [_P, _P, _I, _I, _D, _P, _P, _P]),
     # records.h
     "plain_states": (None, [_P, _P, POINTER(PlainDrive), _P, _I, _P]),
     "plain_positions": (None, [_P, _P, POINTER(PlainDrive), _P, _I, _P]),

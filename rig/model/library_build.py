@@ -16,7 +16,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 NAME = {"win32": "rig_motor.dll", "darwin": "librig_motor.dylib"}.get(sys.platform, "librig_motor.so")
-SOURCES = ("plain_motor.c", "real_readings.c", "records.c", "coloured_noise.c", "steady_cycle.c")
+SOURCES = (
+    "plain_motor.c",
+    "real_readings.c",
+    "records.c",
+    "coloured_noise.c",
+    "steady_cycle.c",
+    "windows.c",
+)
 # No contraction into fused operations, so that a motor moves the same on any machine.
 OPTIONS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-shared")
 NO_COMPILER = (

@@ -163,9 +163,10 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
         lambda: steady_cycle.curve(np.ones(5), (1.0, 1.0), np.ones(4), (1, 1), two, y, six),
         lambda: design.known(np.ones((6, 7)), np.ones((5, 5)), np.empty((5, 5))),
         lambda: design.drive(PLANT, (False, two, one), (0.01, 0.0), (0.0, 0.0, 0.0), 0, y, np.empty((2, 2))),
-        lambda: real_motion.readings(
-            (tuple(RealMotor(0.2, 5.0, 0.4)), tuple(Frame())),
-            (one, one), two, (rows + 2, np.zeros((1, 4))), (rows, np.empty(0)), (y, np.empty((2, 0))),
+        lambda: real_motion.Windows([real_motion.Record(one, one, two, rows + 2, tuple(Frame()))]),
+        lambda: real_motion.Windows([real_motion.Record(two, one, two, rows, tuple(Frame()))]),
+        lambda: real_motion.Windows([real_motion.Record(one, one, two, rows, tuple(Frame()))]).read(
+            tuple(RealMotor(0.2, 5.0, 0.4)), np.zeros((2, 4)), None, np.empty(0), plain=False
         ),
     ]  # fmt: skip
     for call in calls:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.blocks import Blocks, linear
 from rig.identify.departures.fit import CORE, DELAY, Problem, limits_of
-from rig.identify.departures.pieces import Cut, is_plain
+from rig.identify.departures.pieces import Cut
 from rig.identify.identification import Identification
+from rig.model.real_motor import is_plain
 from rig.recording.series import TimeSeries
 from rig.results import Answer
 

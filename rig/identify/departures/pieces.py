@@ -8,7 +8,7 @@ pieces that a motor bears say how random it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.departure import Bench
 from rig.identify.motions import Motion, fitted_rows
-from rig.model.real_motor import Frame, Pieces, Readings, RealMotor, index, response, response_and_jacobian
-from rig.model.sensitivity import Theta
-from rig.model.sensitivity import position as plain_position
-from rig.model.sensitivity import position_and_jacobian as plain_derivatives
+from rig.model.compiled.real_motion import Windows
+from rig.model.real_motor import Frame, Readings, RealMotor, readings_of, windows_of
 from rig.recording.series import TimeSeries, Window
 
 Array = NDArray[np.float64]
@@ -31,7 +29,6 @@ FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
 SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
-PLAIN = tuple(index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))  # in the order of ``Theta``
 TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
 
@@ -235,26 +232,16 @@ class Cut:
 
     def guessed(self) -> Array:
         """(p, 2) velocity, rad/s, and position, rad, at each start, by a parabola through the rows around it."""
-        found = []
-        for window, rows in zip(self.windows, self.rows, strict=True):
-            for row in rows.tolist():
-                near = slice(max(0, row - NEAR_ROWS), row + NEAR_ROWS + 1)
-                t, y = window.t_s[near] - window.t_s[row], window.y_rad[near]
-                _, slope, offset = np.polyfit(t, y, 2)
-                found.append((float(slope), float(offset)))
-        starts = np.array(found)
+        starts = np.concatenate(
+            [_parabolas(window.t_s, window.y_rad, rows) for window, rows in zip(self.windows, self.rows, strict=True)]
+        )
         if self.resting is not None:
             starts[self.resting, 0] = 0.0
         return starts
 
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
-        if is_plain(motor):
-            return np.concatenate([plain_position(*piece) for piece in self._plainly(motor, starts)])
-        found = []
-        for window, frame, pieces in self._with(starts):
-            found.append(response(motor, frame, window.steps, window.t_s, pieces))
-        return np.concatenate(found)
+        return readings_of(motor, self._records, self._begins(starts)).y_rad
 
     def derivatives(
         self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
@@ -263,36 +250,34 @@ class Cut:
 
         waves_per_rad   as ``response_and_jacobian``
         """
-        if is_plain(motor) and set(free) <= set(PLAIN) and not waves_per_rad:
-            y_rad, columns = zip(*(plain_derivatives(*piece) for piece in self._plainly(motor, starts)), strict=True)
-            jacobian = np.concatenate(columns)
-            by_number = np.ascontiguousarray(jacobian[:, [PLAIN.index(k) for k in free]])
-            return Readings(np.concatenate(y_rad), by_number, np.ascontiguousarray(jacobian[:, len(PLAIN) :]))
-        found = [
-            response_and_jacobian(motor, frame, window.steps, window.t_s, pieces, free, waves_per_rad)
-            for window, frame, pieces in self._with(starts)
-        ]
-        return Readings(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+        return readings_of(motor, self._records, self._begins(starts), free, waves_per_rad)
 
-    def _plainly(self, motor: RealMotor, starts: Array) -> Iterator[tuple[Theta, Array, Array, Array]]:
-        """Each piece of a plain motor: a motor without laws has a closed form, which is ten times faster."""
-        at = 0
-        for window, rows in zip(self.windows, self.rows, strict=True):
-            for first, stop in pairwise([*rows.tolist(), window.t_s.size]):
-                numbers = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, motor.delay_s)
-                yield Theta(*numbers, *starts[at].tolist()), *window.steps, window.t_s[first:stop]
-                at += 1
+    @cached_property
+    def _records(self) -> Windows:
+        each = zip(self.windows, self.frames, self.rows, strict=True)
+        return windows_of([(frame, window.steps, window.t_s, rows) for window, frame, rows in each])
 
-    def _with(self, starts: Array) -> list[tuple[Window, Frame, Pieces]]:
-        top = max(float(np.abs(starts[:, 0]).max()), 1e-9)
-        out = []
-        at = 0
-        for window, frame, rows in zip(self.windows, self.frames, self.rows, strict=True):
-            v0, y0 = (np.ascontiguousarray(c) for c in starts[at : at + rows.size].T)
-            bent = np.where(np.abs(v0) > BENT_WITHIN * top, np.sign(v0), 0.0)
-            out.append((window, frame, Pieces(rows, v0, y0, np.sign(v0), bent)))
-            at += rows.size
-        return out
+    @staticmethod
+    def _begins(starts: Array) -> Array:
+        """(p, 4) the starts, with the play on the side of the motion, and bristles bent where it is fast."""
+        v0 = starts[:, 0]
+        side, top = np.sign(v0), max(float(np.abs(v0).max()), 1e-9)
+        return np.column_stack((starts, side, np.where(np.abs(v0) > BENT_WITHIN * top, side, 0.0)))
+
+
+def _parabolas(t_s: Array, y_rad: Array, rows: Rows) -> Array:
+    """(p, 2) slope and value at each of the ``rows``, of the parabola through the rows around it that there are."""
+    near = rows[:, None] + np.arange(-NEAR_ROWS, NEAR_ROWS + 1)
+    here = (near >= 0) & (near < t_s.size)
+    near = np.clip(near, 0, t_s.size - 1)
+    since = np.where(here, t_s[near] - t_s[rows][:, None], 0.0)
+    span = np.abs(since).max(axis=1)
+    x = since / span[:, None]
+    columns = np.stack((np.ones_like(x), x, x * x), axis=2) * here[:, :, None]
+    middle = np.where(here, y_rad[near] - y_rad[rows][:, None], 0.0)
+    matrix = np.einsum("pki,pkj->pij", columns, columns)
+    found = np.linalg.solve(matrix, np.einsum("pki,pk->pi", columns, middle)[:, :, None])[:, :, 0]
+    return np.column_stack((found[:, 1] / span, found[:, 0] + y_rad[rows]))
 
 
 def _centred(windows: Sequence[Window], frames: Sequence[Frame]) -> tuple[Frame, ...]:
@@ -313,11 +298,6 @@ def _goes_along(window: Window) -> bool:
     pushes = np.flatnonzero(u_V)
     back_rad = float(np.max(np.maximum.accumulate(y_rad) - y_rad))
     return bool(pushes.size and np.all(u_V[pushes[0] :] > 0.0) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
-
-
-def is_plain(motor: RealMotor) -> bool:
-    """Whether the motor has no law beyond Coulomb friction and a bias."""
-    return not any(value for k, value in enumerate(motor) if k not in PLAIN)
 
 
 def _first_rows(window: Window, length_s: float) -> Rows:

@@ -1,13 +1,26 @@
-"""A real motor under a recorded drive: what its sensor reads, and the derivatives (docs/theory.md 12.4)."""
+"""A real motor under recorded drives: what its sensor reads, and the derivatives (docs/theory.md 12.4)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from ctypes import byref
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.library import LIBRARY, RealColumns, RealRecord, address, filled, given, numbers, require_size, room
+from rig.model.library import (
+    LIBRARY,
+    RealColumns,
+    RealRecord,
+    RealWindow,
+    address,
+    filled,
+    given,
+    numbers,
+    require_size,
+    room,
+)
 from rig.model.real_numbers import Numbers, RealMotor
 
 Array = NDArray[np.float64]
@@ -16,44 +29,78 @@ Rows = NDArray[np.int64]
 NUMBERS = len(RealMotor._fields)
 V0, Y0 = NUMBERS, NUMBERS + 1  # columns of a piece's start, behind the numbers of the motor
 WAVES = NUMBERS + 2  # columns of waves of the force, behind them
+PLAIN = tuple(RealMotor._fields.index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))
 _STAGE_ROWS = 11  # REAL_STAGE_ROWS
 
 
-def readings(
-    motor: tuple[Numbers, Numbers],
-    drive: tuple[Array, Array],
-    t_s: Array,
-    pieces: tuple[Rows, Array],
-    free: tuple[Rows, Array],
-    out: tuple[Array, Array],
-) -> None:
-    """Fill the readings (n,) and their Jacobian (n, c): by the c - 2 numbers ``free``, and by the own piece's start.
+class Record(NamedTuple):
+    """A record in pieces.
 
-    motor     its numbers, and those of its frame
-    drive     edges, s, and drives that act from them on, V; before the first edge the drive is that edge's
-    pieces    first rows (p,), increasing from 0 on, and starts (p, 4): v0, rad/s, y0, rad, side of the play, -1 to 1,
-              and how far the bristles are bent, -1 to 1; 0: they balance the drive
-    free      numbers (m,), and orders (k,), 1/rad, of waves of the force that the motor has not: the sine and the
-              cosine of each are further numbers, c = m + 2 k + 2
-    out       readings, rad, and Jacobian. One of no columns: it is left out. All nan for a motor that runs away,
-              or that is so stiff that it takes too many steps
-    Raises ValueError on arrays that do not fit together.
+    edge_s, u_V  edges, s, and drives that act from them on, V; before the first edge the drive is that edge's
+    t_s          times of the rows, s
+    first        first rows of the pieces, increasing from 0 on
+    frame        what parts over position and time refer to, as numbers
     """
-    edge_s, u_V, t, starts = given(drive[0]), given(drive[1]), given(t_s), given(pieces[1])
-    first, orders = np.ascontiguousarray(pieces[0], dtype=np.int64), given(free[1])
-    require_size(u_V, max(edge_s.size, 1), "drives of the edges")
-    require_size(starts, 4 * first.size, "starts of the pieces")
-    if t.size == 0 or first.size == 0 or first[0] != 0 or first[-1] >= t.size or np.any(np.diff(first) <= 0):
-        raise ValueError("pieces must begin in increasing rows, the first in row 0")
-    columns = out[1].shape[1]
-    which = np.empty(columns, dtype=np.int64)
-    if columns:
-        waves = np.arange(WAVES, WAVES + 2 * orders.size)
-        which[:] = np.concatenate([np.asarray(free[0], dtype=np.int64), waves, (V0, Y0)])
-        if which.min() < 0 or max(free[0], default=0) >= NUMBERS:
+
+    edge_s: Array
+    u_V: Array
+    t_s: Array
+    first: Rows
+    frame: Numbers
+
+
+class Windows:
+    """Records that are read in one call, one after the other. Raises ValueError on arrays that do not fit together."""
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self._kept = []  # the library reads them where they are
+        self._table = (RealWindow * len(records))()
+        longest = 0
+        for window, one in zip(self._table, records, strict=True):
+            edge_s, u_V, t_s = given(one.edge_s), given(one.u_V), given(one.t_s)
+            first = np.ascontiguousarray(one.first, dtype=np.int64)
+            require_size(u_V, max(edge_s.size, 1), "drives of the edges")
+            ends = np.diff(np.append(first, t_s.size))
+            if t_s.size == 0 or first.size == 0 or first[0] != 0 or np.any(ends <= 0):
+                raise ValueError("pieces must begin in increasing rows, the first in row 0")
+            longest = max(longest, int(ends.max()))
+            self._kept.append((edge_s, u_V, t_s, first))
+            at = (address(array) for array in (edge_s, u_V, t_s, first))
+            window.record = RealRecord(*at, 0, edge_s.size, t_s.size, first.size)
+            window.frame[:] = one.frame
+        self.rows = sum(window.record.rows for window in self._table)
+        self.pieces = sum(window.record.pieces for window in self._table)
+        self._longest = longest
+
+    def read(
+        self, motor: Numbers, starts: Array, free: Sequence[int] | None, orders: Array, *, plain: bool
+    ) -> tuple[Array, Array]:
+        """The readings (n,), rad, and their Jacobian (n, c): by c - 2 numbers, and by the own piece's start.
+
+        motor    its numbers
+        starts   (p, 4): v0, rad/s, y0, rad, side of the play, -1 to 1, and how far the bristles are bent, -1 to 1; 0:
+                 they balance the drive
+        free     numbers (m,); None: no Jacobian, which has no columns then
+        orders   (k,), 1/rad, of waves of the force that the motor has not: the sine and the cosine of each are further
+                 numbers, c = m + 2 k + 2
+        plain    whether the motor has no parts, nor are their numbers free: it has a closed form
+        All are nan in a window in which the motor runs away, or is so stiff that it takes too many steps.
+        Raises ValueError on starts of another number of pieces, and on numbers that no motor has.
+        """
+        places = [] if free is None else [*free, *range(WAVES, WAVES + 2 * orders.size), V0, Y0]
+        if free and not 0 <= min(free) <= max(free) < NUMBERS:
             raise ValueError("a number that no motor has")
-    work = room(4 * columns + _STAGE_ROWS * (WAVES + 2 * orders.size))
-    record = RealRecord(*(address(one) for one in (edge_s, u_V, t, first, starts)), edge_s.size, t.size, first.size)
-    wanted = RealColumns(*(address(one) for one in (which, orders, work)), columns, orders.size)
-    into = filled(out[0], t.size), filled(out[1], t.size, columns)
-    LIBRARY.real_readings(numbers(*motor[0], *motor[1]), byref(record), byref(wanted), *into)
+        if plain and places:
+            places = [PLAIN.index(k) for k in free or ()] + [len(PLAIN), len(PLAIN) + 1]
+        columns = len(places)
+        which, begin = np.array(places, dtype=np.int64), given(starts)
+        require_size(begin, 4 * self.pieces, "starts of the pieces")
+        size = 7 * self._longest if plain else 4 * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
+        work, y_rad, jacobian = room(size), np.empty(self.rows), np.empty((self.rows, columns))
+        wanted = RealColumns(address(which), address(orders), address(work), columns, orders.size)
+        read = LIBRARY.windows_plain if plain else LIBRARY.windows_readings
+        read(
+            numbers(*motor), self._table, len(self._table), address(begin), byref(wanted),
+            filled(y_rad, self.rows), filled(jacobian, self.rows, columns),
+        )  # fmt: skip
+        return y_rad, jacobian
