@@ -153,30 +153,37 @@ static double direction(const real_motor *m, const real_state *at, double staged
     return pull > held ? 1.0 : pull < -held ? -1.0 : 0.0;
 }
 
+/* The function phi_4 of exponential integrators at -c: a power series, of which the terms left out are below the rounding. */
 static double phi4(double c)
 {
+    static const double of[] = {1.0 / 24.0,       1.0 / 120.0,       1.0 / 720.0,       1.0 / 5040.0,      1.0 / 40320.0,
+                                1.0 / 362880.0, 1.0 / 3628800.0, 1.0 / 39916800.0, 1.0 / 479001600.0};
     if (c < 0.5) {
-        double total = 1.0;
-        for (int k = 12; k > 4; k--) {
-            total = 1.0 - c / (double)k * total;
+        double total = of[8];
+        for (int k = 7; k >= 0; k--) {
+            total = of[k] - c * total;
         }
-        return total / 24.0;
+        return total;
     }
     return ((((1.0 - exp(-c)) / c - 1.0) / -c - 0.5) / -c - 1.0 / 6.0) / -c;
 }
 
+/* of a step of so many time constants; and phi_1 to phi_4 */
 typedef struct {
     double keep, half, mean, b1, b2, b4;
+    double p1, p2, p3, p4;
 } weights;
 
 static weights weights_of(double c)
 {
-    const double p3 = 1.0 / 6.0 - c * phi4(c);
+    const double p4 = phi4(c);
+    const double p3 = 1.0 / 6.0 - c * p4;
     const double p2 = 0.5 - c * p3;
     const double p1 = 1.0 - c * p2;
     const double keep = 1.0 - c * p1;
     const double half = sqrt(keep);
-    const weights w = {keep, half, 2.0 * p1 / (1.0 + half), p1 - 3.0 * p2 + 4.0 * p3, 2.0 * p2 - 4.0 * p3, 4.0 * p3 - p2};
+    const weights w = {keep, half, 2.0 * p1 / (1.0 + half), p1 - 3.0 * p2 + 4.0 * p3, 2.0 * p2 - 4.0 * p3, 4.0 * p3 - p2,
+                       p1,   p2,   p3,                      p4};
     return w;
 }
 
@@ -197,23 +204,25 @@ typedef struct {
     double a1, a2, a3, a4;
     double v2, y2, f2, v3, y3, f3, v4, y4, f4;
     double slide;
+    weights k, b; /* of the motion, and of the bristles */
 } stages;
 
-static const weights NO_FADING = {1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0}; /* of a step of no time constants */
+/* of a step of no time constants */
+static const weights NO_FADING = {1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0};
 
 /* State after `h` s in the direction `sign`, and its stages. */
-static real_state moved(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h, stages *s)
+static real_state moved(const real_motor *restrict m, double sign, const real_state *restrict at, double staged_V, double t, double h, stages *restrict s)
 {
     const double tau = m->tau_s;
     const double c = h / tau;
-    const weights k = weights_of(c);
+    const weights k = s->k = weights_of(c);
     const double near = 0.5 * c * k.mean;
     const double middle = t + 0.5 * h;
     const double p = at->y + tau * at->v;
     real_state in = *at;
     s->a1 = target(m, sign, &in, t);
     s->slide = sliding(m, sign, at, s->a1, t, h);
-    const weights b = m->bristle_V_rad > 0.0 ? weights_of(h * s->slide) : NO_FADING;
+    const weights b = s->b = m->bristle_V_rad > 0.0 ? weights_of(h * s->slide) : NO_FADING;
     const double near_f = 0.5 * h * b.mean;
     const double n1 = bending(m, sign, &in, t) + s->slide * in.f;
     in.v = s->v2 = k.half * at->v + near * s->a1;

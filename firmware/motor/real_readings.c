@@ -37,6 +37,7 @@ static const double STEPS_OF_ROW = 500.0;
 static const double STEPS_OF_TAUS = 1000.0;
 /* Of a drive behind a lag so many of its time constants ago nothing is left within the rounding. */
 static const double FORGOTTEN_LAGS = 40.0;
+static const double EVENLY = 1e-12; /* of an order of waves: so near they are as far apart as the ones before */
 
 enum { STAGES = REAL_STAGE_ROWS - 3 };
 
@@ -45,6 +46,9 @@ enum { STAGES = REAL_STAGE_ROWS - 3 };
  * v, y, f, x       of the state, by column
  * w, given, level  by number of the motor: of the drive behind the lag and before it, and of a level of friction
  * stage            of the right sides at the four stages of a step: target velocity and bristles' rate in turn
+ * by_stage         for each stage, of the target velocity and of the bristles' rate in turn, by column: what does not
+ *                  come from the state
+ * mean             of the cosine over the travel
  * position, cogging, stribeck   which of the derivatives cost a function of their own
  */
 typedef struct {
@@ -52,7 +56,8 @@ typedef struct {
     const double *orders;
     int columns, waves, width;
     double *v, *y, *f, *x;
-    double *w, *given, *level, *stage[STAGES];
+    double *w, *given, *level, *stage[STAGES], *by_stage[STAGES];
+    double mean;
     bool position, cogging, stribeck;
 } slopes;
 
@@ -66,20 +71,33 @@ static double mean_cosine(const real_motor *m)
     return sin(m->half_travel_rad) / m->half_travel_rad;
 }
 
+/* A wave over the travel at a position. */
+typedef struct {
+    double sine, cosine;
+} wave;
+
+static wave wave_at(const real_motor *m, const slopes *d, double y)
+{
+    wave at = {0.0, 1.0};
+    if (d->position) {
+        const double q = y - m->centre_rad;
+        at.sine = sin(q);
+        at.cosine = cos(q);
+    }
+    return at;
+}
+
 /* Fills `out` with the derivatives of the level; gives those by speed and position. */
-static void level_slopes(const real_motor *m, const slopes *d, double speed, double y, double t, double *out, double by[2])
+static void level_slopes(const real_motor *m, const slopes *d, double speed, wave at, double t, double *out, double by[2])
 {
     const double course = (t - m->start_s) / m->duration_s - 0.5;
     out[FC] = 1.0 + m->drift * course;
     out[DRIFT] = m->fc_V * course;
     by[0] = by[1] = 0.0;
     if (d->position) {
-        const double q = y - m->centre_rad;
-        const double sine = sin(q);
-        const double cosine = cos(q);
-        out[FRICTION] = sine;
-        out[FRICTION + 1] = cosine - mean_cosine(m);
-        by[1] = m->friction_sin_V * cosine - m->friction_cos_V * sine;
+        out[FRICTION] = at.sine;
+        out[FRICTION + 1] = at.cosine - d->mean;
+        by[1] = m->friction_sin_V * at.cosine - m->friction_cos_V * at.sine;
     }
     if (d->stribeck && m->stribeck_rad_s > 0.0) {
         const double share = exp(-speed / m->stribeck_rad_s);
@@ -108,13 +126,11 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, c
     a[VISCOUS] = -gain * speed;
     a[DRAG] = -gain * v * speed;
     by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
+    const wave here = wave_at(m, d, y);
     if (d->position) {
-        const double q = y - m->centre_rad;
-        const double sine = sin(q);
-        const double cosine = cos(q);
-        a[FORCE] = -gain * sine;
-        a[FORCE + 1] = -gain * (cosine - mean_cosine(m));
-        by.ay -= gain * (m->force_sin_V * cosine - m->force_cos_V * sine);
+        a[FORCE] = -gain * here.sine;
+        a[FORCE + 1] = -gain * (here.cosine - d->mean);
+        by.ay -= gain * (m->force_sin_V * here.cosine - m->force_cos_V * here.sine);
     }
     if (d->cogging) {
         const double q = m->cogging_per_rad * y;
@@ -126,13 +142,25 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, c
         a[ORDER] = -gain * y * slope;
         by.ay -= gain * m->cogging_per_rad * slope;
     }
+    wave at_order = {0.0, 1.0};
+    wave turn = {0.0, 1.0};
+    double apart = 0.0;
     for (int k = 0; k < d->waves; k++) {
-        const double q = d->orders[k] * y;
-        a[REAL_WAVES + 2 * k] = -gain * sin(q);
-        a[REAL_WAVES + 2 * k + 1] = -gain * cos(q);
+        const double order = d->orders[k];
+        if (k > 0 && fabs(order - d->orders[k - 1] - apart) < EVENLY * order) { /* as far from the last one as that was */
+            const wave last = at_order;
+            at_order.sine = last.sine * turn.cosine + last.cosine * turn.sine;
+            at_order.cosine = last.cosine * turn.cosine - last.sine * turn.sine;
+        } else {
+            apart = k + 1 < d->waves ? d->orders[k + 1] - order : 0.0;
+            at_order = (wave){sin(order * y), cos(order * y)};
+            turn = (wave){sin(apart * y), cos(apart * y)};
+        }
+        a[REAL_WAVES + 2 * k] = -gain * at_order.sine;
+        a[REAL_WAVES + 2 * k + 1] = -gain * at_order.cosine;
     }
     double by_level[2];
-    level_slopes(m, d, speed, y, t, r, by_level);
+    level_slopes(m, d, speed, here, t, r, by_level);
     if (m->bristle_V_rad <= 0.0) {
         for (int k = 0; k < LEVELS; k++) {
             a[OF_LEVEL[k]] = -gain * sign * r[OF_LEVEL[k]];
@@ -244,7 +272,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         d->level[i] = 0.0;
     }
     double by_level[2];
-    level_slopes(m, d, fabs(v0), at.y, t, d->level, by_level);
+    level_slopes(m, d, fabs(v0), wave_at(m, d, at.y), t, d->level, by_level);
     const double by_v = v0 > 0.0 ? by_level[0] : -by_level[0];
     for (int i = 0; i < d->columns; i++) {
         const int64_t p = d->which[i];
@@ -259,7 +287,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
 }
 
 /* Takes the derivatives of v, y, f through a step of a motor in motion from `at`, at `t`. */
-static void through(const real_motor *m, const slopes *d, const real_state *at, const step *now, double t, double staged_V)
+static void through(const real_motor *restrict m, const slopes *d, const real_state *restrict at, const step *restrict now, double t, double staged_V)
 {
     const stages *const s = &now->in;
     const double h = now->duration_s;
@@ -267,31 +295,23 @@ static void through(const real_motor *m, const slopes *d, const real_state *at, 
     const double gain = m->K_rad_s_V;
     const double lag = m->lag_s;
     const double half = lag > 0.0 ? exp(-0.5 * h / lag) : 0.0;
-    const double keep = lag > 0.0 ? exp(-h / lag) : 0.0;
+    const double keep = half * half;
     const double faded = at->w - staged_V;
-    /* weights of the step, and their derivatives by tau */
+    const double by_lag[2] = {
+        lag > 0.0 ? faded * half * 0.5 * h / (lag * lag) : 0.0,
+        lag > 0.0 ? faded * keep * h / (lag * lag) : 0.0,
+    };
+    /* weights of the step */
     const double c = h / tau;
-    const double p4 = phi4(c);
-    const double p3 = 1.0 / 6.0 - c * p4;
-    const double p2 = 0.5 - c * p3;
-    const double p1 = 1.0 - c * p2;
-    const weights k = weights_of(c);
+    const weights k = s->k;
     const double b1 = c * k.b1;
     const double b2 = c * k.b2;
     const double b4 = c * k.b4;
-    const double q1 = p1 - p2; /* derivatives of p1, p2, p3 by -c */
-    const double q2 = p2 - 2.0 * p3;
-    const double q3 = p3 - 3.0 * p4;
-    const double rate = -c / tau;
-    const double keep_tau = -rate * k.keep;
-    const double half_tau = -0.5 * rate * k.half;
-    const double b1_tau = rate * (b1 / c - c * (q1 - 3.0 * q2 + 4.0 * q3));
-    const double b2_tau = rate * (b2 / c - c * (2.0 * q2 - 4.0 * q3));
-    const double b4_tau = rate * (b4 / c - c * (4.0 * q3 - q2));
+    const double rest = 1.0 - k.half;
     /* those of the bristles; how they change shows only in what the step leaves off */
     const bool bristles = m->bristle_V_rad > 0.0;
     const double slide = s->slide;
-    const weights g = bristles ? weights_of(h * slide) : NO_FADING;
+    const weights g = s->b;
     const double near = 0.5 * h * g.mean;
     const double middle = staged_V + faded * half;
     const real_state at2 = {s->v2, s->y2, s->f2, middle, 0.0};
@@ -301,56 +321,103 @@ static void through(const real_motor *m, const slopes *d, const real_state *at, 
     const by_state d2 = right_sides(m, d, now->sign, &at2, t + 0.5 * h, s->a2, 1);
     const by_state d3 = right_sides(m, d, now->sign, &at3, t + 0.5 * h, s->a3, 2);
     const by_state d4 = right_sides(m, d, now->sign, &at4, t + h, s->a4, 3);
-    const double af = bristles ? -gain : 0.0;
-    for (int i = 0; i < d->columns; i++) {
+    const int columns = d->columns;
+    double *const restrict a1_of = d->by_stage[0];
+    double *const restrict a2_of = d->by_stage[2];
+    double *const restrict a3_of = d->by_stage[4];
+    double *const restrict a4_of = d->by_stage[6];
+    int of_tau = -1;
+    for (int i = 0; i < columns; i++) {
         const int64_t p = d->which[i];
-        const double by_tau = p == TAU ? 1.0 : 0.0;
-        const double v = d->v[i];
-        const double y = d->y[i];
-        const double f = d->f[i];
         const double drive = d->given[p];
-        double mid = drive + (d->w[p] - drive) * half;
-        double far = drive + (d->w[p] - drive) * keep;
-        if (p == LAG && lag > 0.0) {
-            mid += faded * half * 0.5 * h / (lag * lag);
-            far += faded * keep * h / (lag * lag);
+        const double from = d->w[p] - drive;
+        const double mid = gain * (drive + from * half + (p == LAG ? by_lag[0] : 0.0));
+        a1_of[i] = gain * d->w[p] + d->stage[0][p];
+        a2_of[i] = mid + d->stage[2][p];
+        a3_of[i] = mid + d->stage[4][p];
+        a4_of[i] = gain * (drive + from * keep + (p == LAG ? by_lag[1] : 0.0)) + d->stage[6][p];
+        for (int stage = 0; bristles && stage < STAGES / 2; stage++) {
+            d->by_stage[2 * stage + 1][i] = d->stage[2 * stage + 1][p];
         }
-        const double along = y + tau * v + by_tau * at->v; /* of p = y + tau v */
-        const double a1 = d1.av * v + d1.ay * y + af * f + gain * d->w[p] + d->stage[0][p];
-        const double v2 = k.half * v + (1.0 - k.half) * a1 + by_tau * half_tau * (at->v - s->a1);
-        const double y2 = along + 0.5 * h * a1 - tau * v2 - by_tau * s->v2;
-        double r1 = 0.0;
-        double r2 = 0.0;
-        double r3 = 0.0;
-        double r4 = 0.0;
-        double f2 = f;
-        double f3 = f;
-        double f4 = f;
-        if (bristles) {
-            r1 = d1.rv * v + d1.ry * y + (d1.rf + slide) * f + d->stage[1][p];
-            f2 = g.half * f + near * r1;
-            r2 = d2.rv * v2 + d2.ry * y2 + (d2.rf + slide) * f2 + d->stage[3][p];
-            f3 = g.half * f + near * r2;
+        of_tau = p == TAU ? i : of_tau;
+    }
+    /* by tau the weights change, too */
+    double tau_v = 0.0, tau_y = 0.0;
+    if (of_tau >= 0) {
+        const double q1 = k.p1 - k.p2; /* derivatives of p1, p2, p3 by -c */
+        const double q2 = k.p2 - 2.0 * k.p3;
+        const double q3 = k.p3 - 3.0 * k.p4;
+        const double rate = -c / tau;
+        const double half_tau = -0.5 * rate * k.half;
+        const double b1_tau = rate * (k.b1 - c * (q1 - 3.0 * q2 + 4.0 * q3));
+        const double b2_tau = rate * (k.b2 - c * (2.0 * q2 - 4.0 * q3));
+        const double b4_tau = rate * (k.b4 - c * (4.0 * q3 - q2));
+        const double v2 = half_tau * (at->v - s->a1);
+        const double y2 = at->v - tau * v2 - s->v2;
+        a2_of[of_tau] += d2.av * v2 + d2.ay * y2;
+        d->by_stage[3][of_tau] += d2.rv * v2 + d2.ry * y2;
+        /* what a stage adds here goes on through those behind it */
+        const double v3 = half_tau * (at->v - s->a2);
+        const double y3 = at->v - tau * v3 - s->v3;
+        a3_of[of_tau] += d3.av * v3 + d3.ay * y3;
+        d->by_stage[5][of_tau] += d3.rv * v3 + d3.ry * y3;
+        const double v4 = k.half * v2 + half_tau * (s->v2 - 2.0 * s->a3 + s->a1);
+        const double y4 = at->v - tau * v4 - s->v4;
+        a4_of[of_tau] += d4.av * v4 + d4.ay * y4;
+        d->by_stage[7][of_tau] += d4.rv * v4 + d4.ry * y4;
+        tau_v = -rate * k.keep * at->v + b1_tau * s->a1 + b2_tau * (s->a2 + s->a3) + b4_tau * s->a4;
+        tau_y = at->v - now->end.v;
+    }
+    double *const restrict v_of = d->v;
+    double *const restrict y_of = d->y;
+    if (!bristles) {
+        for (int i = 0; i < columns; i++) {
+            const double v = v_of[i];
+            const double y = y_of[i];
+            const double along = y + tau * v; /* of p = y + tau v */
+            const double a1 = d1.av * v + d1.ay * y + a1_of[i];
+            const double v2 = k.half * v + rest * a1;
+            const double a2 = d2.av * v2 + d2.ay * (along + 0.5 * h * a1 - tau * v2) + a2_of[i];
+            const double v3 = k.half * v + rest * a2;
+            const double a3 = d3.av * v3 + d3.ay * (along + 0.5 * h * a2 - tau * v3) + a3_of[i];
+            const double v4 = k.half * v2 + rest * (2.0 * a3 - a1);
+            const double a4 = d4.av * v4 + d4.ay * (along + h * a3 - tau * v4) + a4_of[i];
+            const double v_end = k.keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
+            v_of[i] = v_end;
+            y_of[i] = along + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * v_end;
         }
-        const double a2 = d2.av * v2 + d2.ay * y2 + af * f2 + gain * mid + d->stage[2][p];
-        const double v3 = k.half * v + (1.0 - k.half) * a2 + by_tau * half_tau * (at->v - s->a2);
-        const double y3 = along + 0.5 * h * a2 - tau * v3 - by_tau * s->v3;
-        if (bristles) {
-            r3 = d3.rv * v3 + d3.ry * y3 + (d3.rf + slide) * f3 + d->stage[5][p];
-            f4 = g.half * f2 + near * (2.0 * r3 - r1);
+    } else {
+        for (int i = 0; i < columns; i++) {
+            const double v = v_of[i];
+            const double y = y_of[i];
+            const double f = d->f[i];
+            const double along = y + tau * v;
+            const double a1 = d1.av * v + d1.ay * y - gain * f + a1_of[i];
+            const double v2 = k.half * v + rest * a1;
+            const double y2 = along + 0.5 * h * a1 - tau * v2;
+            const double r1 = d1.rv * v + d1.ry * y + (d1.rf + slide) * f + d->by_stage[1][i];
+            const double f2 = g.half * f + near * r1;
+            const double r2 = d2.rv * v2 + d2.ry * y2 + (d2.rf + slide) * f2 + d->by_stage[3][i];
+            const double f3 = g.half * f + near * r2;
+            const double a2 = d2.av * v2 + d2.ay * y2 - gain * f2 + a2_of[i];
+            const double v3 = k.half * v + rest * a2;
+            const double y3 = along + 0.5 * h * a2 - tau * v3;
+            const double r3 = d3.rv * v3 + d3.ry * y3 + (d3.rf + slide) * f3 + d->by_stage[5][i];
+            const double f4 = g.half * f2 + near * (2.0 * r3 - r1);
+            const double a3 = d3.av * v3 + d3.ay * y3 - gain * f3 + a3_of[i];
+            const double v4 = k.half * v2 + rest * (2.0 * a3 - a1);
+            const double y4 = along + h * a3 - tau * v4;
+            const double r4 = d4.rv * v4 + d4.ry * y4 + (d4.rf + slide) * f4 + d->by_stage[7][i];
+            const double a4 = d4.av * v4 + d4.ay * y4 - gain * f4 + a4_of[i];
+            const double v_end = k.keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
+            v_of[i] = v_end;
+            y_of[i] = along + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * v_end;
+            d->f[i] = g.keep * f + h * (g.b1 * r1 + g.b2 * (r2 + r3) + g.b4 * r4);
         }
-        const double a3 = d3.av * v3 + d3.ay * y3 + af * f3 + gain * mid + d->stage[4][p];
-        const double v4 = k.half * v2 + (1.0 - k.half) * (2.0 * a3 - a1) + by_tau * half_tau * (s->v2 - 2.0 * s->a3 + s->a1);
-        const double y4 = along + h * a3 - tau * v4 - by_tau * s->v4;
-        if (bristles) {
-            r4 = d4.rv * v4 + d4.ry * y4 + (d4.rf + slide) * f4 + d->stage[7][p];
-        }
-        const double a4 = d4.av * v4 + d4.ay * y4 + af * f4 + gain * far + d->stage[6][p];
-        double v_end = k.keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
-        v_end += by_tau * (keep_tau * at->v + b1_tau * s->a1 + b2_tau * (s->a2 + s->a3) + b4_tau * s->a4);
-        d->v[i] = v_end;
-        d->y[i] = along + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * v_end - by_tau * now->end.v;
-        d->f[i] = g.keep * f + h * (g.b1 * r1 + g.b2 * (r2 + r3) + g.b4 * r4);
+    }
+    if (of_tau >= 0) {
+        v_of[of_tau] += tau_v;
+        y_of[of_tau] += tau_y - tau * tau_v;
     }
 }
 
@@ -437,6 +504,14 @@ static slopes room_for(const real_motor *m, const real_columns *c)
     d.f = d.y + d.columns;
     d.x = d.f + d.columns;
     at = d.x + d.columns;
+    for (int i = 0; i < STAGES; i++) {
+        d.by_stage[i] = at;
+        at += d.columns;
+    }
+    for (int i = 0; i < STAGES * d.columns; i++) {
+        d.by_stage[0][i] = 0.0;
+    }
+    d.mean = mean_cosine(m);
     for (int i = 0; i < REAL_STAGE_ROWS * d.width; i++) {
         at[i] = 0.0;
     }

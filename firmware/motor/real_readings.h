@@ -34,8 +34,8 @@ typedef struct {
     int64_t columns, waves;
 } real_columns;
 
-enum { REAL_STAGE_ROWS = 11 };
-#define REAL_WORK(columns, waves) (4 * (columns) + REAL_STAGE_ROWS * (REAL_WAVES + 2 * (waves)))
+enum { REAL_COLUMN_ROWS = 12, REAL_STAGE_ROWS = 11 };
+#define REAL_WORK(columns, waves) (REAL_COLUMN_ROWS * (columns) + REAL_STAGE_ROWS * (REAL_WAVES + 2 * (waves)))
 
 /* Fills the readings (rows) and their Jacobian (rows, columns), which without columns is left out. All are nan for a
  * motor that runs away, or that is so stiff that it takes too many steps. */

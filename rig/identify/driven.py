@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from rig.identify.chance import student_975
 from rig.identify.departures.fit import (
     CORE,
     DELAY,
@@ -219,7 +219,7 @@ def _joined(estimate: Estimate, fit: Fit, tests: Sequence[TimeSeries]) -> Estima
     predicted = refit(tests, theta, (), bounds)
     delay_s = motor.delay_s if fits_delay else estimate.delay_s
     values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay_s)
-    quantile = float(stdtrit(max(1, predicted.residual.size + problem.cut.freedom - size.size), 0.975))
+    quantile = student_975(max(1, predicted.residual.size + problem.cut.freedom - size.size))
     errors = quantile * np.sqrt(np.diag(covariance))
     intervals = {
         name: (value - float(error), value + float(error))

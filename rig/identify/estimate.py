@@ -9,8 +9,8 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from rig.identify.chance import student_975
 from rig.identify.mean_cycle import Cycle
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -159,7 +159,7 @@ class Estimate:
 
 def student_intervals(theta: Sequence[float], covariance: Array, freedom: float) -> dict[str, tuple[float, float]]:
     """95 % intervals of tau_s, K_rad_s_V and fc_V from their (3, 3) covariance and its degrees of freedom (>= 1)."""
-    quantile = float(stdtrit(freedom, 0.975))
+    quantile = student_975(freedom)
     errors = quantile * np.sqrt(np.diag(covariance))
     return {
         name: (value - float(error), value + float(error))

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.special import stdtrit
+from numpy.typing import NDArray
 
+from rig.identify.chance import student_975
 from rig.identify.departures.blocks import Blocks
 from rig.identify.departures.departure import LARGEST_FORCE
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
@@ -26,6 +26,8 @@ from rig.identify.thinning import thinned
 from rig.model.real_motor import RealMotor
 from rig.model.real_step import mean_cosine
 from rig.recording.series import TimeSeries
+
+Array = NDArray[np.float64]
 
 INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``PARAMETERS``
 LENGTHS_S = (0.15, 0.5, 2.0)
@@ -145,11 +147,25 @@ def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> 
     least = np.array([1e-3 * largest_V / max(float(speeds.max()), 1e-9), 0.0, 0.0, -np.inf, -np.inf, -np.inf])[used]
     table = table[moves][:, used]
     scale = np.maximum(np.linalg.norm(table, axis=0), 1e-12)
-    found = lsq_linear(table / scale, u_V[moves], (least * scale, np.inf)).x / scale
+    found = _no_less(table / scale, u_V[moves], least * scale) / scale
     by_speed, by_curve, *rest = found.tolist()
     tau_s = max(by_curve / by_speed, 2.0 * min(window.period_s for window in cut.windows))
     numbers = dict(zip((names[k] for k in used[2:]), rest, strict=True))
     return RealMotor(tau_s, 1.0 / by_speed, 0.0, 0.0, delay_s)._replace(**numbers)
+
+
+def _no_less(table: Array, wanted: Array, least: Array) -> Array:
+    """Linear least squares, (k,), no number below its ``least``: one after the other that would be stays there."""
+    found, free = least.copy(), np.ones(least.size, dtype=bool)
+    while free.any():
+        left = wanted - table[:, ~free] @ found[~free]
+        found[free] = np.linalg.lstsq(table[:, free], left, rcond=None)[0]
+        below = np.where(free, found - least, 0.0)
+        if not np.any(below < 0.0):
+            break
+        worst = int(np.argmin(below))
+        free[worst], found[worst] = False, least[worst]
+    return found
 
 
 def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -167,7 +183,7 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
     full[np.ix_(at, at)] = (covariance * np.outer(size, size))[np.ix_(own, own)]
     delay = motor.delay_s if DELAY in free else plain.delay_s
     values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay)
-    quantile = float(stdtrit(max(1, cut.freedom - len(free)), 0.975))
+    quantile = student_975(max(1, cut.freedom - len(free)))
     errors = np.sqrt(np.diag(full)).tolist()
     whole = replace(cut, rows=tuple(np.zeros(1, dtype=np.int64) for _ in cut.windows), resting=None, weight=None)
     run = solve(begin(replace(pieces.problem, cut=whole, free=(), noise=WHITE), motor))

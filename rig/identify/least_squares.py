@@ -23,11 +23,9 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import Akima1DInterpolator
-from scipy.linalg import null_space
-from scipy.special import stdtrit
 
 from rig.identify import sampled_data
+from rig.identify.chance import student_975
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
@@ -250,6 +248,9 @@ def one_way(runs: Sequence[Transient]) -> OneWay:
 
     Raises IdentifyError if the runs have too few samples in common.
     """
+    from scipy.interpolate import Akima1DInterpolator  # they load slowly, and few records are of such runs
+    from scipy.linalg import null_space
+
     shortest = min(runs, key=lambda run: float(run.t_s[-1]))
     begin, end = max(max(0.0, float(run.t_s[0])) for run in runs), float(shortest.t_s[-1])
     inside = (shortest.t_s[1:] > begin) & (shortest.t_s[1:] <= end)
@@ -367,7 +368,7 @@ def _combined(found: Sequence[OneWay], rows: tuple[int, int]) -> Estimate:
     fc = share * sum(way.friction_V for way in found)
     corrected = share * sum(way.corrected_V for way in found)
     error = share * math.sqrt(sum(way.error_V**2 for way in found))
-    reach = float(stdtrit(min(way.freedom for way in found), 0.975)) * error
+    reach = student_975(min(way.freedom for way in found)) * error
     covariance = np.full((5, 5), np.nan)
     covariance[2, 2] = error**2
     intervals = {"fc_V": (corrected - reach, corrected + reach)}

@@ -445,14 +445,14 @@ class LiveFit:
     def _estimate(self, fit: Fit, speeds: Sequence[float], moving_s: float) -> LiveEstimate | None:
         """The fit with its intervals; None if it says nothing. ``speeds``: as ``swing_speeds``."""
         problem, motor, cut = fit.problem, fit.motor, fit.problem.cut
-        rows = problem.rows(motor, fit.starts)
-        if not rows.are_finite:
+        normal = Normal.of(problem.rows(motor, fit.starts), cut)
+        if not normal.is_finite:
             return None
         counted = weight_of(cut) > 0.0
         freedom = max(cut.freedom - len(problem.free), 1)
         ratio = math.sqrt(float(np.sum(fit.residual_rad[counted] ** 2)) / freedom) / problem.sigma_rad
         spread = float(np.std(cut.y_rad[counted]))
-        inverse = _inverse(Normal.of(rows, cut).matrix)
+        inverse = _inverse(normal.matrix)
         if inverse is None or ratio * problem.sigma_rad > UNEXPLAINED * spread + 3.0 * problem.sigma_rad:
             return None
         core = (*CORE, DELAY)

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, stdtrit
 
+from rig.identify.chance import chi_squared_quantile, student_975
 from rig.identify.departures.budget import COVERAGE, Entry
 from rig.identify.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
@@ -118,8 +118,8 @@ def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]
     naive = np.maximum(np.diag(inverse)[at] * noise, 1e-300)
     by_noise = np.maximum(np.einsum("ik,pkl,li->pi", inverse[at], matrix, inverse[:, at]), 0.0)
     effective = np.maximum(np.minimum(_as_many(by_noise) - 1.0, NORMAL * _as_many(moves**2) - 2.0), 1.0)
-    bar = np.array([chdtri(one, CHANCE) / one for one in effective])
-    half = np.array([float(stdtrit(one, 0.975)) for one in effective]) * np.sqrt(squares)
+    bar = np.array([chi_squared_quantile(one, CHANCE) / one for one in effective])
+    half = np.array([student_975(one) for one in effective]) * np.sqrt(squares)
     differ = squares > bar * naive
     ratio = squares / naive
     effect = max(1.0, float(np.exp(np.log(ratio[differ]).mean()))) if differ.any() else 1.0

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from rig.identify.chance import student_975
 from rig.identify.departures import DEPARTURES, OUTSIDE
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
@@ -564,7 +564,7 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     size = float(values[0]) if values.size == 1 else float(np.sqrt(values @ values))
     slope = values / size if values.size > 1 and size > 0.0 else np.ones(values.size)
     error = math.sqrt(max(0.0, float(slope @ covariance[np.ix_(at, at)] @ slope)))
-    half = float(stdtrit(_freedom(fit), 0.975)) * error
+    half = student_975(_freedom(fit)) * error
     ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
@@ -587,7 +587,7 @@ def _estimate(
         delay, delay_error = plain.delay_s, 0.5 * (plain.ci95["delay_s"][1] - plain.ci95["delay_s"][0]) / 1.96
     values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay)
     errors = [*np.sqrt(np.diag(full))[:4].tolist(), delay_error]
-    quantile = float(stdtrit(_freedom(fit), 0.975))
+    quantile = student_975(_freedom(fit))
     noise = fit.problem.noise
     cut = shown.problem.cut
     residual = shown.residual_rad[:tested]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
+from rig.identify.chance import chi_squared_beyond
 from rig.identify.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def agree(found: Sequence[RecordingEstimate], chance: float = CHANCE) -> bool:
     """Whether chance explains how they differ; ``chance``: probability of a false alarm."""
     mean, _ = mean_of(found)
     square = sum(float((o.values - mean) @ np.linalg.solve(o.covariance, o.values - mean)) for o in found)
-    return bool(chdtrc(3 * (len(found) - 1), square) > chance)
+    return chi_squared_beyond(3 * (len(found) - 1), square) > chance
 
 
 def differences(odd: RecordingEstimate, mean: Array, covariance: Array) -> str:

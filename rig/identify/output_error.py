@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, least_squares
 
+from rig.identify.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve, unit
+from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS
 from rig.identify.noise import WHITE, Noise
-from rig.model.sensitivity import Theta, position_and_jacobian
+from rig.model.real_motor import RealMotor, index
+from rig.model.sensitivity import Theta
 from rig.recording.series import TimeSeries, Window, joined_times_s
 
 Array = NDArray[np.float64]
 
 SHARED = 5  # number of parameters that all windows share: tau, K, fc, asym, delay
-LARGEST_LOG_K = 40.0  # keeps exp(log K) finite
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be separated
-
-
-class Accuracy(NamedTuple):
-    """When a fit ends: relative changes of the vector and of the squares, and the most iterations."""
-
-    step: float
-    squares: float
-    iterations: int
-
-
-ACCURACY = Accuracy(1e-11, 1e-13, 100)
+NAMES = (*CORE, DELAY)  # of these five
+ITERATIONS = 100
+ENOUGH = Enough(0.0, 1e-13)
 
 
 @dataclass(frozen=True)
@@ -49,16 +42,6 @@ class OutputErrorProblem:
     free: tuple[bool, bool, bool, bool, bool]
     noise: Noise = WHITE
 
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the full vector, in its order."""
-        period = min(window.period_s for window in self.windows)
-        duration = max(window.duration_s for window in self.windows)
-        largest = max(float(np.abs(window.steps.u_V).max()) for window in self.windows)
-        low = [math.log(0.2 * period), -LARGEST_LOG_K, 0.0, -largest, self.delay_bounds_s[0]]
-        high = [math.log(10.0 * duration), LARGEST_LOG_K, largest, largest, self.delay_bounds_s[1]]
-        nuisance = 2 * len(self.windows)
-        return np.array(low + [-math.inf] * nuisance), np.array(high + [math.inf] * nuisance)
-
     def lengths(self) -> list[int]:
         """Number of rows of each window."""
         return [window.t_s.size for window in self.windows]
@@ -71,102 +54,68 @@ class OutputErrorProblem:
         """Which entries of the full vector are fitted."""
         return np.array([*self.free, *([True] * (2 * len(self.windows)))])
 
-    def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Predicted minus recorded positions of all windows, rad, and their Jacobian by the full vector ``x``."""
-        residuals, blocks = [], []
-        tau, K = math.exp(x[0]), math.exp(x[1])
-        for k, window in enumerate(self.windows):
-            v0, y0 = x[SHARED + 2 * k], x[SHARED + 2 * k + 1]
-            y, jacobian = position_and_jacobian(Theta(tau, K, x[2], x[3], x[4], v0, y0), *window.steps, window.t_s)
-            residuals.append(y - window.y_rad)
-            blocks.append(by_full_vector(jacobian, (tau, K), x.size, SHARED + 2 * k))
-        return np.concatenate(residuals), np.concatenate(blocks)
-
-    def solve(self, x0: Array) -> Solution:
-        """Local least-squares solution from the full vector ``x0`` (trust region, analytic Jacobian)."""
-        mask = self.mask()
-        low, high = (bound[mask] for bound in self.bounds())
-        full = x0.copy()
-        cached: dict[bytes, tuple[Array, Array]] = {}
-        iterates: list[Array] = []
-
-        def evaluate(part: Array) -> tuple[Array, Array]:
-            key = part.tobytes()
-            if key not in cached:
-                cached.clear()
-                full[mask] = part
-                values, derivatives = self.residual_and_jacobian(full)
-                cached[key] = self.whiten(values), self.whiten(derivatives[:, mask])
-            return cached[key]
-
-        def jacobian(part: Array) -> Array:
-            derivatives = evaluate(part)[1]
-            iterates.append(np.array([math.exp(full[0]), math.exp(full[1]), full[2]]))
-            return derivatives
-
-        def residual(part: Array) -> Array:
-            return evaluate(part)[0]
-
-        found = bounded_least_squares(residual, jacobian, x0[mask], (low, high), ACCURACY)
-        full[mask] = found.x
-        left, full_jacobian = self.residual_and_jacobian(full)
-        arrived = found.status > 0 or _arrived(np.asarray(found.jac), found.fun)
-        return Solution(full.copy(), left, full_jacobian, np.array(iterates), arrived)
+    def solve(self, x0: Array, enough: Enough = ENOUGH) -> Solution:
+        """Local least-squares solution from the full vector ``x0``."""
+        names = tuple(name for name, is_free in zip(NAMES, self.free, strict=True) if is_free)
+        cut = Cut.of_windows(self.windows)
+        problem = Problem(cut, names, limits_of(names, cut, self.delay_bounds_s), 1.0, noise=self.noise)
+        shared = x0[:SHARED].tolist()
+        motor = RealMotor(math.exp(shared[0]), math.exp(shared[1]), *shared[2:])
+        motor = problem.moved(motor, np.zeros(len(names)))  # inside its bounds
+        return Solution(solve(begun(problem, motor, x0[SHARED:].reshape(-1, 2)), ITERATIONS, enough))
 
 
-def by_full_vector(jacobian: Array, tau_K: tuple[float, float], size: int, at: int) -> Array:
-    """The derivatives of a window by the full vector, (n, ``size``), from those by ``Theta``, (n, 7).
-
-    jacobian  rad per unit of the parameter
-    tau_K     of the motor, s and (rad/s)/V: the full vector has their logarithms
-    at        place of the window's v0 in the full vector
-    """
-    block = np.zeros((jacobian.shape[0], size))
-    block[:, :SHARED] = jacobian[:, :SHARED]
-    block[:, :2] *= tau_K
-    block[:, at : at + 2] = jacobian[:, SHARED:]
-    return block
-
-
-def bounded_least_squares(
-    residual: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array],
-    x0: Array,
-    bounds: tuple[Array, Array],
-    accuracy: Accuracy,
-) -> OptimizeResult:
-    """The solution by scipy's trust region from ``x0``, which is moved inside ``bounds``: low and high, (p,) each."""
-    low, high = bounds
-    margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
-    return least_squares(
-        residual,
-        np.clip(x0, low + margin, high - margin),
-        jac=jacobian,
-        bounds=bounds,
-        x_scale="jac",
-        xtol=accuracy.step,
-        ftol=accuracy.squares,
-        gtol=1e-14,
-        max_nfev=accuracy.iterations,
-    )
-
-
-def _arrived(jacobian: Array, residual: Array) -> bool:
-    """Whether the next Gauss-Newton step is small against the standard errors, although the iterations ran out."""
-    step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
-    covariance, _ = covariance_of(jacobian, residual)
-    return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
-    """A local solution: full vector, residual, Jacobian (by log tau and log K), iterates, and whether it converged."""
+    """A local solution."""
 
-    x: Array
-    residual: Array
-    jacobian: Array
-    iterates: Array
-    converged: bool
+    fit: Fit
+
+    @cached_property
+    def x(self) -> Array:
+        """The full vector."""
+        motor = self.fit.motor
+        shared = [math.log(motor.tau_s), math.log(motor.K_rad_s_V), motor.fc_V, motor.bias_V, motor.delay_s]
+        return np.concatenate((shared, self.fit.starts.ravel()))
+
+    @property
+    def residual(self) -> Array:
+        """Predicted less recorded positions of all windows, rad."""
+        return self.fit.residual_rad
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Its derivatives by the full vector."""
+        cut, motor = self.fit.problem.cut, self.fit.motor
+        found = cut.derivatives(motor, self.fit.starts, [index(name) for name in NAMES])
+        full = np.zeros((found.y_rad.size, self.x.size))
+        full[:, :SHARED] = found.by_number
+        full[:, :2] *= motor.tau_s, motor.K_rad_s_V
+        row = np.arange(found.y_rad.size)
+        for k in range(2):
+            full[row, SHARED + 2 * cut.piece + k] = found.by_start[:, k]
+        return full
+
+    @property
+    def iterates(self) -> Array:
+        """tau, K, fc after each iteration."""
+        return self.fit.iterates
+
+    def after(self, earlier: Solution) -> Solution:
+        """The same, behind the iterations of an earlier one."""
+        return Solution(replace(self.fit, iterates=np.concatenate((earlier.iterates, self.iterates))))
+
+    @cached_property
+    def converged(self) -> bool:
+        """Whether the iterations ended, or the next Gauss-Newton step is small against the standard errors."""
+        if self.fit.arrived:
+            return True
+        normal = Normal.of(self.fit.problem.rows(self.fit.motor, self.fit.starts), self.fit.problem.cut)
+        if not normal.is_finite:
+            return False
+        step, _ = normal.step(self.fit.problem.held(self.fit.motor, normal.gradient), 0.0)
+        covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(self.fit)
+        return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.maximum(np.diag(covariance), 0.0))))
 
     @property
     def cost(self) -> float:

@@ -13,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from rig.identify.chance import student_975
+from rig.identify.departures.fit import Enough
 from rig.identify.driven import together
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.estimator import Estimator
@@ -43,6 +44,7 @@ NEAR_PERIODS = 4.0  # periods between two delays to start from
 NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
 PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
 BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
+ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
 
@@ -187,8 +189,7 @@ def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErro
         if noise.white:
             break
         problem = replace(problem, noise=noise)
-        again = problem.solve(best.x)
-        best = replace(again, iterates=np.concatenate((best.iterates, again.iterates)))
+        best = problem.solve(best.x).after(best)
     return problem, best
 
 
@@ -206,11 +207,11 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
         windows = problem.windows if whole else tuple(window.until(horizon_s) for window in problem.windows)
         part = replace(problem, windows=windows)
         x0s = candidates if best is None else [best.x]
-        found = min((part.solve(x0) for x0 in x0s), key=lambda solution: solution.cost)
+        found = min((part.solve(x0, ROUGHLY) for x0 in x0s), key=lambda solution: solution.cost)
         if best is not None:
-            found = replace(found, iterates=np.concatenate((best.iterates, found.iterates)))
+            found = found.after(best)
         if whole:
-            return found
+            return part.solve(found.x).after(found)
         best = found
         horizon_s *= 2.0
 
@@ -287,7 +288,7 @@ def _estimate(
         delay = float(latency.mean())
         delay_error = float(latency.std() / math.sqrt(latency.size))
     values = (tau, K, float(best.x[2]), float(best.x[3]), float(delay))
-    quantile = float(stdtrit(freedom, 0.975))
+    quantile = student_975(freedom)
     errors = [*np.sqrt(np.diag(shared))[:4].tolist(), delay_error]
     if not problem.free[3]:
         errors[3] = math.inf  # one way only: fc_V is what friction and asymmetry take that way

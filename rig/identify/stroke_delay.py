@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import leastsq
 
 from rig.identify.preprocessing import from_recording
 from rig.model.friction import Friction
@@ -165,6 +164,8 @@ class _Strokes(NamedTuple):
         return found
 
     def _solved(self, start: Array, delay_s: float) -> _Fit:
+        from scipy.optimize import leastsq  # it loads slowly, and few records need it
+
         answer = leastsq(
             self._residual,
             start,

@@ -48,6 +48,7 @@ def test_numbers_stand_in_the_same_order_on_both_sides() -> None:
     assert fields("plain_motor.h", "plain_motor") == Plant._fields
     assert fields("plain_motor.h", "plain_state") == State._fields
     assert constant("real_readings.h", "REAL_NUMBERS") == real_motion.NUMBERS == len(RealMotor._fields)
+    assert constant("real_readings.h", "REAL_COLUMN_ROWS") == real_motion._COLUMN_ROWS
     assert constant("real_readings.h", "REAL_STAGE_ROWS") == real_motion._STAGE_ROWS
     assert constant("plain_motor.h", "SERIES_ORDER") == stribeck.ORDER
     assert constant("records.h", "TEST_WIDTH") == design.WIDTH

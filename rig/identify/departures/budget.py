@@ -19,8 +19,8 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr
 
+from rig.identify.chance import log_normal_below, normal_below
 from rig.identify.departures.in_place import InPlace
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
 from rig.identify.departures.profile import Profile
@@ -187,13 +187,13 @@ def _cut_off(odds: Array, mean: Array, covariance: Array, k: NDArray[np.int64], 
     row = np.arange(k.size)
     spread = np.sqrt(np.maximum(covariance[row, k, k], 1e-300))
     above = mean[row, k] / spread
-    hazard = np.where(here, np.exp(-0.5 * (above**2 + math.log(2.0 * math.pi)) - log_ndtr(above)), 0.0)
+    hazard = np.where(here, np.exp(-0.5 * (above**2 + math.log(2.0 * math.pi)) - log_normal_below(above)), 0.0)
     along = covariance[row, :, k] / spread[:, None]
     mean += along * hazard[:, None]
     # between 0 and 1, however far below 0 it is cut off: there the difference is all rounding
     less = np.clip(hazard * (hazard + above), 0.0, 1.0)
     covariance -= along[:, :, None] * along[:, None, :] * less[:, None, None]
-    return np.asarray(np.where(here, 2.0 * ndtr(above) * odds, odds))
+    return np.asarray(np.where(here, 2.0 * normal_below(above) * odds, odds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +257,7 @@ class Hidden:
             return 0.0, ()
         k = OF.index(name)
         spread = np.maximum(np.sqrt(self.variance[:, k]), 1e-300)
-        outside = ndtr((self.mean[:, k] - size) / spread) + ndtr((-size - self.mean[:, k]) / spread)
+        outside = normal_below((self.mean[:, k] - size) / spread) + normal_below((-size - self.mean[:, k]) / spread)
         each = self.probability * outside
         return float(each.sum()), self.laws[int(np.argmax(each))]
 

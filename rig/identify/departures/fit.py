@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from ctypes import byref
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.pieces import Cut
 from rig.identify.noise import WHITE, Noise
+from rig.model.library import LIBRARY, BorderedRows, address
 from rig.model.real_motor import RealMotor, index
 
 Array = NDArray[np.float64]
@@ -23,9 +26,17 @@ ITERATIONS = 40
 TRIES = 12  # of the damping, in one iteration
 DAMPING = 1e-3
 VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
-ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived,
-ENOUGH_SHARE = 2e-6  # or this share of it, where that is more: of a model that leaves far more than noise
 CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
+
+
+class Enough(NamedTuple):
+    """When a fit has arrived: it gains less than ``squares`` of the whitened sum of squares, or ``share`` of it."""
+
+    squares: float
+    share: float
+
+
+ENOUGH = Enough(0.01, 2e-6)  # the share is that of a model that leaves far more than noise
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -178,11 +189,6 @@ class Rows:
     by_number: Array
     by_start: Array
 
-    @property
-    def are_finite(self) -> bool:
-        """Whether all of them are numbers."""
-        return all(bool(np.all(np.isfinite(rows))) for rows in (self.residual, self.by_number, self.by_start))
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -217,7 +223,11 @@ class Fit:
 
 def start(problem: Problem, motor: RealMotor) -> Fit:
     """The motor with starts as the record shows them, not yet fitted."""
-    starts = problem.cut.guessed()
+    return begun(problem, motor, problem.cut.guessed())
+
+
+def begun(problem: Problem, motor: RealMotor, starts: Array) -> Fit:
+    """The motor with these starts, (p, 2) velocity, rad/s, and position, rad, of each piece, not yet fitted."""
     residual = problem.cut.readings(motor, starts) - problem.cut.y_rad
     return Fit(problem, motor, starts, residual, problem.cost(residual, motor), False)
 
@@ -229,15 +239,14 @@ def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None =
     return replace(given, residual_rad=residual, cost=given.problem.cost(residual, given.motor), arrived=False)
 
 
-def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
+def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fit:
     """The local solution from there."""
     problem, damping = fit.problem, DAMPING
     iterates = [fit.iterates]
     for _ in range(iterations):
-        rows = problem.rows(fit.motor, fit.starts)
-        if not rows.are_finite:
+        normal = Normal.of(problem.rows(fit.motor, fit.starts), problem.cut)
+        if not normal.is_finite:
             return replace(fit, iterates=np.concatenate(iterates))
-        normal = Normal.of(rows, problem.cut)
         held = problem.held(fit.motor, normal.gradient)
         better = None
         for _ in range(TRIES):
@@ -254,7 +263,7 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
             return replace(fit, arrived=True, iterates=np.concatenate(iterates))
         iterates.append(np.array([[motor.tau_s, motor.K_rad_s_V, motor.fc_V]]))
         gain, fit, damping = fit.cost - better.cost, better, max(1e-9, 0.2 * damping)
-        if gain < max(ENOUGH, ENOUGH_SHARE * fit.cost):
+        if gain < max(enough.squares, enough.share * fit.cost):
             return replace(fit, arrived=True, iterates=np.concatenate(iterates))
     return replace(fit, iterates=np.concatenate(iterates))
 
@@ -276,8 +285,7 @@ class Normal:
     gradient: Array
     squares: float
     own: Array  # (p, 2, 2)
-    border: Array  # (p, 2, m)
-    pull: Array  # (p, 2)
+    border: Array  # (p, 2, m + 1), the last column with the residual
     raw: Array  # (m, m), before the starts are taken out
     raw_gradient: Array
     scale: Array  # (p, 2): of the starts; damping is measured in it
@@ -285,22 +293,32 @@ class Normal:
     @classmethod
     def of(cls, rows: Rows, cut: Cut) -> Normal:
         """From whitened rows."""
-        begins, b, j, r = cut.begins, rows.by_start, rows.by_number, rows.residual
-        own = np.add.reduceat(b[:, :, None] * b[:, None, :], begins, axis=0)
-        border = np.add.reduceat(b[:, :, None] * j[:, None, :], begins, axis=0)
-        pull = np.add.reduceat(b * r[:, None], begins, axis=0)
-        raw, raw_gradient = j.T @ j, j.T @ r
-        solved = np.linalg.solve(_regular(own), np.concatenate((border, pull[:, :, None]), axis=2))
-        matrix = raw - np.einsum("pki,pkj->ij", border, solved[:, :, :-1])
-        gradient = raw_gradient - np.einsum("pki,pk->i", border, solved[:, :, -1])
-        squares = float(r @ r - np.einsum("pk,pk", pull, solved[:, :, -1]))
-        if np.any(np.diag(raw) > CANCELS * np.diag(matrix)):  # what differences of squares leave is rounding
-            left, pulled = sums_of_pieces(rows, begins)
-            matrix, gradient = left.sum(axis=0), pulled.sum(axis=0)
+        b, j = (
+            part if part.strides[1] == part.itemsize else np.ascontiguousarray(part)
+            for part in (rows.by_start, rows.by_number)
+        )
+        r, begins, m = rows.residual, cut.begins, j.shape[1]
+        own, border = np.empty((begins.size, 2, 2)), np.empty((begins.size, 2, m + 1))
+        given = BorderedRows(
+            *(address(one) for one in (r, j, b, begins)),
+            r.size, m, begins.size, *(one.strides[0] // one.itemsize for one in (j, b)),
+        )  # fmt: skip
+        LIBRARY.bordered_sums(byref(given), address(own), address(border))
         scale = np.einsum("pii->pi", own).copy()
         # a shaft at rest shows no velocity: without this its start would go anywhere
         scale[:, 0] = np.maximum(scale[:, 0], scale[:, 1] * (VELOCITY_SHOWN * cut.durations_s) ** 2)
-        return cls(matrix, gradient, squares, own, border, pull, raw, raw_gradient, scale)
+        raw, raw_gradient = j.T @ j, j.T @ r
+        left, _ = _reduced(own, border, scale, 0.0, _bordered(raw, raw_gradient, float(r @ r)))
+        matrix, gradient = left[:-1, :-1], left[:-1, -1]
+        if np.any(np.diag(raw) > CANCELS * np.diag(matrix)):  # what differences of squares leave is rounding
+            each, pulled = sums_of_pieces(rows, begins)
+            matrix, gradient = each.sum(axis=0), pulled.sum(axis=0)
+        return cls(matrix, gradient, float(left[-1, -1]), own, border, raw, raw_gradient, scale)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of the rows are numbers."""
+        return bool(math.isfinite(self.squares) and np.isfinite(self.matrix).all() and np.isfinite(self.gradient).all())
 
     def step(self, held: NDArray[np.bool_], damping: float) -> tuple[Array, Array]:
         """Change of the numbers and of the starts.
@@ -308,17 +326,33 @@ class Normal:
         held      which numbers stay, True or False each
         damping   share of the diagonal that is added to it, 1
         """
-        own = self.own + damping * self.scale[:, :, None] * np.eye(2)
-        solved = np.linalg.solve(_regular(own), np.concatenate((self.border, self.pull[:, :, None]), axis=2))
         diagonal = np.diag(self.raw)
-        matrix = self.raw + np.diag(damping * np.where(diagonal > 0.0, diagonal, 1.0))
-        matrix = matrix - np.einsum("pki,pkj->ij", self.border, solved[:, :, :-1])
-        gradient = self.raw_gradient - np.einsum("pki,pk->i", self.border, solved[:, :, -1])
-        change = np.zeros(gradient.size)
+        damped = self.raw + np.diag(damping * np.where(diagonal > 0.0, diagonal, 1.0))
+        left, solved = _reduced(self.own, self.border, self.scale, damping, _bordered(damped, self.raw_gradient, 0.0))
+        change = np.zeros(diagonal.size + 1)
+        change[-1] = 1.0
         free = np.flatnonzero(~held)
         if free.size:
-            change[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=1e-14)[0]
-        return change, -(solved[:, :, -1] + solved[:, :, :-1] @ change)
+            change[free] = -np.linalg.lstsq(left[np.ix_(free, free)], left[free, -1], rcond=1e-14)[0]
+        return change[:-1], -(solved @ change)
+
+
+def _bordered(matrix: Array, gradient: Array, squares: float) -> Array:
+    """(m + 1, m + 1) sums of products of the numbers' columns and the residual."""
+    both = np.empty((gradient.size + 1, gradient.size + 1))
+    both[:-1, :-1], both[:-1, -1], both[-1, :-1], both[-1, -1] = matrix, gradient, gradient, squares
+    return both
+
+
+def _reduced(own: Array, border: Array, scale: Array, damping: float, both: Array) -> tuple[Array, Array]:
+    """``both``, which is filled anew, without the starts, and what each start is for one of each column (p, 2, m + 1).
+
+    damping   share of ``scale`` that is added to the starts' own sums
+    """
+    solved = np.empty_like(border)
+    into = address(both), address(solved)
+    LIBRARY.bordered_reduce(address(own), address(border), len(own), both.shape[0] - 1, damping, address(scale), *into)
+    return both, solved
 
 
 def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -333,12 +367,6 @@ def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]
         matrix.append(squares[:-1, :-1])
         gradient.append(squares[:-1, -1])
     return np.array(matrix), np.array(gradient)
-
-
-def _regular(own: Array) -> Array:
-    """2 x 2 blocks that can be solved, also where a piece does not show its start."""
-    diagonal = np.einsum("pii->pi", own)
-    return np.asarray(own + (1e-12 * diagonal + 1e-300)[:, :, None] * np.eye(2))
 
 
 def limits_of(free: Sequence[str], cut: Cut, delay_s: tuple[float, float]) -> dict[str, tuple[float, float]]:

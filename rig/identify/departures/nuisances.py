@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.choice import Columns, with_own_noise
-from rig.identify.departures.departure import Bench, Departure
+from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.fit import POSITIVE, Fit, unit
 
 Array = NDArray[np.float64]
@@ -64,14 +64,15 @@ class Nuisances:
         outside   laws that the motor's model has not, each with the change of the readings, (n, 1), for 1 of its size
         """
         fit = with_own_noise(fit)
-        columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts))
+        absent = [law for law in candidates if law not in laws]
+        smooth = [law for law in absent if law.trials(bench) == (NOTHING,)]
+        columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts), smooth)
         added: list[Array] = []
         each: list[Nuisance] = []
         spreads: list[float] = []
-        for law in candidates:
-            trials = () if law in laws else law.trials(bench)
-            for trial in trials:
-                column, scale = columns.of(law, trial)
+        for law in absent:
+            trials = law.trials(bench)
+            for column, scale in columns.of_all(law, trials):
                 each.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
                 added.append(column)
                 spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]

@@ -74,6 +74,12 @@ class Cut:
         whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows), of=tuple(of))
 
+    @classmethod
+    def of_windows(cls, windows: Sequence[Window]) -> Cut:
+        """Each window as one piece, for a motor that has no parts over position and time."""
+        ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
+        return cls(tuple(windows), tuple(Frame() for _ in windows), ones, tuple(math.inf for _ in windows))
+
     def each(self, of: Sequence[str]) -> Cut:
         """The same, with a course of time of its own for each recording; ``of``: for each window its recording."""
         begins = {name: min(w.t_s[0] for w, own in zip(self.windows, of, strict=True) if own == name) for name in of}

@@ -30,7 +30,7 @@ NUMBERS = len(RealMotor._fields)
 V0, Y0 = NUMBERS, NUMBERS + 1  # columns of a piece's start, behind the numbers of the motor
 WAVES = NUMBERS + 2  # columns of waves of the force, behind them
 PLAIN = tuple(RealMotor._fields.index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))
-_STAGE_ROWS = 11  # REAL_STAGE_ROWS
+_COLUMN_ROWS, _STAGE_ROWS = 12, 11  # REAL_COLUMN_ROWS, REAL_STAGE_ROWS
 
 
 class Record(NamedTuple):
@@ -95,7 +95,7 @@ class Windows:
         columns = len(places)
         which, begin = np.array(places, dtype=np.int64), given(starts)
         require_size(begin, 4 * self.pieces, "starts of the pieces")
-        size = 7 * self._longest if plain else 4 * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
+        size = 7 * self._longest if plain else _COLUMN_ROWS * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
         work, y_rad, jacobian = room(size), np.empty(self.rows), np.empty((self.rows, columns))
         wanted = RealColumns(address(which), address(orders), address(work), columns, orders.size)
         read = LIBRARY.windows_plain if plain else LIBRARY.windows_readings
