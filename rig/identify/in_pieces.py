@@ -16,7 +16,19 @@ from numpy.typing import NDArray
 from rig.identify.chance import student_975
 from rig.identify.departures.blocks import Blocks
 from rig.identify.departures.departure import LARGEST_FORCE
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
+from rig.identify.departures.fit import (
+    CORE,
+    DELAY,
+    POSITIVE,
+    Enough,
+    Fit,
+    Normal,
+    Problem,
+    begun,
+    limits_of,
+    solve,
+    unit,
+)
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
@@ -33,7 +45,9 @@ INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``
 LENGTHS_S = (0.15, 0.5, 2.0)
 TAUS = 4
 FRICTIONS = (0.05, 0.35)  # of the largest drive
-FIRST_ITERATIONS, PIECE_ITERATIONS = 7, 8
+FIRST_ITERATIONS, NEXT_ITERATIONS, PIECE_ITERATIONS = 4, 4, 8
+FOLLOWED = 5  # of the starts, after the first iterations
+ROUGHLY = Enough(0.01, 1e-3)  # of a fit that is only compared
 MOST_ROWS = 4000
 SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
 LONGEST_TAU_S = 3.0
@@ -100,8 +114,10 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
     for tau in taus.tolist():
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
-    tried = [solve(begin(problem, motor), FIRST_ITERATIONS) for motor in motors]
+    starts = cut.guessed()
+    tried = [solve(begun(problem, motor, starts), FIRST_ITERATIONS, ROUGHLY) for motor in motors]
     ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
+    ranked = sorted((solve(fit, NEXT_ITERATIONS, ROUGHLY) for fit in ranked[:FOLLOWED]), key=lambda fit: fit.cost)
     return min((solve(fit) for fit in ranked[:2]), key=lambda fit: fit.cost)
 
 
@@ -117,7 +133,7 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(tests))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
     problem = Problem(cut, free, limits_of(free, cut, delay_s), 1e-3 * cut.frames[0].half_travel_rad)
-    return solve(begin(problem, motor), PIECE_ITERATIONS).rms_rad
+    return solve(begin(problem, motor), PIECE_ITERATIONS, ROUGHLY).rms_rad
 
 
 def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> RealMotor:
