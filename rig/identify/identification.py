@@ -29,6 +29,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.reading_filter import reading_filter_s
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
+from rig.identify.side_by_side import on_all_cores
 from rig.identify.stroke_delay import strokes_delay
 from rig.identify.time_stamps import stamps_off_by
 from rig.identify.verdict import in_percent, largest_drive_V
@@ -161,11 +162,13 @@ def identify(
     require_known(recordings, without)
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     asked = _Asked(recordings, wanted, bool(methods), choose_law, without)
-    found = _tried(asked, data)
+    with on_all_cores():
+        found = _tried(asked, data)
     if _rank(found)[0] > 0 and not data.has_searches and any(map(_was_known, recordings)):
         data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
         if data.take_searches():  # the run knew its motor by both
-            found = min(found, _tried(asked, data), key=_rank)
+            with on_all_cores():
+                found = min(found, _tried(asked, data), key=_rank)
     if isinstance(found, IdentifyError):
         raise found
     found.rehearsal = any(recording.meta.rehearsal for recording in recordings)

@@ -34,6 +34,7 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.noise import WHITE
 from rig.identify.plausibility import one_way
+from rig.identify.side_by_side import side_by_side
 from rig.identify.thinning import thinned
 from rig.model.real_motor import RealMotor
 from rig.model.real_step import mean_cosine
@@ -115,10 +116,17 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
     starts = cut.guessed()
-    tried = [solve(begun(problem, motor, starts), FIRST_ITERATIONS, ROUGHLY) for motor in motors]
+
+    def followed(fit: Fit, iterations: int) -> Fit:
+        return solve(fit, iterations, ROUGHLY)
+
+    fresh = [begun(problem, motor, starts) for motor in motors]
+    rows = cut.t_s.size
+    tried = side_by_side(lambda fit: followed(fit, FIRST_ITERATIONS), fresh, rows)
     ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
-    ranked = sorted((solve(fit, NEXT_ITERATIONS, ROUGHLY) for fit in ranked[:FOLLOWED]), key=lambda fit: fit.cost)
-    return min((solve(fit) for fit in ranked[:2]), key=lambda fit: fit.cost)
+    ranked = side_by_side(lambda fit: followed(fit, NEXT_ITERATIONS), ranked[:FOLLOWED], rows)
+    ranked.sort(key=lambda fit: fit.cost)
+    return min(side_by_side(solve, ranked[:2], rows), key=lambda fit: fit.cost)
 
 
 def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:

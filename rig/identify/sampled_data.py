@@ -26,6 +26,7 @@ from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, cova
 from rig.identify.plausibility import one_way
 from rig.identify.repetition import repeated_share, repetitions, with_repetition
 from rig.identify.sampled_data_verdict import NEGLIGIBLE, confounding, judge
+from rig.identify.side_by_side import side_by_side
 from rig.identify.starts import Start, grid_starts, ridge_starts
 from rig.identify.thinning import thinned
 from rig.identify.verdict import spread_rad as test_spread_rad
@@ -207,7 +208,9 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
         windows = problem.windows if whole else tuple(window.until(horizon_s) for window in problem.windows)
         part = replace(problem, windows=windows)
         x0s = candidates if best is None else [best.x]
-        found = min((part.solve(x0, ROUGHLY) for x0 in x0s), key=lambda solution: solution.cost)
+        rows = sum(window.t_s.size for window in windows)
+        tried = side_by_side(lambda x0, part=part: part.solve(x0, ROUGHLY), x0s, rows)  # type: ignore[misc]
+        found = min(tried, key=lambda solution: solution.cost)
         if best is not None:
             found = found.after(best)
         if whole:

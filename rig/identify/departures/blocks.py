@@ -19,6 +19,7 @@ from rig.identify.departures.fit import Fit, Problem, begun, solve
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.noise import WHITE
+from rig.identify.side_by_side import side_by_side
 from rig.model.real_motor import RealMotor
 
 Array = NDArray[np.float64]
@@ -124,17 +125,20 @@ class Blocks:
         """
         given = replace(problem, cut=self.cut, robust_rad=math.inf, noise=WHITE)
         whole = solve(begin(given, motor), FOLD_ITERATIONS)  # what all say is near what most of them say
-        found = np.zeros(self.count)
         folds = self.folds()
-        for fold in range(int(folds.max()) + 1):
-            held = folds == fold
+
+        def left(held: NDArray[np.bool_]) -> Array:
             trained = motor
             if not held.all():
                 others = replace(given, cut=self.cut.only(~held))
                 trained = solve(begun(others, whole.motor, whole.starts[~held]), FOLD_ITERATIONS).motor
             unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
             off = unseen.off_rad(trained, problem, starts_known=starts_known, starts=whole.starts[held])
-            found[held] = unseen.squares(off)
+            return unseen.squares(off)
+
+        found, helds = np.zeros(self.count), [folds == fold for fold in range(int(folds.max()) + 1)]
+        for held, squares in zip(helds, side_by_side(left, helds, self.shown.size), strict=True):
+            found[held] = squares
         return found
 
 

@@ -22,6 +22,7 @@ from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
+from rig.identify.side_by_side import side_by_side
 from rig.model.real_motor import RealMotor, index
 
 Array = NDArray[np.float64]
@@ -327,17 +328,21 @@ class Chooser:
         steps_show = fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW
         if len(laws) >= MOST or steps_show or self.is_rounding(fit):
             return []  # the sensor's own steps are left, which look like anything
-        found = []
-        for promise in self.promises(seen, laws)[:TRIED]:
+
+        def price(law: Departure) -> float:
+            return self.price(law, fit, self.asked.entry)
+
+        def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
             law = promise.law
-            if law.name in left or promise.gain < self.price(law, fit, self.asked.entry):
-                continue
             motor = fit.motor._replace(**promise.first)
             trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
             trial = at_best_size(trial, law) if law.leaps else trial
-            worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
-            if worth > 0.0 and not self._hardly_shows(fit, trial):
-                found.append((worth, trial, (*laws, law)))
+            return _gain(fit, trial) - price(law), trial, (*laws, law)
+
+        first = self.promises(seen, laws)[:TRIED]
+        wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
+        trials = side_by_side(tried, wanted, fit.residual_rad.size)
+        found = [one for one in trials if one[0] > 0.0 and not self._hardly_shows(fit, one[1])]
         found.sort(key=lambda entry: -entry[0])
         return [(trial, more) for _, trial, more in found]
 
@@ -456,12 +461,13 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
     [name] = law.numbers
     size, most = getattr(fit.motor, name), fit.problem.limits[name][1]
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
-    found = [(size, fit)]
-    for share in LEAPS:
-        if 0.0 < share * size <= most:
-            one = solve(refitted(fit, others, fit.motor._replace(**{name: share * size})), LEAP_ITERATIONS)
-            found.append((share * size, replace(one, problem=fit.problem)))
-    return found
+
+    def fitted(other: float) -> tuple[float, Fit]:
+        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS)
+        return other, replace(one, problem=fit.problem)
+
+    sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
+    return [(size, fit), *side_by_side(fitted, sizes, fit.residual_rad.size)]
 
 
 def at_best_size(fit: Fit, law: Departure) -> Fit:

@@ -18,6 +18,7 @@ from rig.identify.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Choos
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import Fit, solve, unit
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
+from rig.identify.side_by_side import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,8 @@ class InPlace:
 
 def bare_fits(fit: Fit, laws: Sequence[Departure], chooser: Chooser) -> dict[str, Fit]:
     """For each of the fit's ``laws``, by name: the fit of the same rows without it, with the noise of ``fit``."""
-    return {law.name: chooser.bare(fit, laws, law) for law in laws}
+    found = side_by_side(lambda law: chooser.bare(fit, laws, law), laws, fit.residual_rad.size)
+    return {law.name: bare for law, bare in zip(laws, found, strict=True)}
 
 
 def in_place(
