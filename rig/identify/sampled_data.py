@@ -45,6 +45,7 @@ NEAR_PERIODS = 4.0  # periods between two delays to start from
 NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
 PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
 BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
+ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
@@ -105,9 +106,31 @@ def fit(
     guesses = list(starts) if starts else grid_starts(problem.windows)
     given = periods_s or [None] * len(tests)
     periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
-    best = _extended(problem, _candidates(problem, guesses), [period for period in periods if period is not None])
+    cycles_s = [period for period in periods if period is not None]
+    best = _of_fewer_rows(problem, tests, guesses, cycles_s)
+    if best is None:
+        best = _extended(problem, _candidates(problem, guesses), cycles_s)
     problem, best = _with_noise(problem, best)
     return _estimate(problem, best, tests, periods)
+
+
+def _of_fewer_rows(
+    problem: OutputErrorProblem, tests: Sequence[TimeSeries], starts: Sequence[Start], periods_s: Sequence[float]
+) -> Solution | None:
+    """The solution for long tests from that of fewer rows; None where the tests are short, or tau is for those rows."""
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    if rows < 2:
+        return None
+    try:
+        thin = _problem([thinned(test, rows) for test in tests], problem.free[4])
+    except IdentifyError:
+        return None
+    thin = replace(thin, delay_bounds_s=problem.delay_bounds_s)
+    first = _extended(thin, _candidates(thin, starts), periods_s)
+    if math.exp(first.x[0]) < ROWS_OF_TAU * max(window.period_s for window in thin.windows):
+        return None
+    states = [value for window in problem.windows for value in initial_state(window)]
+    return problem.solve(np.concatenate((first.x[:SHARED], states))).after(first)
 
 
 def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]) -> Estimate:
