@@ -15,7 +15,6 @@ from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
-from rig.config.sensor import full_range_rad
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.control.rising_gains import RisingGains
@@ -97,7 +96,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
-    watchdog_s = device_watchdog_s(experiment)
+    watchdog_s = device_watchdog_s(experiment.device)
     return RunMeta(
         version=VERSION,
         name=experiment.name,
@@ -106,7 +105,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=backend_of(experiment).times_error_s(experiment),
+        times_error_s=backend_of(experiment.device).times_error_s(experiment.device),
         firmware=DeviceSeen(
             board=info.board,
             build=info.build,
@@ -122,7 +121,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         ),
         sensor=SensorBelieved(
             linearity_percent=experiment.sensor.linearity_percent,
-            full_range_rad=full_range_rad(experiment),
+            full_range_rad=experiment.sensor.full_range_rad,
             calibration_error_rad=experiment.sensor.calibration_error_rad,
             calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points)),
         ),
@@ -166,7 +165,7 @@ def run_result(
         loop=_loop(statistics, found.real_time),
         link=link,
         faults=_faults(fault),
-        config_notes=tuple(notes(experiment)),
+        config_notes=tuple(notes(experiment.device)),
         notes=(*_notes(found), *not_counts),
         hysteretic=None if own is None else _hysteretic(own, experiment),
         models_from=None if found.models_from is None else str(found.models_from),

@@ -146,7 +146,7 @@ def record(
             with suppress(OSError):  # then there is no room for a run folder either, which is said
                 flag.open(parent, what.name)
             try:
-                with connect(experiment) if again is None else nullcontext(again) as bench:
+                with connect(experiment.device) if again is None else nullcontext(again) as bench:
                     session, recorder = _begin(experiment, parent, what, bench, stop, started)
                     try:
                         fault = _run_script(script, session, on_start)

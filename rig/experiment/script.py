@@ -109,6 +109,7 @@ def repeated(
     or resets it. An emulated bench starts anew, with the next seed.
     Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
     """
+    d = experiment.device
     outcomes: list[Outcome] = []
 
     def one(e: Experiment, bench: Bench | None) -> bool:
@@ -118,12 +119,12 @@ def repeated(
     with StopFlag() as flag:
         if number == 1:
             one(experiment, None)
-        elif backend_of(experiment).is_emulated(experiment):
+        elif backend_of(d).is_emulated(d):
             for k in range(number):
                 if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
                     break
         else:
-            with connect(experiment) as bench:
+            with connect(d) as bench:
                 if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
                     raise Fault("LATCHES_NOTHING", bench.driver.backend)
                 for k in range(number):

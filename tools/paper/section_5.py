@@ -304,7 +304,7 @@ def _bench_words() -> str:
 
 def _chosen_words(config: Experiment) -> str:
     """The rest of what was chosen, as bench.yaml has it."""
-    emulated, tracking, pot = config.emulated, config.tracking, truth_of(config)
+    emulated, tracking, pot = config.emulated, config.tracking, truth_of(config.device)
     if emulated is None or tracking is None or pot is None:
         raise ValueError(f"{CONFIG.name} needs the sections `emulated` and `tracking`")
     sines = " + ".join(f"{c.amplitude_rad:g} sin {c.omega_rad_s:g}t" for c in tracking.trajectory)
@@ -355,7 +355,7 @@ def _wins(result: Result, method: str) -> int:
 
 def _sensor_rad(result: Result) -> float:
     """Standard deviation of the position reading, rad: noise and resolution."""
-    pot = truth_of(result.config)
+    pot = truth_of(result.config.device)
     if pot is None:
         return float("nan")
     return float(np.hypot(pot.noise_rad, abs(pot.rad_per_count) / np.sqrt(12.0)))
