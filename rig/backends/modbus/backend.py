@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
+from rig.backends.backend import Line, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus import link_budget
 from rig.backends.modbus.rules import modbus_notes, modbus_rules
 from rig.backends.modbus.section import EMULATED_PORTS, ModbusKeys, is_tcp
+from rig.backends.registers.backend import RegisterBackend
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
 
@@ -27,24 +26,18 @@ if TYPE_CHECKING:  # it loads slowly
 _STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
 
 
-class ModbusBackend(LineBackend):
+class ModbusBackend(RegisterBackend):
     """A Modbus device on RTU or TCP; or an emulated I/O block on either."""
 
     name = "modbus"
     own_keys = ModbusKeys
-    shared_keys = frozenset({"port", "usb_serial"})
-    has_chip = False
+    emulated_ports = EMULATED_PORTS
+    adapter_hint = "add its delay to daq.modbus.turnaround_s"
 
     @override
     def rules(self, d: DeviceSetup) -> Iterator[Problem]:
-        yield from usb_rules(d)
+        yield from super().rules(d)
         yield from modbus_rules(d)
-
-    @override
-    def foreign_key(self, d: DeviceSetup, key: str, owner: str = "") -> Problem:
-        """The delay of a USB adapter has another key here."""
-        problem = super().foreign_key(d, key, owner)
-        return replace(problem, hint="add its delay to daq.modbus.turnaround_s") if key == "adapter" else problem
 
     @override
     def owns_port(self, port: str) -> bool:
@@ -94,20 +87,6 @@ class ModbusBackend(LineBackend):
         return f"an emulated I/O block {place}, {link}, real time, nothing moves"
 
     @override
-    def is_emulated(self, d: DeviceSetup) -> bool:
-        return d.daq.port in EMULATED_PORTS
-
-    @override
-    def in_virtual_time(self, d: DeviceSetup) -> bool:
-        return self.is_emulated(d) and in_virtual_time(d.daq.port)
-
-    @override
-    def plan(self, d: DeviceSetup) -> Iterator[str]:
-        budget = self.budget(d)
-        if budget.terms:
-            yield f"link: {budget.beside(d.period_s)}"
-
-    @override
     def failsafe_words(self, d: DeviceSetup) -> str:
         modbus = d.daq.modbus
         if modbus is None or modbus.registers.watchdog is not None:
@@ -121,12 +100,8 @@ class ModbusBackend(LineBackend):
 
     @override
     def notes(self, d: DeviceSetup) -> Iterator[str]:
-        yield from usb_notes(d)
+        yield from super().notes(d)
         yield from modbus_notes(d)
-
-    @override
-    def not_emulated_words(self, d: DeviceSetup) -> str:
-        return f"section `emulated` is not used with port {d.daq.port}"
 
     @override
     def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
@@ -152,8 +127,8 @@ class ModbusBackend(LineBackend):
     @override
     def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:
         """An I/O block with the config's register map, on the same kind of line."""
-        port = "emulated-tcp" if is_tcp(d.daq.port) else "emulated"
-        return {"daq": {"port": port, "usb_serial": None}, "emulated": {}}
+        found = super().rehearsed(d)
+        return found | {"daq": found["daq"] | {"port": "emulated-tcp"}} if is_tcp(d.daq.port) else found
 
     @override
     def emulated_hint(self, d: DeviceSetup, port: str) -> str:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
+from rig.backends.backend import Line, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
+from rig.backends.registers.backend import RegisterBackend
 from rig.backends.servo import link_budget
 from rig.backends.servo.rules import has_watchdog, servo_rules
 from rig.backends.servo.section import EMULATED_PORTS, ServoKeys
@@ -27,24 +26,18 @@ if TYPE_CHECKING:  # it loads slowly
 _STEP_S = 1e-3  # of a servo's own loop: when within it a duty acts, and a position is sampled, no manual says
 
 
-class ServoBackend(LineBackend):
+class ServoBackend(RegisterBackend):
     """A servo on a bus; or an emulated bus."""
 
     name = "servo"
     own_keys = ServoKeys
-    shared_keys = frozenset({"port", "usb_serial"})
-    has_chip = False
+    emulated_ports = EMULATED_PORTS
+    adapter_hint = "daq.servo.adapter"
 
     @override
     def rules(self, d: DeviceSetup) -> Iterator[Problem]:
-        yield from usb_rules(d)
+        yield from super().rules(d)
         yield from servo_rules(d)
-
-    @override
-    def foreign_key(self, d: DeviceSetup, key: str, owner: str = "") -> Problem:
-        """The adapter has another key here."""
-        problem = super().foreign_key(d, key, owner)
-        return replace(problem, hint="daq.servo.adapter") if key == "adapter" else problem
 
     @override
     def watchdog(self, d: DeviceSetup) -> Watchdog:
@@ -93,20 +86,6 @@ class ServoBackend(LineBackend):
         return f"an emulated bus behind a pseudo-terminal, {who}, real time, nothing moves"
 
     @override
-    def is_emulated(self, d: DeviceSetup) -> bool:
-        return d.daq.port in EMULATED_PORTS
-
-    @override
-    def in_virtual_time(self, d: DeviceSetup) -> bool:
-        return self.is_emulated(d) and in_virtual_time(d.daq.port)
-
-    @override
-    def plan(self, d: DeviceSetup) -> Iterator[str]:
-        budget = self.budget(d)
-        if budget.terms:
-            yield f"link: {budget.beside(d.period_s)}"
-
-    @override
     def failsafe_words(self, d: DeviceSetup) -> str:
         servo = d.daq.servo
         silent_ms = 1e3 * d.daq.watchdog_s
@@ -121,7 +100,7 @@ class ServoBackend(LineBackend):
 
     @override
     def notes(self, d: DeviceSetup) -> Iterator[str]:
-        yield from usb_notes(d)
+        yield from super().notes(d)
         yield (
             "the travel limits of a servo are in this host alone: no firmware of rig's holds them, and when within its "
             "step of 1 ms a servo samples and drives no manual says"
@@ -137,10 +116,6 @@ class ServoBackend(LineBackend):
                 f"{d.daq.servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
                 "and takes the mean for true; what delays it besides makes tau wrong by as much"
             )
-
-    @override
-    def not_emulated_words(self, d: DeviceSetup) -> str:
-        return f"section `emulated` is not used with port {d.daq.port}"
 
     @override
     def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
@@ -162,11 +137,6 @@ class ServoBackend(LineBackend):
         from rig.backends.servo.line import emulated_board
 
         return emulated_board(d, link, trace)
-
-    @override
-    def rehearsed(self, d: DeviceSetup) -> dict[str, dict[str, Any]]:
-        """A servo of the same model on an emulated bus."""
-        return {"daq": {"port": "emulated", "usb_serial": None}, "emulated": {}}
 
 
 SERVO = ServoBackend()
