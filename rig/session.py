@@ -299,7 +299,7 @@ def _close(recorder: Recorder) -> Fault | None:
 
 def _conclude(session: Session, outcome: Outcome) -> Outcome:
     """Identify what was recorded before a fault, complete result.json, write the report, note what failed."""
-    if session.found.identification is None:
+    if session.found.identification is None and session.found.models_from is None:
         try:
             recording = session.read()
             if any(Stage.parse(stage).tells_motor for stage in recording.stages()):

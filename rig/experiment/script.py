@@ -27,12 +27,12 @@ from rig.experiment.survey import survey
 from rig.experiment.thorough import tell_apart
 from rig.experiment.until import drive_until
 from rig.faults import Fault
-from rig.identify import Identification
 from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import Gone
 from rig.model.real_motor import FramedMotor
 from rig.preflight.survey_room import expected_sweeps
 from rig.results import ScriptCall
+from rig.results.identification import Answered
 from rig.session import OnStart, Outcome, Session, record
 
 BREAKAWAY_LAW = "balanced pairs, in the device's steps"  # in meta.json, so that a replay knows which law ran
@@ -179,7 +179,7 @@ def run_breakaway(
 
 def run_tracking(
     experiment: Experiment,
-    models: Identification,
+    models: Answered,
     models_from: Path,
     parent: Path,
     on_start: OnStart | None = None,
@@ -187,7 +187,7 @@ def run_tracking(
     """Breakaway and the tracking check, with the models of an earlier run, ``models_from``."""
 
     def script(session: Session) -> None:
-        session.found.identification = models
+        session.found.models = models
         session.found.models_from = models_from
         drive_check(session)
         verify_models(session)

@@ -33,6 +33,7 @@ from rig.experiment.in_device import relay_in_device
 from rig.experiment.which_way import strokes_move_against
 from rig.faults import Fault
 from rig.identify import identify
+from rig.identify.known_model import model_of, plain_motor
 from rig.identify.preprocessing import from_recording
 from rig.identify.stroke_delay import strokes_delay
 from rig.live.lease import NAME as LEASE
@@ -556,24 +557,29 @@ def identify_recorded(session: Session) -> None:
 
 def verify_models(session: Session) -> None:
     """Track the same trajectory with the model of each method, if a pre-run simulation on the best model is safe."""
-    e, identification = session.experiment, session.found.identification
-    if e.tracking is None or identification is None:
+    e, found = session.experiment, session.found
+    if found.models is None and found.identification is not None:
+        found.models = found.identification.as_result()
+    if e.tracking is None or found.models is None:
         return
-    trusted, first = identification.real_motor, identification.estimates.get(LEADING)
+    answer, estimates = found.models.answer, found.models.estimates
+    trusted, first = model_of(answer, in_its_time=True), estimates.get(LEADING)
     safe: dict[Method, Motor | FramedMotor] = {}
     further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
-        estimate = identification.estimates.get(method)
+        estimate = estimates.get(method)
         model: Motor | FramedMotor | None
-        if method == LEADING and trusted is not None and trusted.parts and e.tracking.with_law:
-            model, reason = trusted, _why_not(session, trusted, trusted)
+        if answer is not None and method == answer.method and trusted is not None and e.tracking.with_law:
+            model = trusted if trusted.parts else plain_motor(answer)
+            reason = _why_not(session, model, trusted)
         elif trusted is None or (first is not None and first.verdict == "refused"):
             # if the best estimator refuses the recording, a reference method's model must not drive the bench either
             model, reason = None, "no estimate is good enough for the simulation before the run"
         elif estimate is None or estimate.verdict == "refused":
             model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
         else:
-            model, reason = estimate.motor(), _why_not(session, estimate.motor(), trusted)
+            model = plain_motor(estimate)
+            reason = _why_not(session, model, trusted)
         if model is not None and not reason:
             safe[method] = model
         else:
@@ -621,7 +627,7 @@ def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | Fram
 def _further_delay_s(session: Session) -> float:
     """The delay that the device does not report, s: as identified, else by the strokes; 0 s if there is none."""
     delay, identification = session.delay or BenchDelay(), session.found.identification
-    best = None if identification is None or session.found.models_from is not None else identification.best
+    best = None if identification is None else identification.best
     if best is None or not best.fits_delay:
         return delay.shown_s[1]
     return max(best.delay_s - session.loop.latency_s, 0.0)
@@ -651,8 +657,8 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
         session.found.notes.append(
             f"tracking with {method} asked for {largest_u_V:.2f} V; it got drive.max_V, {max_V:.2f} V, and fell behind"
         )
-    found = session.found.identification
-    answer = None if found is None else found.answer
+    models = session.found.models
+    answer = None if models is None else models.answer
     beyond = "" if answer is None else beyond_drive(answer.holds, min(largest_u_V, max_V))
     if beyond:
         session.found.notes.append(f"tracking with {method} had {beyond}: it says less of the model there")

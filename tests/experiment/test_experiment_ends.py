@@ -353,7 +353,7 @@ def test_a_model_that_fails_in_simulation_never_drives_the_bench(changed: dict[s
     e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})
     found = identify([read_run(ROOT / "tests/golden/simulated")], ["sampled-data", "triple-relay"], choose_law=False)
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
-    outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
+    outcome = script.run_tracking(e, found.as_result(), tmp_path, tmp_path / "runs")
     assert outcome.fault is None
     reason = outcome.result.tracking["triple-relay"].not_run
     assert reason is not None and "in simulation on the best model" in reason
