@@ -222,7 +222,7 @@ def _beside(changes: Mapping[str, str], *codes: str) -> Callable[[Case], None]:
         config["daq"] |= {"port": port, **changes}
         (folder / "other.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
         try:
-            with connect(check(folder / "other.yaml")[0]):
+            with connect(check(folder / "other.yaml")[0].device):
                 raise RuntimeError("the other process was not refused")
         except Fault as fault:
             if fault.code not in codes:

@@ -16,7 +16,7 @@ from typing import Final
 from typing_extensions import override
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
-from rig.backends.registers.bus import ATTEMPTS, LATE_TIMEOUTS, BusClient, Reply
+from rig.backends.registers.bus import LATE_TIMEOUTS, BusClient, Reply
 from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
@@ -317,35 +317,26 @@ class ServoDriver(RegisterDriver[Ask]):
 
     def _cut_off(self) -> bool:
         """Torque off at once, where no duty 0 was confirmed: in another mode it says nothing to a servo."""
-        for _ in range(ATTEMPTS):
-            try:
-                self._settle()
-                self._write_torque_off(self._client.asked, self._timeout_s)
-                until_s = self._transport.now_s() + _CUTS_S
-                if self._is_stopped(until_s, until_s):
-                    return True
-            except Fault as fault:
-                if fault.code == "LINK_LOST":
-                    return False
-                self._client.is_suspect = True
-        return False
+
+        def cut(_: int) -> bool | None:
+            self._write_torque_off(self._client.asked, self._timeout_s)
+            until_s = self._transport.now_s() + _CUTS_S
+            return self._is_stopped(until_s, until_s) or None
+
+        return self._tried(cut)
 
     def _torque_off(self) -> bool:
         """Wait until the shaft rests, torque off; True once that is read back. One lost reply is none."""
         control = self._map.control
         assert control is not None
-        for _ in range(ATTEMPTS):
-            try:
-                self._settle()
-                if self._setup.brakes and not self._only_stops:
-                    self._await_rest()
-                self._client.asked(self._off, self._timeout_s)
-                return control.unpack(self._stored(control)) == self._map.stop
-            except Fault as fault:
-                if fault.code == "LINK_LOST":
-                    return False
-                self._client.is_suspect = True
-        return False
+
+        def off(_: int) -> bool:
+            if self._setup.brakes and not self._only_stops:
+                self._await_rest()
+            self._client.asked(self._off, self._timeout_s)
+            return control.unpack(self._stored(control)) == self._map.stop
+
+        return self._tried(off)
 
     def _await_rest(self) -> None:
         """Until the shaft has stood for a while, or for as long as any shaft takes."""
