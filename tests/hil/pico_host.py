@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -36,6 +38,13 @@ SETUP = virtual_host.SETUP._replace(
     hard_lo=196, hard_hi=3900, rail_lo=20, rail_hi=4072, centre=2048, max_drive=PICO_FULL // 2
 )
 LSB_RAD = BENCH.rad_per_count
+_EMULATORS: list[subprocess.Popen[bytes]] = []  # that no chip is in: to start node takes longer than most tests
+
+
+@atexit.register
+def _end_emulators() -> None:
+    for emulator in _EMULATORS:
+        emulator.communicate()  # they end with their standard input
 
 
 class PicoHost(UnoHost[VirtualPico]):
@@ -50,11 +59,14 @@ def pico(
     bench: BenchParameters = BENCH, options: Variant = PLAIN_VARIANT, *, clock_error_ppm: float = 0.0
 ) -> Iterator[PicoHost]:
     """A chip that has just been powered on."""
-    board = VirtualPico(pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options))
+    parameters = pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options)
+    board = VirtualPico(parameters, _EMULATORS.pop() if _EMULATORS else None)
     try:
         yield PicoHost(board, options.baud)
     finally:
-        board.end()
+        emulator = board.leave()
+        if emulator.poll() is None:
+            _EMULATORS.append(emulator)
 
 
 @contextmanager
