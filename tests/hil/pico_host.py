@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -11,6 +9,7 @@ from dataclasses import replace
 import chip_host
 import virtual_host
 from chip_host import SETTLE_S, START_S, UnoHost
+from idle_node import IdleNode
 
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
@@ -38,13 +37,7 @@ SETUP = virtual_host.SETUP._replace(
     hard_lo=196, hard_hi=3900, rail_lo=20, rail_hi=4072, centre=2048, max_drive=PICO_FULL // 2
 )
 LSB_RAD = BENCH.rad_per_count
-_EMULATORS: list[subprocess.Popen[bytes]] = []  # that no chip is in: to start node takes longer than most tests
-
-
-@atexit.register
-def _end_emulators() -> None:
-    for emulator in _EMULATORS:
-        emulator.communicate()  # they end with their standard input
+_IDLE = IdleNode()
 
 
 class PicoHost(UnoHost[VirtualPico]):
@@ -60,13 +53,11 @@ def pico(
 ) -> Iterator[PicoHost]:
     """A chip that has just been powered on."""
     parameters = pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options)
-    board = VirtualPico(parameters, _EMULATORS.pop() if _EMULATORS else None)
+    board = VirtualPico(parameters, _IDLE.take())
     try:
         yield PicoHost(board, options.baud)
     finally:
-        emulator = board.leave()
-        if emulator.poll() is None:
-            _EMULATORS.append(emulator)
+        _IDLE.keep(board.leave())
 
 
 @contextmanager
