@@ -8,15 +8,17 @@ pieces that a motor bears say how random it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter
 
 from rig.identify.departures.departure import Bench
+from rig.identify.departures.soft_coupling import DAMPING
 from rig.identify.motions import Motion, fitted_rows
 from rig.model.real_motor import Frame, Pieces, Readings, RealMotor, index, response, response_and_jacobian
 from rig.model.sensitivity import Theta
@@ -32,6 +34,7 @@ NEAR_ROWS = 4  # rows on either side that show a piece's start
 SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
 PLAIN = tuple(index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))  # in the order of ``Theta``
+STILL = 1e6  # times the longest window: in so long a course a window is an instant
 TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
 
@@ -47,6 +50,7 @@ class Cut:
     resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
     weight    (n,) of each row, 0 or 1; None: every row counts
     of        for each window the name of its recording; empty: nobody said
+    coupling_rad_s   frequency of a soft coupling between the shaft and what the sensor shows, rad/s; 0: it is stiff
     """
 
     windows: tuple[Window, ...]
@@ -56,6 +60,7 @@ class Cut:
     resting: NDArray[np.bool_] | None = None
     weight: Array | None = None
     of: tuple[str, ...] = ()
+    coupling_rad_s: float = 0.0
 
     @classmethod
     def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float, of: Sequence[str] = ()) -> Cut:
@@ -86,6 +91,20 @@ class Cut:
             for frame, name in zip(self.frames, of, strict=True)
         )
         return replace(self, frames=frames)
+
+    def with_levels(self, level: Mapping[str, float], of: Sequence[str]) -> Cut:
+        """The same, with a friction that stays as it is in each recording: a drift of 1 is the largest of the levels.
+
+        level   by recording how much more friction it has than all together, relative
+        of      for each window its recording
+        """
+        largest = max(max(map(abs, level.values())), 1e-9)
+        long_s = STILL * max(window.duration_s for window in self.windows)
+        frames = []
+        for frame, window, name in zip(self.frames, self.windows, of, strict=True):
+            middle_s = 0.5 * float(window.t_s[0] + window.t_s[-1])
+            frames.append(frame._replace(start_s=middle_s - (0.5 + level[name] / largest) * long_s, duration_s=long_s))
+        return replace(self, frames=tuple(frames))
 
     def beside(self, further: Sequence[tuple[TimeSeries, int]], longest_delay_s: float, most_s: float) -> Cut:
         """The same tests, and behind them further records in pieces of at most ``most_s``.
@@ -138,7 +157,8 @@ class Cut:
             else:
                 windows[-1] = Window(one, last.first, len(one))
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        return Cut(tuple(windows), tuple(frames), ones, tuple(math.inf for _ in windows))
+        endless = tuple(math.inf for _ in windows)
+        return Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
@@ -160,6 +180,7 @@ class Cut:
             most_s,
             None if self.resting is None else self.resting[chosen],
             None if self.weight is None else self.weight[chosen[self.piece]],
+            coupling_rad_s=self.coupling_rad_s,
         )
 
     @cached_property
@@ -250,11 +271,13 @@ class Cut:
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
         if is_plain(motor):
-            return np.concatenate([plain_position(*piece) for piece in self._plainly(motor, starts)])
-        found = []
-        for window, frame, pieces in self._with(starts):
-            found.append(response(motor, frame, window.steps, window.t_s, pieces))
-        return np.concatenate(found)
+            found = [plain_position(*piece) for piece in self._plainly(motor, starts)]
+        else:
+            found = [
+                response(motor, frame, window.steps, window.t_s, pieces) for window, frame, pieces in self._with(starts)
+            ]
+        y_rad = np.concatenate(found)
+        return y_rad - self._swing(y_rad[:, None], starts[:, None, :])[:, 0] if self.coupling_rad_s else y_rad
 
     def derivatives(
         self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
@@ -263,6 +286,36 @@ class Cut:
 
         waves_per_rad   as ``response_and_jacobian``
         """
+        found = self._shaft(motor, starts, free, waves_per_rad)
+        if not self.coupling_rad_s:
+            return found
+        every = np.column_stack(found)
+        begin = np.zeros((starts.shape[0], every.shape[1], 2))  # velocity and position at the start, by column
+        begin[:, 0], begin[:, -2, 0], begin[:, -1, 1] = starts, 1.0, 1.0
+        every = every - self._swing(every, begin)
+        return Readings(every[:, 0], np.ascontiguousarray(every[:, 1:-2]), np.ascontiguousarray(every[:, -2:]))
+
+    def _swing(self, columns: Array, begin: Array) -> Array:
+        """(n, k) by how much a load behind the coupling is ahead of what follows it stiffly, for (n, k) ``columns``.
+
+        begin   (p, k, 2) velocity and position of each column at the start of each piece
+        """
+        swing = np.zeros_like(columns)
+        at = 0
+        for window, rows in zip(self.windows, self.rows, strict=True):
+            forward, back = _swings(self.coupling_rad_s, window.period_s)
+            offset = int(self.begins[at])
+            for first, stop in pairwise([*rows.tolist(), window.t_s.size]):
+                since_s = (window.t_s[first:stop] - window.t_s[first])[:, None]
+                own = slice(offset + first, offset + stop)
+                swing[own] = lfilter(forward, back, columns[own] - begin[at, :, 1] - begin[at, :, 0] * since_s, axis=0)
+                at += 1
+        return swing
+
+    def _shaft(
+        self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
+    ) -> Readings:
+        """``derivatives`` before the coupling."""
         if is_plain(motor) and set(free) <= set(PLAIN) and not waves_per_rad:
             y_rad, columns = zip(*(plain_derivatives(*piece) for piece in self._plainly(motor, starts)), strict=True)
             jacobian = np.concatenate(columns)
@@ -313,6 +366,14 @@ def _goes_along(window: Window) -> bool:
     pushes = np.flatnonzero(u_V)
     back_rad = float(np.max(np.maximum.accumulate(y_rad) - y_rad))
     return bool(pushes.size and np.all(u_V[pushes[0] :] > 0.0) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
+
+
+@lru_cache(maxsize=64)
+def _swings(rad_s: float, period_s: float) -> tuple[Array, Array]:
+    """The filter d'' + 2 z w d' + w^2 d = x'' from rows of x, taken as straight between them."""
+    swing = np.array([1.0, 0.0, 0.0]), np.array([1.0, 2.0 * DAMPING * rad_s, rad_s**2])
+    forward, back, _ = cont2discrete(swing, period_s, "foh")
+    return forward.ravel(), back
 
 
 def is_plain(motor: RealMotor) -> bool:
