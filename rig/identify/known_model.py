@@ -39,7 +39,8 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     try:
         motor = model_of(result.answer)
     except ValueError as error:
-        raise _no_motor(folder, error) from error
+        no_motor = _no_motor(folder, error)
+        raise no_motor from error
     if motor is None:
         raise RecordingError(
             folder / RESULT,
@@ -94,7 +95,8 @@ def kept_models(folder: Path) -> Answered | None:
             if not estimate.is_refused and estimate.tau_s is not None:
                 plain_motor(estimate)
     except ValueError as error:
-        raise _no_motor(folder, error) from error
+        no_motor = _no_motor(folder, error)
+        raise no_motor from error
     return result
 
 

@@ -1,7 +1,7 @@
 """The C library of the motor's physics (firmware/motor), and how arrays and numbers get into it.
 
-An installed rig has it beside this file. In a clone it is compiled where there is none of just its sources, which takes a
-second. Each call releases the interpreter's lock, so that two fits run on two cores.
+An installed rig has it beside this file. In a clone it is compiled where there is none of just its sources: a second.
+Each call releases the interpreter's lock, so that two fits run on two cores.
 
 ``double`` is the only number of the library; an array goes in as its address. So every array is checked here first.
 """

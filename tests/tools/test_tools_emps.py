@@ -9,7 +9,7 @@ import pytest
 
 from emps import __main__ as emps
 from emps import record as published
-from emps.found import every_other, prediction, whole
+from emps.found import Found, every_other, prediction, whole
 from emps.found import published as published_law
 
 pytestmark = [pytest.mark.long, pytest.mark.drawn]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import statistics
 
@@ -75,4 +76,4 @@ def test_a_ramp_longer_than_a_period_is_no_fault_and_no_step_back_in_time(
     bench.armed()
     drives = [1.6 * (-1.0) ** (k // ticks + (k == 70)) for k in range(120)]
     times = [bench.tick(u_V).t_u_s for u_V in drives][2:]
-    assert all(after >= before for before, after in zip(times, times[1:], strict=False))
+    assert all(after >= before for before, after in itertools.pairwise(times))
