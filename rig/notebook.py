@@ -44,8 +44,8 @@ from rig.terminal import (
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-_PARAMETER_HEADINGS = ("parameter", "value", "95 % interval")
-_HEADINGS = ("method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict")
+_PARAMETER_HEADINGS = ("parameter", "value", "95 % interval of the fit's scatter")
+_HEADINGS = ("method, ± scatter alone", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

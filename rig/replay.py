@@ -144,7 +144,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     stop = StopRequest()
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
-    relay = backend_of(e).relay_rules(e, drive_map, clock_ratio)
+    relay = backend_of(e.device).relay_rules(e.device, drive_map, clock_ratio)
     if relay is None and replayed.holds_device_relay:
         raise RecordingError(
             folder / CONFIG,

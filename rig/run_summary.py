@@ -15,7 +15,6 @@ from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
-from rig.config.sensor import full_range_rad
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.control.rising_gains import RisingGains
@@ -51,6 +50,7 @@ from rig.results import (
     TrueLaw,
     TrueMotor,
 )
+from rig.results.identification import Answered
 from rig.results.meta import REHEARSAL
 from rig.results.part import VERSION
 
@@ -63,7 +63,8 @@ class Findings:
     gains_V         gains (h1, h2) of the relay tests, V
     further_gains_V gains of a test at a third amplitude, V, if the gains were searched
     cycle           the limit cycle of the last relay test
-    identification  of this run's recording, or of ``models_from``
+    identification  of this run's recording
+    models          that are driven: of this run, or as they are kept with ``models_from``
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
     real_motors     by method, the models with laws that tracked
@@ -79,6 +80,7 @@ class Findings:
     further_gains_V: tuple[float, float] | None = None
     cycle: SettledCycle | None = None
     identification: Identification | None = None
+    models: Answered | None = None
     models_from: Path | None = None
     jog: JogResult | None = None
     tracking: dict[str, TrackingResult] = field(default_factory=dict)
@@ -87,17 +89,12 @@ class Findings:
     stopped: StoppedResult | None = None
     notes: list[str] = field(default_factory=list)
 
-    @property
-    def of_this_run(self) -> Identification | None:
-        """What was identified from this run's own recording. Rows and relays of another run do not belong here."""
-        return self.identification if self.models_from is None else None
-
 
 def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: datetime) -> RunMeta:
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
-    watchdog_s = device_watchdog_s(experiment)
+    watchdog_s = device_watchdog_s(experiment.device)
     return RunMeta(
         version=VERSION,
         name=experiment.name,
@@ -106,7 +103,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=backend_of(experiment).times_error_s(experiment),
+        times_error_s=backend_of(experiment.device).times_error_s(experiment.device),
         firmware=DeviceSeen(
             board=info.board,
             build=info.build,
@@ -122,7 +119,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         ),
         sensor=SensorBelieved(
             linearity_percent=experiment.sensor.linearity_percent,
-            full_range_rad=full_range_rad(experiment),
+            full_range_rad=experiment.sensor.full_range_rad,
             calibration_error_rad=experiment.sensor.calibration_error_rad,
             calibration_rad=tuple(sorted(rad for _, rad in experiment.sensor.points)),
         ),
@@ -153,7 +150,7 @@ def run_result(
     experiment: Experiment, bench: Bench, statistics: LoopStatistics, found: Findings, fault: Fault | None
 ) -> RunResult:
     """result.json of a run that has come to its end or to a fault."""
-    own = found.of_this_run
+    own = found.identification
     link, not_counts = _link_counts(bench.driver.link_statistics)
     return RunResult(
         version=VERSION,
@@ -166,7 +163,7 @@ def run_result(
         loop=_loop(statistics, found.real_time),
         link=link,
         faults=_faults(fault),
-        config_notes=tuple(notes(experiment)),
+        config_notes=tuple(notes(experiment.device)),
         notes=(*_notes(found), *not_counts),
         hysteretic=None if own is None else _hysteretic(own, experiment),
         models_from=None if found.models_from is None else str(found.models_from),
@@ -255,20 +252,19 @@ def true_laws(bench: BenchParameters) -> tuple[TrueLaw, ...] | None:
 
 
 def _estimates(found: Findings) -> dict[str, EstimateResult]:
-    if found.identification is None:
-        return {}
-    estimates = {method: estimate.as_result() for method, estimate in found.identification.estimates.items()}
-    if found.models_from is None:
-        return estimates
-    return {method: estimate.model_copy(update={"rows": None}) for method, estimate in estimates.items()}
+    """The estimates; those of another run have no rows in this one."""
+    if found.identification is not None:
+        return {method: estimate.as_result() for method, estimate in found.identification.estimates.items()}
+    others = {} if found.models is None else found.models.estimates
+    return {method: estimate.model_copy(update={"rows": None}) for method, estimate in others.items()}
 
 
 def _answer(found: Findings) -> Answer | None:
     """The answer; that of another run has no rows in this one."""
-    answer = None if found.identification is None else found.identification.answer
-    if answer is None or found.models_from is None:
-        return answer
-    return answer.model_copy(update={"rows": None})
+    if found.identification is not None:
+        return found.identification.answer
+    answer = None if found.models is None else found.models.answer
+    return None if answer is None else answer.model_copy(update={"rows": None})
 
 
 def _loop(statistics: LoopStatistics, real_time: RealTimeReport | None) -> LoopResult:
@@ -294,7 +290,7 @@ def _link_counts(told: Mapping[str, object]) -> tuple[dict[str, int], list[str]]
 
 def _notes(found: Findings) -> tuple[str, ...]:
     if found.models_from is not None:
-        made_up = found.identification is not None and found.identification.rehearsal
+        made_up = getattr(found.models, "rehearsal", None)
         words = f"the models come from {found.models_from}{f', {REHEARSAL}' if made_up else ''}"
         return (*found.notes, words)
     return (*found.notes, *([] if found.identification is None else found.identification.notes))

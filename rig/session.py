@@ -146,7 +146,7 @@ def record(
             with suppress(OSError):  # then there is no room for a run folder either, which is said
                 flag.open(parent, what.name)
             try:
-                with connect(experiment) if again is None else nullcontext(again) as bench:
+                with connect(experiment.device) if again is None else nullcontext(again) as bench:
                     session, recorder = _begin(experiment, parent, what, bench, stop, started)
                     try:
                         fault = _run_script(script, session, on_start)
@@ -299,7 +299,7 @@ def _close(recorder: Recorder) -> Fault | None:
 
 def _conclude(session: Session, outcome: Outcome) -> Outcome:
     """Identify what was recorded before a fault, complete result.json, write the report, note what failed."""
-    if session.found.identification is None:
+    if session.found.identification is None and session.found.models_from is None:
         try:
             recording = session.read()
             if any(Stage.parse(stage).tells_motor for stage in recording.stages()):

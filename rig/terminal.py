@@ -424,7 +424,7 @@ def show_estimates(
         row = ["truth", *(f"{value:.4f}" for value in (truth.tau_s, truth.K_rad_s_V, truth.fc_V))]
         rows.append([*row, *[""] * (len(headings) - len(row))])
     off = " (in brackets: error against the emulated motor)" if truth else ""
-    show_table(f"the plain motor by each method{off}", headings, rows)
+    show_table(f"the plain motor by each method, ± the scatter of its fit alone{off}", headings, rows)
     for method, check_run in (tracking or {}).items():
         if check_run.not_run is not None:
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")

@@ -26,7 +26,7 @@ from pydantic import Field
 from rig.backends.backend import Backend, Unopened, Watchdog
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 from rig.model.bench import BenchModel, BenchParameters
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
@@ -150,30 +150,30 @@ class MujocoBackend(Backend):
     section = ShaftOptions
     shared_keys = frozenset({"options"})
 
-    def watchdog(self, e: Experiment) -> Watchdog:
-        return Watchdog(e.daq.watchdog_s)
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
+        return Watchdog(d.daq.watchdog_s)
 
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         return False
 
-    def words(self, e: Experiment) -> str:
+    def words(self, d: DeviceSetup) -> str:
         return "a shaft of MuJoCo's in virtual time, nothing moves"
 
-    def is_emulated(self, e: Experiment) -> bool:
+    def is_emulated(self, d: DeviceSetup) -> bool:
         return True
 
     @contextmanager
-    def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        shaft, clock = self.shaft(e), VirtualClock()
+    def unopened(self, d: DeviceSetup) -> Iterator[Unopened]:
+        shaft, clock = self.shaft(d), VirtualClock()
         truth = BenchParameters(shaft.motor, noise_rad=NOISE_RAD, real=shaft.real)
-        driver = SimulatedDriver(clock, truth, e.scaling, SimulatedLatency(LATENCY_S, 0.0), e.seed)
-        driver.bench = MujocoBench(truth, shaft, e.seed)
+        driver = SimulatedDriver(clock, truth, d.scaling, SimulatedLatency(LATENCY_S, 0.0), d.seed)
+        driver.bench = MujocoBench(truth, shaft, d.seed)
         driver.backend = f"MuJoCo {mujoco.__version__} in virtual time"
         yield Unopened(driver, clock, truth)
 
-    def shaft(self, e: Experiment) -> Shaft:
+    def shaft(self, d: DeviceSetup) -> Shaft:
         """The shaft of the config."""
-        return Shaft(mass_kg=self.options(e, ShaftOptions).mass_kg)
+        return Shaft(mass_kg=self.options(d, ShaftOptions).mass_kg)
 
 
 MUJOCO = MujocoBackend()

@@ -90,7 +90,7 @@ def _tracked(e: Experiment, models: Identification, run: Path, folder: Path, how
     assert e.tracking is not None
     tracking = e.tracking.model_copy(update={"with_law": with_laws})
     one = e.model_copy(update={"seed": seed, "tracking": tracking})
-    outcome = experiment.run_tracking(one, models, run, folder)
+    outcome = experiment.run_tracking(one, models.as_result(), run, folder)
     if outcome.fault is not None:
         raise outcome.fault
     return outcome.result.tracking[LEADING]

@@ -120,3 +120,22 @@ void bordered_reduce(const double *own, const double *border, int64_t pieces, in
         }
     }
 }
+
+void windows_filter(const double forward[3], const double back[2], const int64_t *first, int64_t pieces, int64_t rows, int64_t columns, double *values)
+{
+    for (int64_t piece = 0; piece < pieces; piece++) {
+        const int64_t last = piece + 1 < pieces ? first[piece + 1] : rows;
+        for (int64_t c = 0; c < columns; c++) {
+            double kept = 0.0;
+            double later = 0.0;
+            for (int64_t k = first[piece]; k < last; k++) {
+                double *const at = values + columns * k + c;
+                const double x = *at;
+                const double y = forward[0] * x + kept;
+                kept = forward[1] * x - back[0] * y + later;
+                later = forward[2] * x - back[1] * y;
+                *at = y;
+            }
+        }
+    }
+}

@@ -41,4 +41,8 @@ void bordered_sums(const bordered_rows *rows, double *own, double *border);
  * one of each column. */
 void bordered_reduce(const double *own, const double *border, int64_t pieces, int64_t numbers, double damping, const double *scale, double *matrix, double *solved);
 
+/* Filters the columns of `values` (rows, columns) in place, from nothing on at each piece: y_k = f0 x_k + f1 x_(k-1) +
+ * f2 x_(k-2) - b0 y_(k-1) - b1 y_(k-2). `first`: first rows of the pieces. */
+void windows_filter(const double forward[3], const double back[2], const int64_t *first, int64_t pieces, int64_t rows, int64_t columns, double *values);
+
 #endif

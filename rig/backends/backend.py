@@ -1,8 +1,8 @@
 """The interface of a kind of device: its rules, its link budget, what rig says about it, and how it opens.
 
 Built-in devices and those of other packages use the same interface; ``rig.backends.registry`` finds them. A driver
-(``rig.backends.driver``) is one open device. A backend knows a device from its config alone. ``e`` is the experiment
-throughout.
+(``rig.backends.driver``) is one open device. A backend knows a device from its config alone. ``d`` is the device's
+setup throughout.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.inherited_link import InheritedLink
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Emulated, Experiment
+from rig.config.schema import DeviceSetup, Emulated
 from rig.section import Section
 
 if TYPE_CHECKING:  # these load slowly
@@ -99,19 +99,19 @@ class Backend(ABC):
 
     # ------------------------------------------------------------------ what may be run
 
-    def rules(self, e: Experiment) -> Iterator[Problem]:
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
         """The problems that keep this experiment from running on this device; none if it may run.
 
         If there is a ``section``, ``daq.options`` already fits it.
         """
         yield from ()
 
-    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+    def foreign_key(self, d: DeviceSetup, key: str, owner: str = "") -> Problem:
         """The problem of a key of ``daq`` that is given, and that this device does not have.
 
         owner  the driver whose key it is; "" for ``port``, ``usb_serial`` and ``options``
         """
-        driver = f"`driver: {e.daq.driver}`"
+        driver = f"`driver: {d.daq.driver}`"
         if key == "usb_serial":
             return wrong("daq.usb_serial", f"{driver} has no port on USB", "remove it")
         if key == "port":
@@ -123,31 +123,31 @@ class Backend(ABC):
         """Whether a port of this name can only be one of this device."""
         return False
 
-    def watchdog(self, e: Experiment) -> Watchdog:
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
         """The watchdog that sets 0 V when the host is silent."""
-        return Watchdog(e.daq.watchdog_s, certain=False)
+        return Watchdog(d.daq.watchdog_s, certain=False)
 
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         """Whether the drive of a tick goes out with the next tick. True if unknown: that is the slower case."""
         return True
 
-    def budget(self, e: Experiment) -> LinkBudget:
+    def budget(self, d: DeviceSetup) -> LinkBudget:
         """Time that one tick needs on the link; no terms where it is unknown."""
         return LinkBudget()
 
-    def reading_budget(self, e: Experiment) -> LinkBudget:
+    def reading_budget(self, d: DeviceSetup) -> LinkBudget:
         """Time that one reading of an unarmed device needs; no terms where it is unknown."""
         return LinkBudget()
 
-    def reply_delay_s(self, e: Experiment) -> float:
+    def reply_delay_s(self, d: DeviceSetup) -> float:
         """Delay of each reply between line and host (a USB adapter), at most, s."""
         return 0.0
 
-    def times_error_s(self, e: Experiment) -> float:
+    def times_error_s(self, d: DeviceSetup) -> float:
         """Error of the recorded time of a drive against that of a sample, at most, s."""
         return 1e-4
 
-    def rehearsed(self, e: Experiment) -> dict[str, JsonObject] | None:
+    def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject] | None:
         """The keys of ``daq`` and ``emulated`` that put an emulated device, in virtual time, in place of the real one.
 
         A key of ``daq`` that is None goes. None: rig emulates no such device.
@@ -157,50 +157,50 @@ class Backend(ABC):
     # ------------------------------------------------------------------ what rig says about it
 
     @abstractmethod
-    def words(self, e: Experiment) -> str:
+    def words(self, d: DeviceSetup) -> str:
         """The device, and whether a real motor may turn, for people."""
 
-    def is_emulated(self, e: Experiment) -> bool:
+    def is_emulated(self, d: DeviceSetup) -> bool:
         """Whether the bench is that of section ``emulated``, so that nothing moves."""
         return False
 
-    def plan(self, e: Experiment) -> Iterator[str]:
+    def plan(self, d: DeviceSetup) -> Iterator[str]:
         """Lines of `rig check` about link and device."""
         yield from ()
 
-    def failsafe_words(self, e: Experiment) -> str:
+    def failsafe_words(self, d: DeviceSetup) -> str:
         """What stops the drive when the host is silent, for people."""
         return (
-            f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
-            f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"
+            f"failsafe: the device sets 0 V after {d.daq.watchdog_s * 1e3:g} ms of silence "
+            f"({d.daq.watchdog_s / d.period_s:.3g} periods), latched until it is armed again"
         )
 
-    def notes(self, e: Experiment) -> Iterator[str]:
+    def notes(self, d: DeviceSetup) -> Iterator[str]:
         """What you must know to read the results, a sentence each."""
         yield from ()
 
-    def not_emulated_words(self, e: Experiment) -> str:
+    def not_emulated_words(self, d: DeviceSetup) -> str:
         """For people: what section ``emulated`` does where this device is not emulated."""
         return "section `emulated` counts as the truth only if the driver says that its device is emulated"
 
-    def in_virtual_time(self, e: Experiment) -> bool:
+    def in_virtual_time(self, d: DeviceSetup) -> bool:
         """Whether its time is virtual, as far as the config says: it passes only while the loop waits."""
         return False
 
-    def adapter_behind(self, e: Experiment) -> Adapter | None:
+    def adapter_behind(self, d: DeviceSetup) -> Adapter | None:
         """The adapter that the delays of a real USB port are computed with; None where there is no such port."""
         return None
 
     # ------------------------------------------------------------------ the device
 
     @abstractmethod
-    def unopened(self, e: Experiment) -> AbstractContextManager[Unopened]:
+    def unopened(self, d: DeviceSetup) -> AbstractContextManager[Unopened]:
         """The driver, not opened yet. An emulated device lives for the block.
 
         Raises Fault LINK_OPEN where there is no port, EmulationError where a device cannot be emulated.
         """
 
-    def stopper(self, e: Experiment, descriptor: int) -> Driver | None:
+    def stopper(self, d: DeviceSetup, descriptor: int) -> Driver | None:
         """A driver that only stops the device, on a link that this process has inherited; None: there is no such.
 
         descriptor  number of the open file or socket, of which its driver told; the process that opened it is gone, or
@@ -209,7 +209,7 @@ class Backend(ABC):
         return None
 
     def emulated(
-        self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess] | None:
         """The device of section ``emulated``, running in real time for the block; None: this kind has none.
 
@@ -219,13 +219,13 @@ class Backend(ABC):
         """
         return None
 
-    def emulated_hint(self, e: Experiment, port: str) -> str:
+    def emulated_hint(self, d: DeviceSetup, port: str) -> str:
         """A command to try on the emulated device at ``port``, for people; "" for none."""
         return ""
 
     # ------------------------------------------------------------------ a recording of it
 
-    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules | None:
+    def relay_rules(self, d: DeviceSetup, drive_map: DriveMap, clock_ratio: float) -> RelayRules | None:
         """What the device makes of the gains of a relay that it runs itself; None: it has no relay, or does not say.
 
         drive_map    with the units of the device that was recorded
@@ -235,36 +235,36 @@ class Backend(ABC):
 
     # ------------------------------------------------------------------ for those who write one
 
-    def options(self, e: Experiment, section: type[OwnSection]) -> OwnSection:
+    def options(self, d: DeviceSetup, section: type[OwnSection]) -> OwnSection:
         """``daq.options``, as ``section``. Raises pydantic's ValidationError."""
-        return section.model_validate_json(json.dumps(e.daq.options or {}), strict=True)
+        return section.model_validate_json(json.dumps(d.daq.options or {}), strict=True)
 
 
 class LineBackend(Backend):
     """A kind of device behind a line: how the line opens, and which driver speaks on it."""
 
     @abstractmethod
-    def line(self, e: Experiment) -> AbstractContextManager[Line]:
+    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
         """The open line of the config. The caller closes its transport; an emulated device lives for the block."""
 
     @abstractmethod
-    def driver(self, e: Experiment, line: Line) -> Driver:
+    def driver(self, d: DeviceSetup, line: Line) -> Driver:
         """The driver on that line, not opened yet."""
 
     @override
     @contextmanager
-    def unopened(self, e: Experiment) -> Iterator[Unopened]:
+    def unopened(self, d: DeviceSetup) -> Iterator[Unopened]:
         """On the line of the config, or on a test's own line (``rig.testing.line``)."""
-        with own_line.opened(self, e) as line:
-            yield Unopened(self.driver(e, line), line.clock, truth_of(e), line.shaft)
+        with own_line.opened(self, d) as line:
+            yield Unopened(self.driver(d, line), line.clock, truth_of(d), line.shaft)
 
     @override
-    def stopper(self, e: Experiment, descriptor: int) -> Driver | None:
+    def stopper(self, d: DeviceSetup, descriptor: int) -> Driver | None:
         """On the inherited link."""
-        return self.driver(e, Line(InheritedLink(descriptor), host_clock(e), "inherited", answered=True))
+        return self.driver(d, Line(InheritedLink(descriptor), host_clock(d), "inherited", answered=True))
 
 
-OpenLine = Callable[[LineBackend, Experiment], AbstractContextManager[Line]]
+OpenLine = Callable[[LineBackend, DeviceSetup], AbstractContextManager[Line]]
 
 
 class _OwnLine:
@@ -273,25 +273,25 @@ class _OwnLine:
     def __init__(self) -> None:
         self.instead: OpenLine | None = None
 
-    def opened(self, backend: LineBackend, e: Experiment) -> AbstractContextManager[Line]:
+    def opened(self, backend: LineBackend, d: DeviceSetup) -> AbstractContextManager[Line]:
         """The line to speak on."""
-        return backend.line(e) if self.instead is None else self.instead(backend, e)
+        return backend.line(d) if self.instead is None else self.instead(backend, d)
 
 
 own_line = _OwnLine()
 
 
-def usb_rules(e: Experiment) -> Iterator[Problem]:
+def usb_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rule of ``daq.usb_serial``: the port is a device file."""
-    port = e.daq.port
-    if e.daq.usb_serial is not None and port is not None and not port.startswith("/"):
+    port = d.daq.port
+    if d.daq.usb_serial is not None and port is not None and not port.startswith("/"):
         yield wrong("daq.usb_serial", f"{port} is no port on USB", "remove it")
 
 
-def usb_notes(e: Experiment) -> Iterator[str]:
+def usb_notes(d: DeviceSetup) -> Iterator[str]:
     """That rig cannot tell the board of this bench from another one, where the port is on USB. Opens nothing."""
-    port = e.daq.port
-    if port is None or not port.startswith("/") or e.daq.usb_serial is not None:
+    port = d.daq.port
+    if port is None or not port.startswith("/") or d.daq.usb_serial is not None:
         return
     from rig.backends.links.usb_port import UsbPort, is_usb_name, usb_port
 
@@ -308,22 +308,22 @@ def usb_notes(e: Experiment) -> Iterator[str]:
         )
 
 
-def host_clock(e: Experiment) -> MonotonicClock:
+def host_clock(d: DeviceSetup) -> MonotonicClock:
     """The clock of this machine, with the config's way of waiting."""
-    return MonotonicClock(1e-6 * e.loop.spin_us)
+    return MonotonicClock(1e-6 * d.spin_us)
 
 
-def emulated_of(e: Experiment) -> Emulated:
+def emulated_of(d: DeviceSetup) -> Emulated:
     """Section ``emulated``. Raises ValueError without it."""
-    if e.emulated is None:
+    if d.emulated is None:
         raise ValueError("the config has no section `emulated`")
-    return e.emulated
+    return d.emulated
 
 
-def truth_of(e: Experiment) -> BenchParameters | None:
+def truth_of(d: DeviceSetup) -> BenchParameters | None:
     """The bench of section ``emulated``; None without that section."""
-    if e.emulated is None:
+    if d.emulated is None:
         return None
     from rig.backends.emulated.bench import bench_parameters
 
-    return bench_parameters(e.emulated, e.tachometer)
+    return bench_parameters(d.emulated, d.tachometer)

@@ -23,7 +23,7 @@ from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver, StrokeDriver
 from rig.config.problems import ConfigError, Problem, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 from rig.plug_ins import PlugInError
 
 _ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close": 0}
@@ -89,17 +89,17 @@ def described(entry: EntryPoint) -> str:
     return plug_ins.described(entry, "driver")
 
 
-def driver_settings_of(e: Experiment) -> DriverSettings:
+def driver_settings_of(d: DeviceSetup) -> DriverSettings:
     """What a driver of another package is constructed with."""
     return DriverSettings(
-        options=MappingProxyType(dict(e.daq.options or {})),
-        calibration=e.sensor.curve,
-        drive_map=e.drive.map,
-        rail_counts=e.sensor.rails,
-        counts_max=e.sensor.counts_max or 0,
-        timeout_s=e.daq.timeout_s,
-        period_s=e.period_s,
-        watchdog_s=e.daq.watchdog_s,
+        options=MappingProxyType(dict(d.daq.options or {})),
+        calibration=d.sensor.curve,
+        drive_map=d.drive.map,
+        rail_counts=d.sensor.rails,
+        counts_max=d.sensor.counts_max or 0,
+        timeout_s=d.daq.timeout_s,
+        period_s=d.period_s,
+        watchdog_s=d.daq.watchdog_s,
     )
 
 
@@ -119,7 +119,7 @@ class PlugIn(Backend):
         self.entry = entry
         self.driver_class = driver_class
         self.refusal = refusal
-        self._checked: tuple[Experiment, Driver | Problem] | None = None
+        self._checked: tuple[DeviceSetup, Driver | Problem] | None = None
 
     def construct(self, settings: DriverSettings) -> Driver:
         """A driver, not opened. Raises as ``constructed``; ConfigError where there is none."""
@@ -128,48 +128,48 @@ class PlugIn(Backend):
         return constructed(self.entry, self.driver_class, settings)
 
     @override
-    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+    def foreign_key(self, d: DeviceSetup, key: str, owner: str = "") -> Problem:
         """What the driver asks for stands under ``daq.options``."""
-        return wrong(f"daq.{key}", f"is a key of built-in drivers, not of `{e.daq.driver}`", "see daq.options")
+        return wrong(f"daq.{key}", f"is a key of built-in drivers, not of `{d.daq.driver}`", "see daq.options")
 
     @override
-    def rules(self, e: Experiment) -> Iterator[Problem]:
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
         """Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
-        driver = self._tried(e)
-        self._checked = (e, driver)
+        driver = self._tried(d)
+        self._checked = (d, driver)
         if isinstance(driver, Problem):
             yield driver
-        elif e.relay.where == "device" and not isinstance(driver, RelayDriver):
-            yield wrong("relay.where", f"driver {e.daq.driver!r} has no relay in its device", "set it to host")
-        elif e.relay.where == "device" and e.relay.until is not None and not isinstance(driver, StrokeDriver):
+        elif d.runs_relay and not isinstance(driver, RelayDriver):
+            yield wrong("relay.where", f"driver {d.daq.driver!r} has no relay in its device", "set it to host")
+        elif d.runs_strokes and not isinstance(driver, StrokeDriver):
             yield wrong(
                 "relay.where",
-                f"driver {e.daq.driver!r} runs no strokes in its device; relay.until does",
+                f"driver {d.daq.driver!r} runs no strokes in its device; relay.until does",
                 "set it to host",
             )
 
-    def _tried(self, e: Experiment) -> Driver | Problem:
+    def _tried(self, d: DeviceSetup) -> Driver | Problem:
         """The driver, not opened; or why there is none."""
         if self.refusal is not None:
             return self.refusal
         try:
-            return self.construct(driver_settings_of(e))
+            return self.construct(driver_settings_of(d))
         except PlugInError as error:
             return refused(error)
         except ValueError as error:
-            return wrong("daq.options", f"driver {e.daq.driver!r}: {error}")
+            return wrong("daq.options", f"driver {d.daq.driver!r}: {error}")
 
     @override
-    def words(self, e: Experiment) -> str:
-        return f"plug-in driver {e.daq.driver}: assume a REAL MOTOR"
+    def words(self, d: DeviceSetup) -> str:
+        return f"plug-in driver {d.daq.driver}: assume a REAL MOTOR"
 
     @override
-    def plan(self, e: Experiment) -> Iterator[str]:
+    def plan(self, d: DeviceSetup) -> Iterator[str]:
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
-        if e.relay.where == "device":
+        if d.runs_relay:
             yield "relay in the device: as the plug-in driver runs it; the gain search runs in the host"
         # `rig check` asks for the rules first: once constructed is enough
-        driver = self._checked[1] if self._checked is not None and self._checked[0] is e else self._tried(e)
+        driver = self._checked[1] if self._checked is not None and self._checked[0] == d else self._tried(d)
         self._checked = None
         if self.entry is not None and not isinstance(driver, Problem):
             failsafe = "none"
@@ -179,21 +179,21 @@ class PlugIn(Backend):
             yield f"{described(self.entry)}: {order}; failsafe before it is opened: {failsafe}"
 
     @override
-    def failsafe_words(self, e: Experiment) -> str:
+    def failsafe_words(self, d: DeviceSetup) -> str:
         return "failsafe: the plug-in driver's; if its device has none, a run " + (
             "drives all the same (daq.accept_no_watchdog: true): keep the motor's supply switch in reach"
-            if e.daq.accept_no_watchdog
+            if d.daq.accept_no_watchdog
             else "is refused"
         )
 
     @override
     @contextmanager
-    def unopened(self, e: Experiment) -> Iterator[Unopened]:
+    def unopened(self, d: DeviceSetup) -> Iterator[Unopened]:
         """Raises ConfigError where there is no such driver, or it refuses its options."""
-        driver = self._tried(e)
+        driver = self._tried(d)
         if isinstance(driver, Problem):
             raise ConfigError([driver])
-        yield Unopened(driver, getattr(driver, "clock", None) or host_clock(e), truth_of(e))
+        yield Unopened(driver, getattr(driver, "clock", None) or host_clock(d), truth_of(d))
 
 
 @lru_cache(maxsize=8)

@@ -1,6 +1,6 @@
 """Which device a config names: the built-in ones and those of other packages, found and asked alike.
 
-A config comes in here once, and goes out as an open bench.
+The setup of a device comes in here, and goes out as an open bench.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rig.backends.driver import Clock, DeviceInfo, Driver
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.plug_in import PlugIn, loaded, plug_in, refused
 from rig.config.problems import Problem, printable, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 from rig.faults import Fault
 from rig.plug_ins import PlugInError, offered
 
@@ -70,9 +70,9 @@ def load(name: str) -> type[Driver] | Backend:
     return loaded(known[name])
 
 
-def backend_of(e: Experiment) -> Backend:
+def backend_of(d: DeviceSetup) -> Backend:
     """The device that the config names. If there is none: a backend whose rules refuse every config."""
-    return backend_named(e.daq.driver)
+    return backend_named(d.daq.driver)
 
 
 def backend_named(name: str) -> Backend:
@@ -102,53 +102,53 @@ def unknown_driver(name: str) -> Problem:
     )
 
 
-def rules(e: Experiment) -> Iterator[Problem]:
+def rules(d: DeviceSetup) -> Iterator[Problem]:
     """The problems that keep the experiment from running on its device: keys of other devices, then its own rules."""
-    own = backend_of(e)
-    given = {key: value for key, value in e.daq if value is not None}
+    own = backend_of(d)
+    given = {key: value for key, value in d.daq if value is not None}
     yield from (
-        own.foreign_key(e, key) for key in ("port", "usb_serial", "options") if key in given.keys() - own.shared_keys
+        own.foreign_key(d, key) for key in ("port", "usb_serial", "options") if key in given.keys() - own.shared_keys
     )
     others = [other for other in map(backend_named, BUILT_IN) if other.own_keys is not own.own_keys]
     for other in others:
         keys = other.own_keys.model_fields if other.own_keys is not None else ()
-        yield from (own.foreign_key(e, key, other.name) for key in keys if key in given)
-    port = e.daq.port
+        yield from (own.foreign_key(d, key, other.name) for key in keys if key in given)
+    port = d.daq.port
     if own.name in BUILT_IN and "port" in own.shared_keys and port is not None:  # a package's ports have any name
         owner = next((other.name for other in others if other.owns_port(port)), None)
         if owner is not None:
             yield wrong("daq.port", f"{port} is a port of `driver: {owner}`", "/dev/ttyACM0, or port: emulated")
             return  # rules about this link say nothing of that port
-    if e.loop.pace not in (None, 1.0) and own.name in BUILT_IN and not own.in_virtual_time(e):
-        yield wrong("loop.pace", f"{e.loop.pace:g}, but {_REAL}", "leave it out, and --pace")
-    yield from own.rules(e)
+    if d.pace not in (None, 1.0) and own.name in BUILT_IN and not own.in_virtual_time(d):
+        yield wrong("loop.pace", f"{d.pace:g}, but {_REAL}", "leave it out, and --pace")
+    yield from own.rules(d)
 
 
-def unopened(e: Experiment) -> AbstractContextManager[Unopened]:
+def unopened(d: DeviceSetup) -> AbstractContextManager[Unopened]:
     """The driver of the config, not opened yet. An emulated device lives for the block.
 
     If you open the driver, close it. Raises as ``connect``, Fault LINK_OPEN included.
     """
-    return backend_of(e).unopened(e)
+    return backend_of(d).unopened(d)
 
 
 @contextmanager
-def connect(e: Experiment) -> Iterator[Bench]:
+def connect(d: DeviceSetup) -> Iterator[Bench]:
     """Open the bench for the block, and stop and close it after the block.
 
     Raises Fault LINK_* where there is no such device, NO_WATCHDOG where the device has no watchdog and the config does
     not accept that; ConfigError where a driver of another package is not installed, or refuses its options.
     rig never simulates a device that is missing.
     """
-    with unopened(e) as (driver, clock, truth, shaft):
+    with unopened(d) as (driver, clock, truth, shaft):
         try:
             info = driver.open()
-            if driver.failsafe is None and not e.daq.accept_no_watchdog:
+            if driver.failsafe is None and not d.daq.accept_no_watchdog:
                 raise Fault("NO_WATCHDOG")
-            if e.loop.pace is not None and not isinstance(clock, MonotonicClock):
-                clock = PacedClock(clock, e.loop.pace)
-            elif e.loop.pace not in (None, 1.0):
-                raise Fault("CONFIG_MISMATCH", f"loop.pace is {e.loop.pace:g}, but {_REAL}")
+            if d.pace is not None and not isinstance(clock, MonotonicClock):
+                clock = PacedClock(clock, d.pace)
+            elif d.pace not in (None, 1.0):
+                raise Fault("CONFIG_MISMATCH", f"loop.pace is {d.pace:g}, but {_REAL}")
             # only a device that says that it is emulated has a truth to compare with
             yield Bench(driver, clock, info, truth if info.emulated else None, shaft if info.emulated else None)
         finally:
@@ -159,7 +159,7 @@ def connect(e: Experiment) -> Iterator[Bench]:
 
 
 def emulated_board(
-    e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+    d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
 ) -> AbstractContextManager[BoardProcess]:
     """The emulated device of the config, running in real time for the block; its ``port`` is a value for daq.port.
 
@@ -168,8 +168,8 @@ def emulated_board(
     chip   the Uno's firmware on its emulated chip, whatever the config's port is
     Raises EmulationError where it cannot be built or started, LookupError where no backend emulates a device.
     """
-    for backend in (backend_of(e), backend_named(_EMULATES)):
-        found = backend.emulated(e, link, trace, chip=chip)
+    for backend in (backend_of(d), backend_named(_EMULATES)):
+        found = backend.emulated(d, link, trace, chip=chip)
         if found is not None:
             return found
     raise LookupError("no device is emulated")

@@ -46,7 +46,7 @@ class HandBench:
         self._runs = runs
         self._flag = flag
         self._gone = gone
-        self._is_emulated = backend_of(experiment).is_emulated(experiment)
+        self._is_emulated = backend_of(experiment.device).is_emulated(experiment.device)
         self._readings = 0
         self._stack = ExitStack()
         self._bench: Bench | None = None
@@ -112,10 +112,10 @@ class HandBench:
     def _read(self, request: Read) -> Reading:
         self._readings += 1
         if self._is_emulated:
-            with connect(_turned_by_hand(request.experiment, request.pose, self._readings)) as bench:
+            with connect(_turned_by_hand(request.experiment, request.pose, self._readings).device) as bench:
                 return _reading(bench, request.experiment.period_s)
         if self._bench is None:  # it stays open: opening it resets some boards
-            self._bench = self._stack.enter_context(connect(request.experiment))
+            self._bench = self._stack.enter_context(connect(request.experiment.device))
         return _reading(self._bench, request.experiment.period_s)
 
 
@@ -165,12 +165,13 @@ def _motor_off(e: Experiment) -> Experiment:
 
 def _hold(e: Experiment, request: Hold, flag: StopFlag, gone: Gone | None = None) -> float:
     """How far the shaft turned, rad. Nothing is recorded."""
+    d = e.device
     law = _Held(request.u_V, request.seconds, e.breakaway.motion_rad)
-    with stop_on_signals(flag, gone) as stop, connect(e) as bench:
-        guard = Guard(replace(guard_settings_of(e), limits=e.device_limits))
+    with stop_on_signals(flag, gone) as stop, connect(d) as bench:
+        guard = Guard(replace(guard_settings_of(e), limits=d.arming))
         loop = Loop(bench.driver, bench.clock, guard, NullSink(), e.period_s, stop)
         try:
-            with loop.armed(e.device_limits):
+            with loop.armed(d.arming):
                 loop.run(Rest(_LOOK_S), "rest")
                 loop.run(law, "jog")
                 loop.run(Rest(_LOOK_S), "rest")

@@ -98,7 +98,7 @@ def _with_its_board(draft: Draft) -> Draft:
     daq = draft.original.daq
     if daq.usb_serial is not None or daq.port is None or not daq.port.startswith("/"):
         return draft
-    if "usb_serial" not in backend_of(draft.original).shared_keys:
+    if "usb_serial" not in backend_of(draft.original.device).shared_keys:
         return draft
     number = usb_port(daq.port).serial_number
     return draft if number is None else draft.with_changes({("daq", "usb_serial"): number})

@@ -30,26 +30,27 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
     from rig.backends.registry import backend_of, emulated_board
 
     experiment = checked(config_path, drives=False)
-    if experiment.emulated is None:
+    d = experiment.device
+    if d.emulated is None:
         fail(
             EXIT_BAD_INPUT,
             f"{config_path} has no section `emulated`",
             f"try the whole experiment on a motor made up for it: `rig rehearse {quote(str(config_path))}`; or add the "
             "section, as in config/demo.yaml",
         )
-    backend = backend_of(experiment)
+    backend = backend_of(d)
     if chip and not backend.has_chip:
         fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
     if chip:
         say_chip_starts("emulated-chip")
-    with stop_on_signals() as stop, faults(), emulated_board(experiment, link, trace, chip=chip) as board:
+    with stop_on_signals() as stop, faults(), emulated_board(d, link, trace, chip=chip) as board:
         port = board.port
         click.echo(
             f"emulated device on {link or port}; set daq.port to that, and run rig in another terminal. Ctrl-C ends it."
         )
-        if hint := backend.emulated_hint(experiment, str(link or port)):
+        if hint := backend.emulated_hint(d, str(link or port)):
             click.echo(hint)
         while stop.reason is None:
             board.check()

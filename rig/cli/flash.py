@@ -142,9 +142,9 @@ def _told(config_path: Path, asked: _Options) -> _Options:
 
     try:
         experiment = load(config_path)
-        if not isinstance(backend_of(experiment), SerialBackend):
+        if not isinstance(backend_of(experiment.device), SerialBackend):
             raise ValueError(f"its device, `driver: {experiment.daq.driver}`, runs no firmware of rig")
-        told = of_config(experiment)
+        told = of_config(experiment.device)
     except ConfigError as error:
         fail_config(error)
     except ValueError as error:

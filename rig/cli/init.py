@@ -188,7 +188,7 @@ def init(
     click.echo(
         f"`rig rehearse {shlex.quote(str(file))}` drives a made-up motor on it: does all fit, before you wire it?"
     )
-    pico = " --board pico" if board == "pico" and (is_encoder or board_of(experiment) != "pico") else ""
+    pico = " --board pico" if board == "pico" and (is_encoder or board_of(experiment.device) != "pico") else ""
     click.echo(
         f"switch the motor's supply off, then type: rig flash {shlex.quote(str(file))}{pico}; add --supply and "
         "--end-switches if these are wired: the config does not say"

@@ -30,12 +30,13 @@ def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_
     experiment = checked_bench(config_path, pace)
     from rig import experiment as script
     from rig.identify import IdentifyError, identify
+    from rig.identify.known_model import kept_models
     from rig.recording.reader import read_run
 
     if experiment.tracking is None:
         fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
     try:
-        models = identify([read_run(model_run)])
+        models = kept_models(model_run) or identify([read_run(model_run)]).as_result()
     except (RecordingError, IdentifyError) as error:
         fail_input(error)
     finish(perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
@@ -240,6 +241,25 @@ class Sensor(_Section):
             turn = round(self.encoder.counts_per_turn)
             return (0, 0.0), (turn, turn * self.encoder.rad_per_count)
         return tuple(sorted((point.counts, point.rad) for point in self.calibration or ()))
+
+    @property
+    def full_range_rad(self) -> float:
+        """What the readings 0 to counts_max span, rad; of an encoder one turn of the measured shaft."""
+        return 2.0 * math.pi if self.encoder is not None else self.curve.lsb_rad * (self.counts_max or 0)
+
+    @property
+    def range_rad(self) -> tuple[float, float]:
+        """Positions within the calibration's points and between the rails, rad; (inf, -inf) where there are none.
+
+        An encoder shows all positions: (-inf, inf).
+        """
+        if self.encoder is not None:
+            return -math.inf, math.inf
+        low, high = max(self.points[0][0], self.rails[0] + 1), min(self.points[-1][0], self.rails[1] - 1)
+        if low > high:
+            return math.inf, -math.inf
+        a_rad, b_rad = self.curve.to_rad(low), self.curve.to_rad(high)
+        return min(a_rad, b_rad), max(a_rad, b_rad)
 
     @property
     def rails(self) -> tuple[int, int]:
@@ -788,6 +808,48 @@ class Emulated(_Section):
         return self
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeviceSetup:
+    """What a device needs of an experiment; ``Experiment.device`` makes it. Backends and drivers see nothing else.
+
+    period_s      the loop's period, s
+    seed          of emulated noise
+    spin_us, pace as in section ``loop``
+    runs_relay    the relay tests decide in the device
+    runs_strokes  so do the strokes between them
+    gains         of the relay tests, where the config gives them
+    The rest are the sections of that name, checked and complete.
+    """
+
+    period_s: float
+    seed: int
+    spin_us: float
+    pace: float | None
+    daq: Daq
+    sensor: Sensor
+    drive: Drive
+    tachometer: Tachometer | None
+    motor: MotorSection | None
+    load: LoadSection | None
+    limits: TravelLimits
+    emulated: Emulated | None
+    runs_relay: bool
+    runs_strokes: bool
+    gains: tuple[RelayGainsSection, ...]
+
+    @property
+    def arming(self) -> Limits:
+        """What the device is armed with."""
+        return Limits(self.limits.soft_rad, self.limits.hard_rad, self.drive.max_V, self.daq.watchdog_s)
+
+    @property
+    def scaling(self) -> Scaling:
+        """What the device's raw numbers mean."""
+        tachometer = None if self.tachometer is None else self.tachometer.scale
+        s = self.sensor
+        return Scaling(s.curve, self.drive.map, s.rails, s.counts_max, tachometer)
+
+
 class Experiment(_Section):
     """One experiment, whole."""
 
@@ -821,16 +883,27 @@ class Experiment(_Section):
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
 
     @property
-    def device_limits(self) -> Limits:
-        """What the device is armed with."""
-        return Limits(self.limits.soft_rad, self.limits.hard_rad, self.drive.max_V, self.daq.watchdog_s)
-
-    @property
-    def scaling(self) -> Scaling:
-        """What the device's raw numbers mean."""
-        tachometer = None if self.tachometer is None else self.tachometer.scale
-        s = self.sensor
-        return Scaling(s.curve, self.drive.map, s.rails, s.counts_max, tachometer)
+    def device(self) -> DeviceSetup:
+        """What the device needs of this."""
+        relay = self.relay
+        in_device = relay.where == "device"
+        return DeviceSetup(
+            period_s=self.period_s,
+            seed=self.seed,
+            spin_us=self.loop.spin_us,
+            pace=self.loop.pace,
+            daq=self.daq,
+            sensor=self.sensor,
+            drive=self.drive,
+            tachometer=self.tachometer,
+            motor=self.motor,
+            load=self.load,
+            limits=self.limits,
+            emulated=self.emulated,
+            runs_relay=in_device,
+            runs_strokes=in_device and relay.until is not None,
+            gains=relay.gains or (),
+        )
 
     def at_pace(self, pace: float | None) -> Self:
         """With this in place of ``loop.pace``; None: as it is."""

@@ -34,10 +34,11 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
     The device is opened and read at the experiment's period for ``seconds``, s. It is never armed. A device that does
     not answer is a finding.
     """
+    d = experiment.device
     yield from machine.examine(run_folder)
     port_name = experiment.daq.port or ""
-    backend = backend_of(experiment)
-    adapter = backend.adapter_behind(experiment)
+    backend = backend_of(d)
+    adapter = backend.adapter_behind(d)
     if port_name.startswith("/"):
         port = machine.serial_port(Path(port_name))
         yield port
@@ -47,7 +48,7 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
         topic, _, told = words.partition(": ")
         yield Finding(topic, "note", told)
     try:
-        with connect(experiment) as bench:
+        with connect(d) as bench:
             yield Finding("device", "good", bench.driver.backend)
             for remark in bench.info.remarks:
                 yield Finding("device", "note", remark)
@@ -67,9 +68,9 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
         yield Finding("device", "bad", f"{fault.code}: {fault.cause}{detail}", fault.cure)
         return
     yield measured.wake_ups(ticks)
-    reading = backend.reading_budget(experiment)
+    reading = backend.reading_budget(d)
     yield measured.round_trip(ticks, reading.total_s, reading.written if reading.terms else "")
-    yield measured.verdict(ticks, backend.budget(experiment).total_s - reading.total_s)
+    yield measured.verdict(ticks, backend.budget(d).total_s - reading.total_s)
 
 
 def _number(seconds: float, period_s: float) -> int:

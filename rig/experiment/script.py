@@ -27,12 +27,12 @@ from rig.experiment.survey import survey
 from rig.experiment.thorough import tell_apart
 from rig.experiment.until import drive_until
 from rig.faults import Fault
-from rig.identify import Identification
 from rig.live.stop_flag import StopFlag
 from rig.loop.stop_request import Gone
 from rig.model.real_motor import FramedMotor
 from rig.preflight.survey_room import expected_sweeps
 from rig.results import ScriptCall
+from rig.results.identification import Answered
 from rig.session import OnStart, Outcome, Session, record
 
 BREAKAWAY_LAW = "balanced pairs, in the device's steps"  # in meta.json, so that a replay knows which law ran
@@ -109,6 +109,7 @@ def repeated(
     or resets it. An emulated bench starts anew, with the next seed.
     Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
     """
+    d = experiment.device
     outcomes: list[Outcome] = []
 
     def one(e: Experiment, bench: Bench | None) -> bool:
@@ -118,12 +119,12 @@ def repeated(
     with StopFlag() as flag:
         if number == 1:
             one(experiment, None)
-        elif backend_of(experiment).is_emulated(experiment):
+        elif backend_of(d).is_emulated(d):
             for k in range(number):
                 if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
                     break
         else:
-            with connect(experiment) as bench:
+            with connect(d) as bench:
                 if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
                     raise Fault("LATCHES_NOTHING", bench.driver.backend)
                 for k in range(number):
@@ -178,7 +179,7 @@ def run_breakaway(
 
 def run_tracking(
     experiment: Experiment,
-    models: Identification,
+    models: Answered,
     models_from: Path,
     parent: Path,
     on_start: OnStart | None = None,
@@ -186,7 +187,7 @@ def run_tracking(
     """Breakaway and the tracking check, with the models of an earlier run, ``models_from``."""
 
     def script(session: Session) -> None:
-        session.found.identification = models
+        session.found.models = models
         session.found.models_from = models_from
         drive_check(session)
         verify_models(session)

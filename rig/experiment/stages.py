@@ -33,6 +33,7 @@ from rig.experiment.in_device import relay_in_device
 from rig.experiment.which_way import strokes_move_against
 from rig.faults import Fault
 from rig.identify import identify
+from rig.identify.known_model import model_of, plain_motor
 from rig.identify.preprocessing import from_recording
 from rig.identify.stroke_delay import strokes_delay
 from rig.live.lease import NAME as LEASE
@@ -144,7 +145,7 @@ def drive_by_lease(session: Session, longest_s: float, recorded: Callable[[int],
 @contextmanager
 def driving(session: Session) -> Iterator[None]:
     """Arm the device for the block. If time is real, set this process up for real time."""
-    with prepared(session), session.loop.armed(session.experiment.device_limits):
+    with prepared(session), session.loop.armed(session.experiment.device.arming):
         yield
 
 
@@ -153,7 +154,7 @@ def _checked(session: Session) -> Iterator[None]:
     """As ``driving``, after the breakaway check, which arms the device with its own watchdog time."""
     with prepared(session):
         armed_check(session)
-        with session.loop.armed(session.experiment.device_limits):
+        with session.loop.armed(session.experiment.device.arming):
             yield
 
 
@@ -163,7 +164,7 @@ def armed_check(session: Session) -> None:
     A device that cannot is armed with a short watchdog, which ends the stroke and the run.
     """
     e = session.experiment
-    limits = e.device_limits
+    limits = e.device.arming
     strokes = None if e.motor is None else breakaway_strokes(e)
     driver = session.bench.driver
     if strokes is not None and not (isinstance(driver, PulseDriver) and driver.pulses):
@@ -187,7 +188,7 @@ def _take_delay(session: Session) -> None:
     delay = _delay_of(session, check.reported_delay_s, check.noise_rad)
     if is_run:
         _look_at_bridge(session, check.noise_rad, delay)
-    counted_s = counted_delay_s(e, delay)
+    counted_s = counted_delay_s(e.device, delay)
     if counted_s > max(room_for_delay_s(e), 0.0):
         raise Fault("DELAY", no_room_words(e, delay))
     session.loop.guard.learn(guard_settings_of(e, check.noise_rad, delay))
@@ -243,7 +244,7 @@ def _explain_by_delay(session: Session, fault: Fault) -> None:
 
 def no_room_words(e: Experiment, delay: BenchDelay) -> str:
     """What the strokes show of the delay, and the room that there is for it."""
-    counted_s, v = counted_delay_s(e, delay), e.limits.max_speed_rad_s
+    counted_s, v = counted_delay_s(e.device, delay), e.limits.max_speed_rad_s
     return (
         f"{delay_words(delay)}; beyond a drive's own tick that is {1e3 * counted_s:.0f} ms, {v * counted_s:.2f} rad at "
         f"{v:g} rad/s, and there is room for {1e3 * max(room_for_delay_s(e), 0.0):.0f} ms"
@@ -435,7 +436,7 @@ def _test_relay(
         law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
         law.unshown = unshown_motion(session, session.loop.guard.static_V)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
-        law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+        law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
         session.loop.run(law, stage, watch)
     session.found.cycle = SettledCycle(*pair_V, *detector.mean())
 
@@ -526,11 +527,11 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         SearchRange(s.h1_start_V, s.h2_start_V, s.h2_step_V, s.step_s, s.h_max_V, e.drive.max_V, s.timeout_s),
         # moving friction is a little less than the drive that breaks the shaft away
         friction_V=0.45 * (breakaway.plus_V + breakaway.minus_V),
-        reach_rad=0.9 * reach_rad(e),
+        reach_rad=0.9 * reach_rad(e.device),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
     search.unshown = unshown_motion(session, session.loop.guard.static_V)
-    search.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+    search.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
     session.found.search = search
     noted = 0
 
@@ -556,24 +557,29 @@ def identify_recorded(session: Session) -> None:
 
 def verify_models(session: Session) -> None:
     """Track the same trajectory with the model of each method, if a pre-run simulation on the best model is safe."""
-    e, identification = session.experiment, session.found.identification
-    if e.tracking is None or identification is None:
+    e, found = session.experiment, session.found
+    if found.models is None and found.identification is not None:
+        found.models = found.identification.as_result()
+    if e.tracking is None or found.models is None:
         return
-    trusted, first = identification.real_motor, identification.estimates.get(LEADING)
+    answer, estimates = found.models.answer, found.models.estimates
+    trusted, first = model_of(answer, in_its_time=True), estimates.get(LEADING)
     safe: dict[Method, Motor | FramedMotor] = {}
     further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
-        estimate = identification.estimates.get(method)
+        estimate = estimates.get(method)
         model: Motor | FramedMotor | None
-        if method == LEADING and trusted is not None and trusted.parts and e.tracking.with_law:
-            model, reason = trusted, _why_not(session, trusted, trusted)
+        if answer is not None and method == answer.method and trusted is not None and e.tracking.with_law:
+            model = trusted if trusted.parts else plain_motor(answer)
+            reason = _why_not(session, model, trusted)
         elif trusted is None or (first is not None and first.verdict == "refused"):
             # if the best estimator refuses the recording, a reference method's model must not drive the bench either
             model, reason = None, "no estimate is good enough for the simulation before the run"
         elif estimate is None or estimate.verdict == "refused":
             model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
         else:
-            model, reason = estimate.motor(), _why_not(session, estimate.motor(), trusted)
+            model = plain_motor(estimate)
+            reason = _why_not(session, model, trusted)
         if model is not None and not reason:
             safe[method] = model
         else:
@@ -621,7 +627,7 @@ def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | Fram
 def _further_delay_s(session: Session) -> float:
     """The delay that the device does not report, s: as identified, else by the strokes; 0 s if there is none."""
     delay, identification = session.delay or BenchDelay(), session.found.identification
-    best = None if identification is None or session.found.models_from is not None else identification.best
+    best = None if identification is None else identification.best
     if best is None or not best.fits_delay:
         return delay.shown_s[1]
     return max(best.delay_s - session.loop.latency_s, 0.0)
@@ -651,8 +657,8 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
         session.found.notes.append(
             f"tracking with {method} asked for {largest_u_V:.2f} V; it got drive.max_V, {max_V:.2f} V, and fell behind"
         )
-    found = session.found.identification
-    answer = None if found is None else found.answer
+    models = session.found.models
+    answer = None if models is None else models.answer
     beyond = "" if answer is None else beyond_drive(answer.holds, min(largest_u_V, max_V))
     if beyond:
         session.found.notes.append(f"tracking with {method} had {beyond}: it says less of the model there")
@@ -699,15 +705,16 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
 
 def integral_bound_rad_s(e: Experiment) -> float:
     """Bound on the relay's integral: four times the largest |z| of any cycle to expect."""
+    d = e.device
     if e.relay.until is not None:
         # a cycle that fills the soft limits takes ten time constants at most
-        return 4.0 * swing_rad(e) * 10.0 * e.limits.coast_tau_s / 6.28
+        return 4.0 * swing_rad(d) * 10.0 * e.limits.coast_tau_s / 6.28
     if e.relay.target is not None:
         # a sine of the wanted period that fills the soft limits
-        return 4.0 * swing_rad(e) * e.relay.target.period_s / 6.28
+        return 4.0 * swing_rad(d) * e.relay.target.period_s / 6.28
     # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
     longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
-    return 4.0 * swing_rad(e) * longest_s
+    return 4.0 * swing_rad(d) * longest_s
 
 
 def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:

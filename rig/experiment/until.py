@@ -72,7 +72,7 @@ def drive_until(
             session.note("known", **known.numbers)  # a replay begins with a rest, too
         if advisers is None:
             who.begin(advisor_settings(session, known))  # in the pause: it takes longer than a tick
-        with session.loop.armed(e.device_limits):
+        with session.loop.armed(e.device.arming):
             tests = _Tests(session, who, known is not None)
             tests.run()
             session.loop.run(tests.last_rest(), "rest")
@@ -193,7 +193,7 @@ class _Tests:
             self._detector,
             SwingRoom(
                 friction_V,
-                REACH * swing_rad(e),
+                REACH * swing_rad(e.device),
                 FAST * e.limits.max_speed_rad_s,
                 e.relay.search.h_max_V,
                 e.drive.max_V,
@@ -201,7 +201,7 @@ class _Tests:
                 first_sum_V,
             ),
         )
-        law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+        law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
         if not self._searched:
             self._searched, found.search = True, law
         noted = 0
@@ -245,7 +245,7 @@ class _Tests:
         self._relay.restart()  # as designed, and as in a device: its integral begins at 0
         law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
-        law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+        law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
         self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
 
     def _stroke_test(self, test: Strokes) -> None:

@@ -39,7 +39,7 @@ class Zero(NamedTuple):
 
 def forget(e: Experiment) -> None:
     """Forget the zero before a hand turns the shaft. Raises Fault LINK_*, CONFIG_MISMATCH."""
-    with connect(e) as bench:
+    with connect(e.device) as bench:
         _encoder_driver(bench).forget_zero()
 
 
@@ -48,7 +48,7 @@ def by_hand(e: Experiment, at_rad: float) -> Zero:
 
     Raises Fault LINK_*, CONFIG_MISMATCH, DEVICE_ENCODER_*: then there is none.
     """
-    with connect(e) as bench:
+    with connect(e.device) as bench:
         driver = _encoder_driver(bench)
         driver.forget_zero()
         before = driver.read()
@@ -62,7 +62,7 @@ def by_switch(e: Experiment, runs: Path) -> Zero:
 
     runs  folder of the run folders, whose panels can stop it
     """
-    with told(runs, "home") as flag, connect(e) as bench:
+    with told(runs, "home") as flag, connect(e.device) as bench:
         return find_by_switch(e, bench, flag)
 
 
@@ -93,7 +93,7 @@ def find_by_switch(e: Experiment, bench: Bench, flag: StopFlag) -> Zero:
                     f"the end switch opened at two places, {apart_rad:.3f} rad apart: a loose contact, or lost counts",
                 )
             shift_rad = switch.at_rad - at_switch_rad
-            limits = _shifted(e.device_limits, -shift_rad)
+            limits = _shifted(e.device.arming, -shift_rad)
             _drive_inside(e, bench, switch, -shift_rad, limits, stop)
         finally:
             driver.homing = False
@@ -130,7 +130,7 @@ def _around(e: Experiment, bench: Bench) -> Limits:
     here_rad = bench.driver.read().y_rad
     room_rad = _room_rad(e)
     around = min(here_rad, 0.0) - room_rad, max(here_rad, 0.0) + room_rad
-    return replace(e.device_limits, soft_rad=around, hard_rad=around)
+    return replace(e.device.arming, soft_rad=around, hard_rad=around)
 
 
 def _room_rad(e: Experiment) -> float:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from shlex import quote
 
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT
 from rig.recording.path_kind import no_run
 from rig.recording.reader import read_object, read_result
-from rig.results import Answer, IdentificationResult, known
+from rig.results import Answer, EstimateResult, IdentificationResult, known
+from rig.results.identification import Answered
 from rig.results.reading import salvaged
 
 OF_PLACE = ("centre_rad", "half_travel_rad")  # the part of a frame that another run shares
@@ -36,9 +39,8 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     try:
         motor = model_of(result.answer)
     except ValueError as error:
-        raise RecordingError(
-            folder / RESULT, f"holds a model that no motor has: {error}", "give another run"
-        ) from error
+        no_motor = _no_motor(folder, error)
+        raise no_motor from error
     if motor is None:
         raise RecordingError(
             folder / RESULT,
@@ -53,6 +55,12 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
             "give a run of this bench, or correct drive.max_V",
         )
     return motor
+
+
+def plain_motor(estimate: EstimateResult) -> Motor:
+    """Its tau, K and f_c, with its asymmetry, where it has one, as a bias. Raises ValueError where one is not known."""
+    bias_V = 0.0 if estimate.asym_V is None else known(estimate.asym_V)
+    return Motor(known(estimate.tau_s), known(estimate.K_rad_s_V), coulomb(known(estimate.fc_V)), bias_V)
 
 
 def answer_in(path: Path) -> Answer:
@@ -71,6 +79,29 @@ def answer_in(path: Path) -> Answer:
             path, "holds no answer", "give a run folder, or a file: `rig identify LOG --json > found.json`"
         )
     return answer
+
+
+def kept_models(folder: Path) -> Answered | None:
+    """The answer of a run folder, and the plain motors of each method, as its result.json has them.
+
+    None where the run was killed before it had them. Raises RecordingError, also for numbers that no motor has.
+    """
+    result, _ = read_result(folder)
+    if result is None or result.answer is None:
+        return None
+    try:
+        model_of(result.answer, in_its_time=True)
+        for estimate in result.estimates.values():
+            if not estimate.is_refused and estimate.tau_s is not None:
+                plain_motor(estimate)
+    except ValueError as error:
+        no_motor = _no_motor(folder, error)
+        raise no_motor from error
+    return result
+
+
+def _no_motor(folder: Path, error: ValueError) -> RecordingError:
+    return RecordingError(folder / RESULT, f"holds a model that no motor has: {error}", "give another run")
 
 
 def model_of(answer: Answer | None, *, in_its_time: bool = False) -> FramedMotor | None:

@@ -17,8 +17,10 @@ from rig.identify.chance import student_975
 from rig.identify.departures import DEPARTURES, OUTSIDE
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
 from rig.identify.departures.budget import OTHER, Budget, budget
-from rig.identify.departures.choice import Chooser, as_likely, with_own_noise
+from rig.identify.departures.choice import Choice, Chooser, as_likely, levels, with_own_noise
+from rig.identify.departures.coupled import coupling_rad_s, predicts_more
 from rig.identify.departures.departure import Departure
+from rig.identify.departures.drift import DriftEach, LevelEach
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import bare_fits, gained, in_place
@@ -27,6 +29,7 @@ from rig.identify.departures.outside import instead_of_sag, outside
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.profile import profiles
 from rig.identify.departures.sag import Sag
+from rig.identify.departures.soft_coupling import SoftCoupling
 from rig.identify.driven import bears
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
@@ -399,16 +402,30 @@ def motor_law(
     begun = Beginning.of(folded, plain, periods_s, stated, level_V, names)
     tested = sum(window.t_s.size for window in begun.whole.windows)
     remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
+    stiff: Choice | None = None
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
         if not further and len(set(names)) > 1:
-            each = begun.whole.each(names)
-            if begun.chooser.better_each(choice, each):
-                begun = replace(begun, whole=each, chooser=begun.chooser.with_drift_each())
-                choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
+            level = levels(with_own_noise(choice.fit), names)
+            for each, drift in (
+                (begun.whole.each(names), DriftEach()),
+                (begun.whole.with_levels(level, names), LevelEach(len(level))),
+            ):
+                if begun.chooser.better_each(choice, each, drift):
+                    begun = replace(begun, whole=each, chooser=begun.chooser.with_drift(drift))
+                    choice = begun.chooser.choose(each, begun.motor, begun.cycle_s)
+                    break
+        coupled_rad_s = 0.0 if further else coupling_rad_s(choice, begun.whole, begun.chooser)
+        if coupled_rad_s:
+            soft = replace(begun, whole=replace(begun.whole, coupling_rad_s=coupled_rad_s))
+            stiff, choice = choice, soft.chooser.choose(soft.whole, begun.motor, begun.cycle_s)
+            if predicts_more(stiff, choice, begun.whole, begun.chooser):
+                begun = soft
+            else:
+                choice = stiff
         kept, disagree = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
         remarks += disagree
         if not disagree:
@@ -427,7 +444,9 @@ def motor_law(
     bench = begun.chooser.bench
     nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside(parts, choice.laws, bench))
     bare = bare_fits(parts, choice.laws, begun.chooser)
-    like = () if begun.chooser.is_rounding(parts) else only_like(parts, bare.values())
+    coupled = fit.problem.cut.coupling_rad_s
+    others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
+    like = () if begun.chooser.is_rounding(parts) else only_like(parts, others)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     if Sag.name in bare:
         instead += instead_of_sag(parts, choice.laws, begun.chooser, bare[Sag.name])
@@ -440,7 +459,7 @@ def motor_law(
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
-    if not choice.laws and not further:
+    if not choice.laws and not further and not coupled:
         return MotorLaw(
             (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )
@@ -448,7 +467,10 @@ def motor_law(
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
     return MotorLaw(
-        tuple(_found(law, fit, covariance, gained(parts, bare[law.name])) for law in choice.laws),
+        (
+            *(_found(law, fit, covariance, gained(parts, bare[law.name])) for law in choice.laws),
+            *([_coupling(fit)] if coupled else []),
+        ),
         tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, fit if fit is parts else free_run, tested, plain, periods_s),
         lines,
@@ -569,6 +591,22 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
     return FoundLaw(law, size, ci95, gain - price, numbers)
+
+
+def _coupling(fit: Fit) -> FoundLaw:
+    """The soft coupling that the tests were read behind: no number of the motor's model."""
+    free = replace(fit.problem, free=())
+    size = fit.problem.cut.coupling_rad_s**-2
+    sizes = [size * share for share in (0.9, 1.0, 1.1)]
+    low, here, high = (
+        solve(begin(replace(free, cut=replace(fit.problem.cut, coupling_rad_s=one**-0.5)), fit.motor)).cost
+        for one in sizes
+    )
+    bend = max((low + high - 2.0 * here) / (0.1 * size) ** 2, 1e-300)
+    half = 1.96 * math.sqrt(2.0 * unit(fit) / bend)
+    stiff = solve(begin(replace(free, cut=replace(fit.problem.cut, coupling_rad_s=0.0)), fit.motor)).cost
+    bic = (stiff - here) / unit(fit) - math.log(_freedom(fit))
+    return FoundLaw(SoftCoupling(), size, (size - half, size + half), bic, {})
 
 
 def _estimate(

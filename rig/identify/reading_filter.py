@@ -9,12 +9,13 @@ to the last bit. Behind a filter of resistor and capacitor the same leaves a del
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from rig.identify.estimate import Estimate
 from rig.identify.in_pieces import plain_residual_rad
+from rig.identify.lowest import lowest
 from rig.identify.preprocessing import unfiltered
 from rig.recording.series import TimeSeries
 
@@ -22,7 +23,7 @@ LEAVES = 3.0  # residual over the sensor's noise from which on a filter is looke
 CUTS = 0.5  # residual with the filter over that without it, at most
 LONGEST_S = 0.2
 TRIED = 7
-GOLDEN, NARROWED = 0.5 * (math.sqrt(5.0) - 1.0), 8
+FINER = 8
 
 
 def reading_filter_s(tests: Sequence[TimeSeries], plain: Estimate) -> float:
@@ -37,24 +38,8 @@ def reading_filter_s(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     if found[best] > 0.8 * without:
         return 0.0
     low, high = lags_s[max(best - 1, 0)], lags_s[min(best + 1, TRIED - 1)]
-    lag_s, left = _lowest(lambda lag_s: _without(tests, plain, lag_s), float(low), float(high))
+    lag_s, left = lowest(lambda lag_s: _without(tests, plain, lag_s), float(low), float(high), FINER)
     return lag_s if left < CUTS * without else 0.0
-
-
-def _lowest(function: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
-    """Where a function with one valley is lowest, and its value there, by the golden section."""
-    at = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)]
-    values = [function(x) for x in at]
-    for _ in range(NARROWED):
-        if values[0] < values[1]:
-            high, at[1], values[1] = at[1], at[0], values[0]
-            at[0] = high - GOLDEN * (high - low)
-            values[0] = function(at[0])
-        else:
-            low, at[0], values[0] = at[0], at[1], values[1]
-            at[1] = low + GOLDEN * (high - low)
-            values[1] = function(at[1])
-    return min(zip(at, values, strict=True), key=lambda pair: pair[1])
 
 
 def _without(tests: Sequence[TimeSeries], plain: Estimate, lag_s: float) -> float:

@@ -315,7 +315,7 @@ def _stopper(folder: Path, link: int | None) -> Driver | None:
     from rig.recording.folder import CONFIG
 
     e = config.load(folder / CONFIG, follows_links=False)
-    return backend_of(e).stopper(e, link)
+    return backend_of(e.device).stopper(e.device, link)
 
 
 def _stop(stopper: Driver | None) -> bool:

@@ -208,7 +208,7 @@ class LiveView:
             ),
             cycle=story.cycle,
             planes=story.planes,
-            limits=None if self._experiment is None else self._experiment.device_limits,
+            limits=None if self._experiment is None else self._experiment.device.arming,
             estimates=tuple(story.estimates),
             faults=tuple(story.faults),
             stages=tuple(story.stages),

@@ -1,7 +1,7 @@
 """The C library of the motor's physics (firmware/motor), and how arrays and numbers get into it.
 
-An installed rig has it beside this file. In a clone it is compiled where its sources have changed since, which takes a
-second. Each call releases the interpreter's lock, so that two fits run on two cores.
+An installed rig has it beside this file. In a clone it is compiled where there is none of just its sources: a second.
+Each call releases the interpreter's lock, so that two fits run on two cores.
 
 ``double`` is the only number of the library; an array goes in as its address. So every array is checked here first.
 """
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import LibraryError
-from rig.model.library_build import NAME, CompileError, compile_library, sources_in
+from rig.model.library_build import NAME, CompileError, compiled, sources_in
 from rig.package import FOLDER
 
 Array = NDArray[np.float64]
@@ -151,6 +151,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     # windows.h
     "windows_readings": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
     "windows_plain": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
+    "windows_filter": (None, [_P, _P, _P, _I, _I, _I, _P]),
     "bordered_sums": (None, [POINTER(BorderedRows), _P, _P]),
     "bordered_reduce": (None, [_P, _P, _I, _I, _D, _P, _P, _P]),
     # records.h
@@ -176,17 +177,13 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def library_file() -> Path:
-    """The library, compiled anew in a clone whose sources have changed. Raises LibraryError."""
+    """The library, in a clone compiled where there is none of its sources. Raises LibraryError."""
     if not CLONE.is_dir():
         return Path(__file__).parent / NAME
-    built = FOLDER.parent / "build" / "motor" / NAME
-    newest = max(file.stat().st_mtime_ns for file in CLONE.iterdir())
-    if not built.is_file() or built.stat().st_mtime_ns < newest:
-        try:
-            compile_library(sources_in(CLONE), built)
-        except CompileError as error:
-            raise LibraryError(str(error)) from error
-    return built
+    try:
+        return compiled(sources_in(CLONE), FOLDER.parent / "build" / "motor")
+    except CompileError as error:
+        raise LibraryError(str(error)) from error
 
 
 def _loaded() -> ctypes.CDLL:

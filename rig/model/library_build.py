@@ -5,8 +5,10 @@ It imports nothing of rig: the hook that builds a wheel (firmware/wheel_hook.py)
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -47,6 +49,23 @@ def compiler() -> list[str]:
         if command and shutil.which(command[0]):
             return command
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else []
+
+
+def compiled(sources: Sequence[Path], folder: Path) -> Path:
+    """The library of C files in ``folder``, compiled where there is none of just these sources, headers and options.
+
+    Its name tells of what it is. By the times of files nobody could: a copy keeps them, and so an old library stayed.
+    Raises CompileError.
+    """
+    digest = hashlib.sha256(repr((platform.machine(), OPTIONS, [source.name for source in sources])).encode())
+    read = {*sources, *(header for source in sources for header in source.parent.glob("*.h"))}
+    for path in sorted(read):
+        digest.update(path.name.encode() + path.read_bytes())
+    name = Path(NAME)
+    target = folder / f"{name.stem}-{digest.hexdigest()[:16]}{name.suffix}"
+    if not target.is_file():
+        compile_library(sources, target)
+    return target
 
 
 def compile_library(sources: Sequence[Path], target: Path, command: Sequence[str] = ()) -> None:

@@ -39,7 +39,7 @@ def _plan(e: Experiment) -> Plan:
     endless = e.limits.is_endless
     return {
         "name": e.name, "largest_drive_V": e.drive.max_V, "jog_V": min(e.breakaway.max_V, e.drive.max_V),
-        "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e)),
+        "stopping_distance_rad": sum(rad for _, rad in stopping_terms(e.device)),
         "soft_rad": None if endless else list(e.limits.soft_rad),
         "hard_rad": None if endless else list(e.limits.hard_rad),
         "max_speed_rad_s": e.limits.max_speed_rad_s, "lasts_s": lasts_s(e),

@@ -8,7 +8,7 @@ from typing import Final
 from rig.backends.servo.rules import full_drive_stays_inside, has_watchdog
 from rig.backends.servo.section import Servo
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment, LoadSection
+from rig.config.schema import DeviceSetup, Experiment, LoadSection
 from rig.preflight.room_to_stop import limits_are_ordered, stopping_terms
 
 _GRAVITY_M_S2: Final = 9.81
@@ -17,6 +17,7 @@ _FRICTIONS: Final = 3.0  # times static friction that breakaway.max_V is, at mos
 
 def attached_rules(e: Experiment) -> Iterator[Problem]:
     """The rules of ``load`` and ``daq.servo.attached`` that need more than the servo's own section."""
+    d = e.device
     servo = e.daq.servo
     if servo is None:
         if e.load is not None:
@@ -24,26 +25,28 @@ def attached_rules(e: Experiment) -> Iterator[Problem]:
         return
     if e.load is not None:
         yield from _gravity(e, servo, e.load)
-    if servo.attached == "joint" and has_watchdog(servo) and not e.daq.accept_no_watchdog and limits_are_ordered(e):
+    if servo.attached == "joint" and has_watchdog(servo) and not e.daq.accept_no_watchdog and limits_are_ordered(d):
         yield from full_drive_stays_inside(
-            e, joint_silence_s(e, servo), "before the servo's watchdog has acted and the shaft has stopped"
+            d,
+            joint_silence_s(d, servo),
+            "before the servo's watchdog has acted and the shaft has stopped",
         )
 
 
-def joint_silence_s(e: Experiment, servo: Servo) -> float:
+def joint_silence_s(d: DeviceSetup, servo: Servo) -> float:
     """For how long a shaft may go on at its speed if the host dies, s: docs/theory.md 10.2, and a unit of the watchdog.
 
     The servo counts its silence in units of 20 ms: the last one may have begun just after the last instruction.
     """
-    watched_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+    watched_s = sum(rad for _, rad in stopping_terms(d)) / d.limits.max_speed_rad_s
     return watched_s + servo.table.role("watchdog").scale
 
 
-def gravity_V(e: Experiment, load: LoadSection) -> float | None:
+def gravity_V(d: DeviceSetup, load: LoadSection) -> float | None:
     """The drive that holds an arm level, V; None without the data sheet's torque."""
-    if e.motor is None or e.motor.stall_torque_N_m is None:
+    if d.motor is None or d.motor.stall_torque_N_m is None:
         return None
-    return _GRAVITY_M_S2 * load.mass_kg * load.arm_m / e.motor.stall_torque_N_m * e.drive.supply_V
+    return _GRAVITY_M_S2 * load.mass_kg * load.arm_m / d.motor.stall_torque_N_m * d.drive.supply_V
 
 
 def _gravity(e: Experiment, servo: Servo, load: LoadSection) -> Iterator[Problem]:
@@ -54,9 +57,9 @@ def _gravity(e: Experiment, servo: Servo, load: LoadSection) -> Iterator[Problem
     if load.axis == "vertical":
         return
     if load.hangs:
-        yield from _swing(e, servo)
+        yield from _swing(e.device, servo)
         return
-    pull_V, friction_V = gravity_V(e, load), e.breakaway.max_V / _FRICTIONS
+    pull_V, friction_V = gravity_V(e.device, load), e.breakaway.max_V / _FRICTIONS
     if pull_V is None:
         yield wrong(
             "motor",
@@ -73,10 +76,10 @@ def _gravity(e: Experiment, servo: Servo, load: LoadSection) -> Iterator[Problem
         )
 
 
-def _swing(e: Experiment, servo: Servo) -> Iterator[Problem]:
+def _swing(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
     """An arm that hangs falls inward, and from there as far to the other side, at most."""
-    (low, high), (soft_low, soft_high) = e.limits.hard_rad, e.limits.soft_rad
-    if servo.attached == "joint" and limits_are_ordered(e) and (soft_high > -low or -soft_low > high):
+    (low, high), (soft_low, soft_high) = d.limits.hard_rad, d.limits.soft_rad
+    if servo.attached == "joint" and limits_are_ordered(d) and (soft_high > -low or -soft_low > high):
         yield wrong(
             "limits.soft_rad",
             "an arm that falls from one soft limit can swing through 0 rad to the hard limit of the other side",

@@ -12,7 +12,7 @@ from math import ceil
 from typing import NamedTuple
 
 from rig.backends.registry import backend_of
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup, Experiment
 
 UNSEEN_RAD = 0.5  # farthest that a shaft may turn in the breakaway check while the sensor does not show it
 FRICTION_DIFFERS = 0.1  # friction of one way differs from the mean of both ways by this share of it, at most
@@ -104,7 +104,7 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     best: BreakawayStrokes | None = None
     tried: list[BreakawayStrokes] = []
     longest = max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)
-    for watchdog_s in _check_watchdogs_s(e):
+    for watchdog_s in _check_watchdogs_s(e.device):
         found = [_strokes_up_to(periods, e, max_V, watchdog_s) for periods in _lengths(longest)]
         tried += (strokes for strokes in found if strokes is not None)
         best = max(tried, key=lambda one: _moved_rad(e, one, max_V), default=None)
@@ -120,7 +120,7 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     tried += (
         strokes
         for periods, more in product(_lengths(longest), _REPEATS[1:] if best.pairs <= _FEW_LEVELS else ())
-        if (strokes := _strokes_up_to(periods, e, max_V, _check_watchdogs_s(e)[-1], more)) is not None
+        if (strokes := _strokes_up_to(periods, e, max_V, _check_watchdogs_s(e.device)[-1], more)) is not None
     )
     tried = [one._replace(top_pause_s=max(_TOP_PAUSE_S, one.pause_s)) for one in tried]
     best = max(tried, key=lambda one: _moved_rad(e, one, max_V, friction=0.75, beyond_noise=True))
@@ -133,7 +133,7 @@ def has_strokes(e: Experiment, max_V: float) -> bool:
     longest = max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)
     return any(
         _strokes_up_to(periods, e, max_V, watchdog_s) is not None
-        for watchdog_s, periods in product(_check_watchdogs_s(e), _lengths(longest))
+        for watchdog_s, periods in product(_check_watchdogs_s(e.device), _lengths(longest))
     )
 
 
@@ -141,7 +141,7 @@ def _further(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> int:
     """How many pairs at max_V are within the bound by themselves."""
     for pairs in range(1, _MOST_FURTHER + 1):
         strokes_s = pairs * strokes.strokes_s[-1:]
-        if _unseen_rad(*_sheet(e), max_V, (1.0,) * pairs, strokes_s, strokes.watchdog_s) > UNSEEN_RAD:
+        if _unseen_rad(*_sheet(e.device), max_V, (1.0,) * pairs, strokes_s, strokes.watchdog_s) > UNSEEN_RAD:
             return pairs - 1
     return _MOST_FURTHER
 
@@ -187,27 +187,27 @@ def _moved_rad(
     )
 
 
-def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
+def _check_watchdogs_s(d: DeviceSetup) -> tuple[float, ...]:
     """Watchdog times to try for the breakaway check, s, the longest first.
 
     A device whose watchdog cannot be set has one time. The host asks each period: less than two would end each check.
     """
-    watchdog = backend_of(e).watchdog(e)
+    watchdog = backend_of(d).watchdog(d)
     if watchdog.unit_s is None and watchdog.time_s is not None:
         return (watchdog.time_s,)
     unit_s = 0.001 if watchdog.unit_s is None else watchdog.unit_s
-    least_s = _LEAST_WATCHDOG_PERIODS * e.period_s
-    tried_s = min(max(_CHECK_WATCHDOG_S, least_s), e.daq.watchdog_s)
+    least_s = _LEAST_WATCHDOG_PERIODS * d.period_s
+    tried_s = min(max(_CHECK_WATCHDOG_S, least_s), d.daq.watchdog_s)
     times_s: list[float] = []
     while tried_s > least_s * (1.0 - _ROUNDING) or not times_s:
         # whole units of its register: down, where the device would round, or up to the least
         units = max(int(tried_s / unit_s + _ROUNDING), ceil(least_s / unit_s - _ROUNDING))
-        if units * unit_s <= e.daq.watchdog_s * (1.0 + _ROUNDING) and units * unit_s not in times_s:
+        if units * unit_s <= d.daq.watchdog_s * (1.0 + _ROUNDING) and units * unit_s not in times_s:
             times_s.append(units * unit_s)
         tried_s -= _SHORTER_S
         if tried_s <= 0.0:
             break
-    return tuple(times_s) or (e.daq.watchdog_s,)
+    return tuple(times_s) or (d.daq.watchdog_s,)
 
 
 def _levels(pairs: int, step_V: float, max_V: float) -> list[float]:
@@ -234,7 +234,7 @@ def _strokes_up_to(
         return tuple(e.period_s * min(max(n, 1), periods) for n in wanted)
 
     def strokes(strokes_s: tuple[float, ...]) -> BreakawayStrokes:
-        unseen_rad = _unseen_rad(*_sheet(e), max_V, tuple(levels), strokes_s, watchdog_s)
+        unseen_rad = _unseen_rad(*_sheet(e.device), max_V, tuple(levels), strokes_s, watchdog_s)
         pause_s = (cycle - periods) * e.period_s
         return BreakawayStrokes(strokes_s, pause_s, step_V, watchdog_s, unseen_rad, top_pause_s=pause_s)
 
@@ -255,10 +255,10 @@ def _strokes_up_to(
     return shortest
 
 
-def _sheet(e: Experiment) -> tuple[float, float]:
+def _sheet(d: DeviceSetup) -> tuple[float, float]:
     """No-load speed, rad/s, and the supply that it is of, V."""
-    assert e.motor is not None
-    return e.motor.no_load_speed_rad_s, e.drive.supply_V
+    assert d.motor is not None
+    return d.motor.no_load_speed_rad_s, d.drive.supply_V
 
 
 @lru_cache(maxsize=10_000)  # one command asks for the strokes of its config again and again

@@ -16,17 +16,18 @@ def guard_settings_of(
 
     Before that two LSB are assumed, and a drive that acts within its own tick.
     """
+    d = experiment.device
     lsb_rad = experiment.sensor.curve.lsb_rad
     t = experiment.limits
     return GuardSettings(
-        limits=experiment.device_limits,
+        limits=d.arming,
         rail_counts=experiment.sensor.rails,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
-        reaction_s=known_reaction_s(experiment),  # as in `rig check`
+        reaction_s=known_reaction_s(d),  # as in `rig check`
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
-        delay_s=0.0 if delay is None else counted_delay_s(experiment, delay),
+        delay_s=0.0 if delay is None else counted_delay_s(d, delay),
         free_rad_s=0.0
         if experiment.motor is None
         else experiment.motor.no_load_speed_rad_s * experiment.drive.max_V / experiment.drive.supply_V,

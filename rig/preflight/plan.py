@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
-from rig.config.schema import Experiment
-from rig.config.sensor import range_rad
+from rig.config.schema import DeviceSetup, Experiment
 from rig.control.laws import OWN
 from rig.control.sweep_plan import TooShortError
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
@@ -31,20 +30,21 @@ _UNSEEN_COUNTS = 66  # of travel, until a board has seen that one channel of an 
 
 def plan(e: Experiment) -> Iterator[str]:
     """The lines, for an experiment whose keys are in range."""
-    backend = backend_of(e)
-    yield f"backend: {backend.words(e)}, every {e.period_s * 1e3:g} ms"
+    d = e.device
+    backend = backend_of(d)
+    yield f"backend: {backend.words(d)}, every {e.period_s * 1e3:g} ms"
     yield from _stage_lines(e)
     full_V = e.drive.supply_V - e.drive.bridge_drop_V
     yield (
-        f"limits: {_travel_words(e)}; "
+        f"limits: {_travel_words(d)}; "
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
     if e.sensor.encoder is not None and e.sensor.servo is None:
         yield f"encoder: one loose channel is seen after {_UNSEEN_COUNTS * abs(e.sensor.curve.lsb_rad):.2f} rad"
     if e.limits.is_endless:
-        yield f"stopping {stopping_sum(e)}, wherever that is; a person must be able to reach the e-stop"
+        yield f"stopping {stopping_sum(d)}, wherever that is; a person must be able to reach the e-stop"
     else:
-        yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
+        yield f"stopping {stopping_sum(d)}; room from the centre of travel: {room_rad(d):.3f} rad"
     room_s = room_for_delay_s(e)
     if 0.0 < room_s < math.inf:
         yield (
@@ -53,43 +53,43 @@ def plan(e: Experiment) -> Iterator[str]:
         )
     if words := watchdog_words(e):
         yield words
-    yield from backend.plan(e)
-    yield backend.failsafe_words(e)
-    for note in notes(e):
+    yield from backend.plan(d)
+    yield backend.failsafe_words(d)
+    for note in notes(d):
         yield f"note: {note}"
 
 
-def _travel_words(e: Experiment) -> str:
-    if e.limits.is_endless:
-        turns = e.limits.turns
+def _travel_words(d: DeviceSetup) -> str:
+    if d.limits.is_endless:
+        turns = d.limits.turns
         bound = "no travel limits" if turns is None else f"{turns:g} turns either way, no travel limits"
         return f"{bound}; zero is where a command finds the shaft"
-    soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
-    if e.sensor.servo is not None:
-        return f"soft {soft} rad, hard {hard} rad, from {e.sensor.servo.zero_counts} counts of the servo"
-    if e.sensor.encoder is not None:
+    soft, hard = bracketed(d.limits.soft_rad), bracketed(d.limits.hard_rad)
+    if d.sensor.servo is not None:
+        return f"soft {soft} rad, hard {hard} rad, from {d.sensor.servo.zero_counts} counts of the servo"
+    if d.sensor.encoder is not None:
         return f"soft {soft} rad, hard {hard} rad, from the zero that `rig home` sets"
-    return f"soft {soft} rad, hard {hard} rad, sensor {bracketed(range_rad(e))} rad"
+    return f"soft {soft} rad, hard {hard} rad, sensor {bracketed(d.sensor.range_rad)} rad"
 
 
-def notes(e: Experiment) -> Iterator[str]:
+def notes(d: DeviceSetup) -> Iterator[str]:
     """What you must know to read the results. `rig check` says it before a run, the run with its results."""
-    backend = backend_of(e)
-    yield from differences(e)
-    yield from backend.notes(e)
-    low, high = e.limits.soft_rad
-    counts_from_start = e.limits.is_endless  # zero is where the command finds the shaft
-    if e.emulated is not None and not counts_from_start and not low <= e.emulated.motor.start_rad <= high:
+    backend = backend_of(d)
+    yield from differences(d)
+    yield from backend.notes(d)
+    low, high = d.limits.soft_rad
+    counts_from_start = d.limits.is_endless  # zero is where the command finds the shaft
+    if d.emulated is not None and not counts_from_start and not low <= d.emulated.motor.start_rad <= high:
         yield "the emulated shaft starts outside the soft limits: bring it inside with `rig jog`, else a run refuses"
-    if e.emulated is not None and not backend.is_emulated(e):
-        yield backend.not_emulated_words(e)
+    if d.emulated is not None and not backend.is_emulated(d):
+        yield backend.not_emulated_words(d)
 
 
-def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
+def _check_ends_by(watchdog_s: float, d: DeviceSetup) -> str:
     """The worst case for which the bound on unseen travel holds, in words."""
     time = f"{1e3 * watchdog_s:.3g} ms"
-    watchdog = backend_of(e).watchdog(e)
-    if watchdog.time_s is None or (not watchdog.certain and e.daq.accept_no_watchdog):
+    watchdog = backend_of(d).watchdog(d)
+    if watchdog.time_s is None or (not watchdog.certain and d.daq.accept_no_watchdog):
         return f"even if a tick comes {time} late; but if the host dies nothing bounds it: the device has no watchdog"
     if watchdog.unit_s is None:
         return f"even if the host dies in a stroke: the device's own watchdog ends it after {time}"
@@ -116,7 +116,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
     for stage in _stages(e):
         yield from stage.lines
     unknown = "" if _relay_tests_are_bounded(e) else ", and the relay tests"
-    clock = " of virtual time" if backend_of(e).in_virtual_time(e) else ""
+    clock = " of virtual time" if backend_of(e.device).in_virtual_time(e.device) else ""
     total_s = sum(stage.longest_s for stage in _stages(e))
     yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"
 
@@ -150,7 +150,7 @@ def _breakaway(e: Experiment) -> _Stage:
         f"stronger each time, up to {b.max_V:g} V; at most about {longest_s:.0f} s",
         f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
         f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
-        f"of both ways. That holds {_check_ends_by(strokes.watchdog_s, e)}",
+        f"of both ways. That holds {_check_ends_by(strokes.watchdog_s, e.device)}",
     )
     return _Stage(lines, longest_s)
 
@@ -161,8 +161,8 @@ def _relay_tests(e: Experiment) -> _Stage:
     if r.until is not None:
         u = r.until
         lines = (
-            f"stage search: a relay whose gains grow from the breakaway level, within {swing_rad(e):.3g} rad and "
-            f"{e.limits.max_speed_rad_s:g} rad/s; with `--model` it is left out",
+            f"stage search: a relay whose gains grow from the breakaway level, within {swing_rad(e.device):.3g} rad "
+            f"and {e.limits.max_speed_rad_s:g} rad/s; with `--model` it is left out",
             "stages relay, strokes: the tests that tell most, by simulation on the estimate so far; they end when tau, "
             f"K and f_c are known to {u.interval_percent:g} %, after {u.longest_s:g} s at the latest, or "
             f"{u.most_cycles} swings",
@@ -188,16 +188,17 @@ def _relay_tests(e: Experiment) -> _Stage:
 
 
 def _hysteretic_runs(e: Experiment) -> _Stage:
+    d = e.device
     if e.relay.hysteretic is None:
         return _Stage(())
     pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in e.relay.hysteretic)
     widest_rad = max(h.eps_rad for h in e.relay.hysteretic)
-    overshoot = sum(rad for _, rad in overshoot_terms(e))
-    horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+    overshoot = sum(rad for _, rad in overshoot_terms(d))
+    horizon_s = sum(rad for _, rad in stopping_terms(d)) / e.limits.max_speed_rad_s
     line = (
         f"stage hysteretic: each run starts from rest at zero, (d, eps) = {pairs} V, rad; "
         f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
-        f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which the "
+        f"{(room_rad(d) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which the "
         "breakaway stage measures"
     )
     return _Stage((line,))

@@ -30,12 +30,13 @@ def room_of_tests(
     delay      of the bench, as its breakaway check shows it
     noise_rad  standard deviation of a reading at rest, rad; None, or less: one step of the sensor
     """
-    limits, delay_s = e.limits, 0.0 if delay is None else counted_delay_s(e, delay)
-    horizon_s = known_reaction_s(e) + delay_s + limits.coast_tau_s
+    d = e.device
+    limits, delay_s = e.limits, 0.0 if delay is None else counted_delay_s(d, delay)
+    horizon_s = known_reaction_s(d) + delay_s + limits.coast_tau_s
     step_rad = e.sensor.curve.lsb_rad
     scatter_rad_s = SCATTER * velocity_noise_rad_s(max(noise_rad or 0.0, step_rad), e.period_s)
     low, high = (max(1.0 - scatter_rad_s * horizon_s / abs(hard), LEAST) * hard for hard in limits.hard_rad)
-    soft_low, soft_high = (-swing_rad(e), swing_rad(e)) if limits.is_endless else limits.soft_rad
+    soft_low, soft_high = (-swing_rad(d), swing_rad(e.device)) if limits.is_endless else limits.soft_rad
     return Room(
         INSIDE * soft_low,
         INSIDE * soft_high,
@@ -72,7 +73,7 @@ def task_of_run(
     levels = next((each for each in (identified, moved) if None not in each), (STATIC * motor.fc_V,))
     static_V = max(level for level in levels if level is not None)
     noise_rad = 0.0 if seen.noise_rad is None else seen.noise_rad
-    latency_s = (1.5 if backend_of(e).writes_first(e) else 0.5) * e.period_s
+    latency_s = (1.5 if backend_of(e.device).writes_first(e.device) else 0.5) * e.period_s
     reading = reading_of(e, noise_rad, latency_s)
     belief = Belief.within((motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V), doubt_percent, motor.delay_s, 0.0)
     return Task(belief, np.zeros((5, 5)), room_of_tests(e, static_V, None, noise_rad), reading, percent)

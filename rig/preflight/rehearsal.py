@@ -112,7 +112,7 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
     Raises ConfigError, with line and key, where rig emulates no such device, or where the config's limits do not fit
     the motor; SheetError.
     """
-    keys = backend_of(e).rehearsed(e)
+    keys = backend_of(e.device).rehearsed(e.device)
     if keys is None:
         problem = wrong(
             "daq.driver",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from rig.backends.registry import backend_of
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup, Experiment
 from rig.signals import BenchDelay
 
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
@@ -21,63 +21,59 @@ _ROUNDING = 1e-9
 _BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older than a reply, by its length and its way
 
 
-def reaction_periods(experiment: Experiment) -> int:
+def reaction_periods(d: DeviceSetup) -> int:
     """Periods of the loop until it has reacted to a motion of the shaft, at most."""
-    return (
-        _REACTION_PERIODS
-        + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
-        + (1 if backend_of(experiment).writes_first(experiment) else 0)
-    )
+    return _REACTION_PERIODS + (_BLOCK_AGE_PERIODS if d.runs_relay else 0) + (1 if backend_of(d).writes_first(d) else 0)
 
 
-def reaction_s(experiment: Experiment) -> float:
+def reaction_s(d: DeviceSetup) -> float:
     """Time until the loop has reacted to a motion of the shaft, s, at most."""
-    periods_s = reaction_periods(experiment) * experiment.period_s
-    return periods_s + _further_lag_s(experiment) + backend_of(experiment).reply_delay_s(experiment)
+    periods_s = reaction_periods(d) * d.period_s
+    return periods_s + _further_lag_s(d) + backend_of(d).reply_delay_s(d)
 
 
-def _further_lag_s(e: Experiment) -> float:
+def _further_lag_s(d: DeviceSetup) -> float:
     """Lag of the guard's velocity beyond two periods, s; not 0 where the period is short."""
-    return max(_VELOCITY_LAG_S - 2.0 * e.period_s, 0.0)
+    return max(_VELOCITY_LAG_S - 2.0 * d.period_s, 0.0)
 
 
-def device_watchdog_s(experiment: Experiment) -> float | None:
+def device_watchdog_s(d: DeviceSetup) -> float | None:
     """Silence of the host after which the device drives 0 V, s; None where it has no watchdog.
 
     If only the device can say whether it has one: the time that it would be armed with.
     """
-    return backend_of(experiment).watchdog(experiment).time_s
+    return backend_of(d).watchdog(d).time_s
 
 
-def known_reaction_s(experiment: Experiment) -> float:
+def known_reaction_s(d: DeviceSetup) -> float:
     """``reaction_s`` plus one lost reply plus the device's watchdog, where it has one, s."""
-    return reaction_s(experiment) + experiment.daq.timeout_s + (device_watchdog_s(experiment) or 0.0)
+    return reaction_s(d) + d.daq.timeout_s + (device_watchdog_s(d) or 0.0)
 
 
-def limits_are_ordered(e: Experiment) -> bool:
+def limits_are_ordered(d: DeviceSetup) -> bool:
     """Whether the hard limits are outside the soft ones, and 0 rad within both; or there are none."""
-    if e.limits.is_endless:
+    if d.limits.is_endless:
         return True
-    (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
+    (soft_low, soft_high), (hard_low, hard_high) = d.limits.soft_rad, d.limits.hard_rad
     return hard_low < soft_low < 0.0 < soft_high < hard_high
 
 
-def room_rad(e: Experiment) -> float:
+def room_rad(d: DeviceSetup) -> float:
     """Distance from the centre of travel, about which the relay oscillates, to the nearer hard limit, rad."""
-    return min(e.limits.hard_rad[1], -e.limits.hard_rad[0])
+    return min(d.limits.hard_rad[1], -d.limits.hard_rad[0])
 
 
-def reach_rad(e: Experiment) -> float:
+def reach_rad(d: DeviceSetup) -> float:
     """Distance from the centre of travel to the nearer soft limit, rad."""
-    return min(-e.limits.soft_rad[0], e.limits.soft_rad[1])
+    return min(-d.limits.soft_rad[0], d.limits.soft_rad[1])
 
 
-def swing_rad(e: Experiment) -> float:
+def swing_rad(d: DeviceSetup) -> float:
     """How far from the centre of travel a test may swing, rad: to the nearer soft limit; without limits, one turn."""
-    return _ONE_TURN_RAD if e.limits.is_endless else reach_rad(e)
+    return _ONE_TURN_RAD if d.limits.is_endless else reach_rad(d)
 
 
-def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
+def stopping_terms(d: DeviceSetup) -> tuple[tuple[str, float], ...]:
     """How far the shaft travels from the largest speed if the host dies, term by term: words, rad.
 
     A device without a watchdog then holds its last drive, and nothing bounds the travel. In that case the sum holds
@@ -88,34 +84,34 @@ def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     what the drive adds between the host's death and the device's watchdog. It depends on K and tau, which are not known
     yet. The device's own hard limit ends such a drive.
     """
-    v = e.limits.max_speed_rad_s
-    lag_s, adapter_s = _further_lag_s(e), backend_of(e).reply_delay_s(e)
-    watchdog_s = device_watchdog_s(e)
+    v = d.limits.max_speed_rad_s
+    lag_s, adapter_s = _further_lag_s(d), backend_of(d).reply_delay_s(d)
+    watchdog_s = device_watchdog_s(d)
     return (
-        (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
+        (f"{reaction_periods(d)} periods", v * reaction_periods(d) * d.period_s),
         *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
         *((("USB adapter", v * adapter_s),) if adapter_s > 0.0 else ()),
-        ("reply time-out", v * e.daq.timeout_s),
+        ("reply time-out", v * d.daq.timeout_s),
         *((("watchdog", v * watchdog_s),) if watchdog_s is not None else ()),
-        ("coasting", v * e.limits.coast_tau_s),
+        ("coasting", v * d.limits.coast_tau_s),
     )
 
 
-def counted_delay_s(e: Experiment, delay: BenchDelay) -> float:
+def counted_delay_s(d: DeviceSetup, delay: BenchDelay) -> float:
     """The part of a bench's delay that ``stopping_terms`` leave out, s, at most: what is beyond a drive's own tick.
 
     In order write_first a drive's own tick is the next one.
     """
-    return _waiting_s(e, delay) + delay.shown_s[2]
+    return _waiting_s(d, delay) + delay.shown_s[2]
 
 
-def expected_delay_s(e: Experiment, delay: BenchDelay) -> float:
+def expected_delay_s(d: DeviceSetup, delay: BenchDelay) -> float:
     """As ``counted_delay_s``, but the most likely, s."""
-    return _waiting_s(e, delay) + delay.shown_s[1]
+    return _waiting_s(d, delay) + delay.shown_s[1]
 
 
-def _waiting_s(e: Experiment, delay: BenchDelay) -> float:
-    own_s = e.period_s * (2.0 if backend_of(e).writes_first(e) else 1.0)
+def _waiting_s(d: DeviceSetup, delay: BenchDelay) -> float:
+    own_s = d.period_s * (2.0 if backend_of(d).writes_first(d) else 1.0)
     return max(delay.reported_s - own_s, 0.0)
 
 
@@ -125,14 +121,15 @@ def room_for_delay_s(e: Experiment) -> float:
     It stops from the largest speed at the centre of travel. In a limit cycle of the wanted size the guard does not
     brake.
     """
+    d = e.device
     v, target = e.limits.max_speed_rad_s, e.relay.target
-    distance = sum(rad for _, rad in stopping_terms(e))
-    room_s = (room_rad(e) - distance) / v
+    distance = sum(rad for _, rad in stopping_terms(d))
+    room_s = (room_rad(d) - distance) / v
     if target is None:
         return room_s
     amplitude_rad = target.amplitude_rad * max(1.0, e.relay.second_ratio) * (1.0 + target.tolerance)
     # the stop that the guard predicts grows from A to 2 A as r does from 0 to T/4, then by 8 A/T
-    share = room_rad(e) / amplitude_rad
+    share = room_rad(d) / amplitude_rad
     longest = 0.25 * target.period_s * (math.sqrt(max(share - 1.0, 0.0)) if share < 2.0 else 0.5 * share)
     return min(room_s, longest - distance / v)
 
@@ -143,7 +140,7 @@ def longest_watchdog_s(e: Experiment) -> float | None:
     It leaves 20 ms of the room to a bench that acts late. None where arming sets no such time, or no room is left. A
     config may take more: ``room_for_delay_s`` is what is left then.
     """
-    watchdog = backend_of(e).watchdog(e)
+    watchdog = backend_of(e.device).watchdog(e.device)
     if watchdog.unit_s is None or watchdog.time_s is None:
         return None
     room_s = math.inf if e.limits.is_endless else watchdog.time_s + room_for_delay_s(e) - _LEFT_FOR_DELAY_S
@@ -167,18 +164,18 @@ def watchdog_words(e: Experiment) -> str:
     if watchdog_s >= longest_s * (1.0 - _ROUNDING):
         return told
     longer = e.model_copy(update={"daq": e.daq.model_copy(update={"watchdog_s": longest_s})})
-    room = "" if e.limits.is_endless else f": {stopping_sum(longer)}, of {room_rad(e):.3f} rad"
+    room = "" if e.limits.is_endless else f": {stopping_sum(longer.device)}, of {room_rad(e.device):.3f} rad"
     return f"{told}; the room to stop bears daq.watchdog_s {longest_s:g}{room}"
 
 
-def stopping_sum(e: Experiment) -> str:
+def stopping_sum(d: DeviceSetup) -> str:
     """``stopping_terms`` and what they add up to, for people."""
-    terms = stopping_terms(e)
+    terms = stopping_terms(d)
     written = " + ".join(f"{rad:.3f} ({words})" for words, rad in terms)
-    total = f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
-    if device_watchdog_s(e) is None:
+    total = f"at {d.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+    if device_watchdog_s(d) is None:
         return f"{total} while the host lives; if the host dies nothing bounds it: the device has no watchdog"
-    if not backend_of(e).watchdog(e).certain and e.daq.accept_no_watchdog:
+    if not backend_of(d).watchdog(d).certain and d.daq.accept_no_watchdog:
         return f"{total} if the plug-in driver's device has a watchdog; without one nothing bounds it if the host dies"
     return total
 
@@ -188,25 +185,25 @@ def peak_speed_rad_s(amplitude_rad: float, period_s: float) -> float:
     return 8.0 * amplitude_rad / period_s
 
 
-def predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> float:
+def predicted_stop_rad(d: DeviceSetup, amplitude_rad: float, period_s: float) -> float:
     """Farthest stopping position that the guard predicts within a cycle, rad.
 
     A cycle of constant accelerations, y = A (1 - s^2) with v = 8 A s/T at s = 0..1 from its top, is faster than the
     motor's; its largest y + v r is A (1 + (4 r/T)^2) within the arc, else 8 A r/T at the centre.
     """
-    r = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+    r = sum(rad for _, rad in stopping_terms(d)) / d.limits.max_speed_rad_s
     s = 4.0 * r / period_s
     return amplitude_rad * (1.0 + s * s if s < 1.0 else 2.0 * s)
 
 
-def overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
+def overshoot_terms(d: DeviceSetup) -> tuple[tuple[str, float], ...]:
     """How far the shaft overshoots the hysteresis, at most, term by term: words, rad.
 
     From a speed v reached under drive d, -d stops the shaft within v tau (1 - ln 2); friction stops it sooner.
     """
-    v = e.limits.max_speed_rad_s
-    periods = 3 if backend_of(e).writes_first(e) else 2
+    v = d.limits.max_speed_rad_s
+    periods = 3 if backend_of(d).writes_first(d) else 2
     return (
-        (f"{periods} periods", periods * v * e.period_s),
-        ("reversing", v * e.limits.coast_tau_s * (1.0 - math.log(2.0))),
+        (f"{periods} periods", periods * v * d.period_s),
+        ("reversing", v * d.limits.coast_tau_s * (1.0 - math.log(2.0))),
     )

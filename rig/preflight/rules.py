@@ -16,8 +16,7 @@ from rig.backends.registry import backend_of
 from rig.backends.registry import rules as device_rules
 from rig.config.messages import unplaced
 from rig.config.problems import Path, Problem, bracketed, printable, wrong
-from rig.config.schema import Experiment, RelayGainsSection, RelayTarget
-from rig.config.sensor import count_rad, range_rad
+from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection, RelayTarget
 from rig.control.laws import OptionError, construct, registered
 from rig.control.sweep_plan import TooShortError
 from rig.plug_ins import PlugInError
@@ -41,6 +40,12 @@ from rig.signals import plain
 
 Rule = Callable[[Experiment], Iterator[Problem]]
 
+
+def _of_device(rule: Callable[[DeviceSetup], Iterator[Problem]]) -> Rule:
+    """A rule that sees what the device sees."""
+    return lambda e: rule(e.device)
+
+
 _WATCHDOG_PERIODS = (3, 10)  # the least, and the most where that is longer than LONGEST_WATCHDOG_S
 _SHORTEST_CYCLE_PERIODS = 30  # docs/theory.md 4.3: a shorter cycle is delay hunting
 _SMALLEST_CYCLE_COUNTS = 20  # docs/theory.md 4.3
@@ -60,7 +65,7 @@ class Preflight:
 
 def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.preflight.check`` adds these."""
-    if unread := tuple(_own_section(experiment)):
+    if unread := tuple(_own_section(experiment.device)):
         return Preflight((), unread)  # the device's rules need this section
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
     return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
@@ -69,67 +74,67 @@ def preflight(experiment: Experiment) -> Preflight:
 # ---------------------------------------------------------------------- the device
 
 
-def _own_section(e: Experiment) -> Iterator[Problem]:
+def _own_section(d: DeviceSetup) -> Iterator[Problem]:
     """Problems of the device's own section, if it has one."""
-    backend = backend_of(e)
+    backend = backend_of(d)
     if backend.section is not None:
         try:
-            backend.options(e, backend.section)
+            backend.options(d, backend.section)
         except ValidationError as error:
             yield from unplaced(error.errors(include_url=False), backend.section, ("daq", "options"))
 
 
-def _spin(e: Experiment) -> Iterator[Problem]:
-    if 1e-6 * e.loop.spin_us > 0.5 * e.period_s * (1 + _SLACK):
+def _spin(d: DeviceSetup) -> Iterator[Problem]:
+    if 1e-6 * d.spin_us > 0.5 * d.period_s * (1 + _SLACK):
         yield wrong(
             "loop.spin_us",
-            f"{e.loop.spin_us:g} us of spinning is more than half the period of {1e3 * e.period_s:g} ms",
-            f"at most {0.5e6 * e.period_s:g}",
+            f"{d.spin_us:g} us of spinning is more than half the period of {1e3 * d.period_s:g} ms",
+            f"at most {0.5e6 * d.period_s:g}",
         )
 
 
-def _watchdog(e: Experiment) -> Iterator[Problem]:
-    least_s, most_s = (n * e.period_s for n in _WATCHDOG_PERIODS)
+def _watchdog(d: DeviceSetup) -> Iterator[Problem]:
+    least_s, most_s = (n * d.period_s for n in _WATCHDOG_PERIODS)
     most_s = max(most_s, LONGEST_WATCHDOG_S)
-    watchdog_s = e.daq.watchdog_s
+    watchdog_s = d.daq.watchdog_s
     if not least_s * (1 - _SLACK) <= watchdog_s <= most_s * (1 + _SLACK):
         yield wrong(
             "daq.watchdog_s",
-            f"must be {_WATCHDOG_PERIODS[0]} periods of {e.period_s:g} s at least, and {most_s:g} s at most, "
+            f"must be {_WATCHDOG_PERIODS[0]} periods of {d.period_s:g} s at least, and {most_s:g} s at most, "
             f"not {watchdog_s:g} s",
             f"between {least_s:g} and {most_s:g} seconds",
         )
-    elif e.daq.timeout_s + e.period_s > watchdog_s * (1 + _SLACK):
+    elif d.daq.timeout_s + d.period_s > watchdog_s * (1 + _SLACK):
         yield wrong(
             "daq.timeout_s",
-            f"one lost reply would set off the watchdog: {e.daq.timeout_s:g} s time-out + {e.period_s:g} s period "
+            f"one lost reply would set off the watchdog: {d.daq.timeout_s:g} s time-out + {d.period_s:g} s period "
             f"is more than daq.watchdog_s {watchdog_s:g}",
-            f"at most {watchdog_s - e.period_s:g} seconds",
+            f"at most {watchdog_s - d.period_s:g} seconds",
         )
 
 
 # ---------------------------------------------------------------------- travel
 
 
-def _limits(e: Experiment) -> Iterator[Problem]:
-    if e.limits.is_endless:
-        if e.sensor.encoder is None:
+def _limits(d: DeviceSetup) -> Iterator[Problem]:
+    if d.limits.is_endless:
+        if d.sensor.encoder is None:
             yield wrong(
                 "limits.travel",
                 "a shaft that turns without end needs `sensor.encoder`: a potentiometer has ends",
                 "give soft_rad and hard_rad",
             )
         return
-    soft, hard = e.limits.soft_rad, e.limits.hard_rad
+    soft, hard = d.limits.soft_rad, d.limits.hard_rad
     if not soft[0] < 0.0 < soft[1]:
         yield wrong(
             "limits.soft_rad",
             f"must enclose 0 rad, the centre of travel: {bracketed(soft)} rad does not",
             "put the zero of the calibration at the centre of travel",
         )
-    elif not limits_are_ordered(e):
+    elif not limits_are_ordered(d):
         yield wrong("limits.soft_rad", f"{bracketed(soft)} rad is not inside limits.hard_rad {bracketed(hard)} rad")
-    low, high = range_rad(e)
+    low, high = d.sensor.range_rad
     if not (low <= hard[0] and hard[1] <= high):
         yield wrong(
             "limits.hard_rad",
@@ -139,20 +144,20 @@ def _limits(e: Experiment) -> Iterator[Problem]:
         )
 
 
-def _room_to_stop(e: Experiment) -> Iterator[Problem]:
-    if not limits_are_ordered(e):
+def _room_to_stop(d: DeviceSetup) -> Iterator[Problem]:
+    if not limits_are_ordered(d):
         return
-    room = room_rad(e)
-    distance = sum(rad for _, rad in stopping_terms(e))
+    room = room_rad(d)
+    distance = sum(rad for _, rad in stopping_terms(d))
     if distance <= room:
         return
-    slower = e.limits.max_speed_rad_s * room / distance
+    slower = d.limits.max_speed_rad_s * room / distance
     yield wrong(
         "limits.max_speed_rad_s",
-        f"no room to stop: {stopping_sum(e)}, but from the centre of travel (0 rad) "
+        f"no room to stop: {stopping_sum(d)}, but from the centre of travel (0 rad) "
         f"the nearer hard limit is {room:.3f} rad away",
         f"at most {_floor(slower):g} rad/s"
-        + (", or a shorter daq.watchdog_s" if device_watchdog_s(e) is not None else "")
+        + (", or a shorter daq.watchdog_s" if device_watchdog_s(d) is not None else "")
         + ", or wider limits.hard_rad",
     )
 
@@ -184,7 +189,7 @@ def _breakaway(e: Experiment) -> Iterator[Problem]:
             "measure the noise",
             f"at least {10.0 * e.period_s:g} seconds",
         )
-    least_rad = _MOTION_COUNTS * count_rad(e)
+    least_rad = _MOTION_COUNTS * e.sensor.curve.lsb_rad
     if e.breakaway.motion_rad < least_rad:
         yield wrong(
             "breakaway.motion_rad",
@@ -226,7 +231,7 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
             "device's watchdog long",
             (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
             + "a shorter period_s, or a faster breakaway.ramp_V_s"
-            + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),
+            + ("" if _own_watchdog_s(e.device) is None else ", or a shorter time-out of the device's output"),
         )
     elif strokes.levels(b.max_V) < _FEWEST_PAIRS:
         slower = b.ramp_V_s * (b.max_V / _FEWEST_PAIRS) / strokes.step_V
@@ -238,9 +243,9 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
         )
 
 
-def _own_watchdog_s(e: Experiment) -> float | None:
+def _own_watchdog_s(d: DeviceSetup) -> float | None:
     """Time of a watchdog that arming does not set, s; None where there is none, or where arming sets it."""
-    watchdog = backend_of(e).watchdog(e)
+    watchdog = backend_of(d).watchdog(d)
     return watchdog.time_s if watchdog.unit_s is None else None
 
 
@@ -285,6 +290,7 @@ def _largest_amplitude_rad(e: Experiment, target: RelayTarget) -> float:
 
 
 def _target(e: Experiment) -> Iterator[Problem]:
+    d = e.device
     target = e.relay.target
     if target is None:
         return
@@ -298,7 +304,7 @@ def _target(e: Experiment) -> Iterator[Problem]:
         )
     smallest_rad = target.amplitude_rad * min(1.0, e.relay.second_ratio)
     within_rad = smallest_rad * (1.0 - target.tolerance)
-    least_rad = _SMALLEST_CYCLE_COUNTS * count_rad(e)
+    least_rad = _SMALLEST_CYCLE_COUNTS * e.sensor.curve.lsb_rad
     if within_rad < least_rad:
         yield wrong(
             "relay.target.amplitude_rad",
@@ -306,9 +312,9 @@ def _target(e: Experiment) -> Iterator[Problem]:
             f"less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad), which is delay hunting",
             f"at least {target.amplitude_rad * least_rad / within_rad:.3g} rad",
         )
-    if not limits_are_ordered(e):
+    if not limits_are_ordered(d):
         return
-    soft_rad = reach_rad(e)
+    soft_rad = reach_rad(d)
     amplitude_rad = _largest_amplitude_rad(e, target)
     largest_rad = amplitude_rad * (1.0 + target.tolerance)
     if largest_rad > soft_rad:
@@ -319,12 +325,12 @@ def _target(e: Experiment) -> Iterator[Problem]:
             "lower the amplitude",
         )
         return
-    stop_rad = predicted_stop_rad(e, largest_rad, target.period_s)
-    if stop_rad > room_rad(e):
+    stop_rad = predicted_stop_rad(d, largest_rad, target.period_s)
+    if stop_rad > room_rad(d):
         yield wrong(
             "relay.target.amplitude_rad",
             f"the guard would brake within the cycle: its predicted stop reaches {stop_rad:.3g} rad, the nearer hard "
-            f"limit is {room_rad(e):.3g} rad from the centre of travel",
+            f"limit is {room_rad(d):.3g} rad from the centre of travel",
             "lower the amplitude, lengthen relay.target.period_s, or widen limits.hard_rad",
         )
         return
@@ -340,7 +346,8 @@ def _target(e: Experiment) -> Iterator[Problem]:
 
 def _hysteretic(e: Experiment) -> Iterator[Problem]:
     """Drives within the largest one; bands that the sensor sees, and that the shaft does not overshoot too far."""
-    overshoot = sum(rad for _, rad in overshoot_terms(e))
+    d = e.device
+    overshoot = sum(rad for _, rad in overshoot_terms(d))
     for k, run in enumerate(e.relay.hysteretic or ()):
         path: Path = ("relay", "hysteretic", k)
         if abs(run.d_V) > e.drive.max_V * (1 + _SLACK):
@@ -349,20 +356,20 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
                 f"{abs(run.d_V):g} V is more than drive.max_V {e.drive.max_V:g} V",
                 _at_most(e.drive.max_V),
             )
-        least_rad = _SMALLEST_CYCLE_COUNTS * count_rad(e)
+        least_rad = _SMALLEST_CYCLE_COUNTS * e.sensor.curve.lsb_rad
         if run.eps_rad < least_rad:
             yield Problem(
                 (*path, "eps_rad"),
                 f"{run.eps_rad:g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
                 "widen it: the method sees only the transient up to it",
             )
-        elif limits_are_ordered(e) and run.eps_rad + overshoot > reach_rad(e):
-            written = " + ".join(f"{rad:.3f} ({words})" for words, rad in overshoot_terms(e))
-            room = reach_rad(e) - overshoot
+        elif limits_are_ordered(d) and run.eps_rad + overshoot > reach_rad(d):
+            written = " + ".join(f"{rad:.3f} ({words})" for words, rad in overshoot_terms(d))
+            room = reach_rad(d) - overshoot
             yield Problem(
                 (*path, "eps_rad"),
                 f"{run.eps_rad:g} rad and the overshoot, at most {written} = {overshoot:.3f} rad at "
-                f"{e.limits.max_speed_rad_s:g} rad/s, leave the soft limits ({reach_rad(e):g} rad from the centre of "
+                f"{e.limits.max_speed_rad_s:g} rad/s, leave the soft limits ({reach_rad(d):g} rad from the centre of "
                 "travel)",
                 (f"at most {_floor(room):g} rad, or " if room > least_rad else "")
                 + "lower limits.max_speed_rad_s if the shaft is slower, or widen limits.soft_rad",
@@ -373,7 +380,8 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
 
 
 def _tracking(e: Experiment) -> Iterator[Problem]:
-    if e.tracking is None or not limits_are_ordered(e):
+    d = e.device
+    if e.tracking is None or not limits_are_ordered(d):
         return
     terms = [(abs(s.amplitude_rad), s.omega_rad_s) for s in e.tracking.trajectory]
     turn_rad_s = abs(e.tracking.turn_rad_s)
@@ -382,12 +390,12 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
         return
     peak_rad = sum(a for a, _ in terms)
     speed = sum(a * w for a, w in terms) + turn_rad_s
-    if peak_rad > reach_rad(e):
+    if peak_rad > reach_rad(d):
         written = " + ".join(f"{a:g}" for a, _ in terms)
         yield wrong(
             "tracking.trajectory",
             f"its peak, at most {written} = {peak_rad:.3g} rad, leaves the soft limits "
-            f"({reach_rad(e):g} rad from the centre of travel)",
+            f"({reach_rad(d):g} rad from the centre of travel)",
             "lower the amplitudes",
         )
     turned_rad = turn_rad_s * e.tracking.duration_s + peak_rad
@@ -418,7 +426,7 @@ def _survey(e: Experiment) -> Iterator[Problem]:
                 "leave out section survey and identify.thorough",
             )
         return
-    if e.survey.speeds_rad_s is None or not limits_are_ordered(e):
+    if e.survey.speeds_rad_s is None or not limits_are_ordered(e.device):
         return
     try:
         expected_sweeps(e)
@@ -448,10 +456,10 @@ def _law(e: Experiment) -> Iterator[Problem]:
         yield wrong("law.name", str(error), "see docs/api.md, or ask its author")
 
 
-def _emulated(e: Experiment) -> Iterator[Problem]:
-    if e.emulated is None:
+def _emulated(d: DeviceSetup) -> Iterator[Problem]:
+    if d.emulated is None:
         return
-    m = e.emulated.motor
+    m = d.emulated.motor
     for side, static_V, moving_V in (("plus", m.fs_plus_V, m.fc_plus_V), ("minus", m.fs_minus_V, m.fc_minus_V)):
         if static_V is not None and static_V < moving_V:
             yield wrong(
@@ -480,8 +488,8 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
             "a motor with parts needs the same both ways: change fs_plus_V or fs_minus_V",
         )
     ends = {"mechanical stops": m.stop_rad}
-    if not e.limits.is_endless:  # else they count from where the command finds the shaft
-        ends["hard limits"] = e.limits.hard_rad
+    if not d.limits.is_endless:  # else they count from where the command finds the shaft
+        ends["hard limits"] = d.limits.hard_rad
     for name, (low, high) in ends.items():
         if not low <= m.start_rad <= high:
             yield wrong(
@@ -490,11 +498,11 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
                 "start inside",
             )
             break
-    fault = e.emulated.wiring.sensor
-    foreign = _NO_ENCODER_HAS if e.sensor.encoder is not None else _ENCODERS_ALONE
+    fault = d.emulated.wiring.sensor
+    foreign = _NO_ENCODER_HAS if d.sensor.encoder is not None else _ENCODERS_ALONE
     if fault in foreign:
         yield wrong("emulated.wiring.sensor", f"this sensor has no fault `{fault}`", "another, or ok")
-    if e.emulated.tachometer and e.tachometer is None:
+    if d.emulated.tachometer and d.tachometer is None:
         yield wrong("emulated.tachometer", "needs the section `tachometer` with its scale")
 
 
@@ -502,11 +510,11 @@ _NO_ENCODER_HAS = ("broken_low", "broken_high", "noisy")
 _ENCODERS_ALONE = ("still", "still_a")
 
 _RULES: tuple[Rule, ...] = (
-    device_rules,
-    _spin,
-    _watchdog,
-    _limits,
-    _room_to_stop,
+    _of_device(device_rules),
+    _of_device(_spin),
+    _of_device(_watchdog),
+    _of_device(_limits),
+    _of_device(_room_to_stop),
     attached_rules,
     _drive,
     _breakaway,
@@ -516,7 +524,7 @@ _RULES: tuple[Rule, ...] = (
     _tracking,
     _survey,
     _law,
-    _emulated,
+    _of_device(_emulated),
 )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from rig.backends.registry import backend_of
 from rig.config.schema import Experiment
-from rig.config.sensor import count_rad
 from rig.control.sweep_plan import COUNTS_1_S, Room, SweepPlan, fastest_loop_1_s, sweep_plan
 from rig.preflight.room_to_stop import stopping_terms
 
@@ -13,7 +12,7 @@ def survey_room(e: Experiment, slowest_rad_s: float, bandwidth_1_s: float) -> Ro
     """What there is for the sweeps, with a sensor that resolves this speed and a loop of this bandwidth."""
     ends = zip(e.limits.soft_rad, e.limits.hard_rad, strict=True)
     # at a soft limit, at this speed, the guard would just not brake yet
-    horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+    horizon_s = sum(rad for _, rad in stopping_terms(e.device)) / e.limits.max_speed_rad_s
     by_stopping_rad_s = min(abs(hard - soft) for soft, hard in ends) / horizon_s
     return Room(
         e.limits.soft_rad,
@@ -26,5 +25,7 @@ def survey_room(e: Experiment, slowest_rad_s: float, bandwidth_1_s: float) -> Ro
 
 def expected_sweeps(e: Experiment) -> SweepPlan:
     """The sweeps on a bench without noise and with the least latency. Raises TooShortError if there is no room."""
-    least_s = (1.5 if backend_of(e).writes_first(e) else 0.5) * e.period_s
-    return sweep_plan(survey_room(e, COUNTS_1_S * count_rad(e), fastest_loop_1_s(least_s)), e.survey.speeds_rad_s or ())
+    least_s = (1.5 if backend_of(e.device).writes_first(e.device) else 0.5) * e.period_s
+    return sweep_plan(
+        survey_room(e, COUNTS_1_S * e.sensor.curve.lsb_rad, fastest_loop_1_s(least_s)), e.survey.speeds_rad_s or ()
+    )

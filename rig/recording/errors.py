@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from rig.errors import RigError
-from rig.signals import plain
 
 
 class RecordingError(RigError):
@@ -18,6 +17,8 @@ class RecordingError(RigError):
     """
 
     def __init__(self, path: Path, cause: str, cure: str, line: int | None = None) -> None:
+        from rig.signals import plain  # not before: the writer process starts fast, and dataclasses load slowly
+
         self.path = path
         self.line = line
         self.cause = cause = plain(cause)  # it may quote the file

@@ -55,7 +55,7 @@ def suite(
     path = Path(sys._getframe(1).f_globals.get("__file__", "")).parent / config_path
     experiment = config.load(path)
     bases: list[type[Suite]] = [Suite]
-    if isinstance(backend_of(experiment), PlugIn):
+    if isinstance(backend_of(experiment.device), PlugIn):
         bases.append(_Constructed)
     if silence:
         bases.append(_Silenced)
@@ -151,7 +151,7 @@ class Suite:
 
     def test_it_refuses_limits_that_it_cannot_hold(self) -> None:
         """``arm`` raises for limits beyond sensor or drive, and arms nothing. AssertionError where it does not."""
-        good, e = self.experiment.device_limits, self.experiment
+        good, e = self.experiment.device.arming, self.experiment
         calibration, counts_max = e.sensor.curve, e.sensor.counts_max or 0
         ends = sorted((calibration.to_rad(-0.1 * counts_max), calibration.to_rad(1.1 * counts_max)))
         cases: tuple[tuple[str, Limits], ...] = (
@@ -319,7 +319,7 @@ class Suite:
     def test_safe_stop_and_close_before_open(self) -> None:
         """``safe_stop`` and ``close`` never raise, not even before ``open``."""
         self._close()
-        with unopened(self.experiment) as bench:
+        with unopened(self.experiment.device) as bench:
             stopped = bench.driver.safe_stop()
             require(isinstance(stopped, bool), f"safe_stop() must return true or false, not {stopped!r}")
             bench.driver.close()
@@ -355,7 +355,7 @@ class Suite:
         cls._close()
         check(cls.config_path)
         with ExitStack() as device:
-            cls._bench = device.enter_context(unopened(cls.experiment))
+            cls._bench = device.enter_context(unopened(cls.experiment.device))
             cls._driven = False
             cls._device = device.pop_all()
         try:
@@ -380,7 +380,7 @@ class Suite:
 
     def _armed(self, max_u_V: float | None = None) -> ExitStack:
         """Armed for the block, with the shaft inside the soft limits; stopped after it."""
-        limits = self.experiment.device_limits
+        limits = self.experiment.device.arming
         self.driver.arm(limits if max_u_V is None else replace(limits, max_u_V=max_u_V))
         with ExitStack() as block:
             block.callback(self.driver.safe_stop)
@@ -454,7 +454,7 @@ class _Constructed(Suite):
         """Constructing another driver, as `rig check` does, changes nothing while this one drives."""
         with self._armed():
             self._ticks([self.drive_V])
-            with unopened(self.experiment):
+            with unopened(self.experiment.device):
                 (tick,) = self._ticks([self.drive_V])
             require(tick.sample.u_V > 0.0, f"a second driver was constructed, and this one drives {tick.sample.u_V} V")
 

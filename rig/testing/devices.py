@@ -5,7 +5,7 @@ or TCP, and smart servos on a bus.
 """
 
 from rig.backends.emulated.bench import bench_parameters
-from rig.backends.modbus.emulated.line_faults import Corruption
+from rig.backends.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import Disturbance
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock

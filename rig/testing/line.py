@@ -7,14 +7,14 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 from rig.backends.backend import Line, LineBackend, OpenLine, own_line
 from rig.backends.driver import Clock, Transport
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 
 @contextmanager
 def lines_opened_by(instead: OpenLine) -> Iterator[None]:
-    """In the block, each built-in driver speaks on the line that ``instead`` opens for a backend and an experiment.
+    """In the block, each built-in driver speaks on the line that ``instead`` opens for a backend and a setup.
 
-    ``instead`` may open the config's own line (``backend.line(experiment)``) and wrap it.
+    ``instead`` may open the config's own line (``backend.line(setup)``) and wrap it.
     """
     before, own_line.instead = own_line.instead, instead
     try:
@@ -24,7 +24,7 @@ def lines_opened_by(instead: OpenLine) -> Iterator[None]:
 
 
 def on_device(
-    transport: Transport | Callable[[Experiment], Transport],
+    transport: Transport | Callable[[DeviceSetup], Transport],
     clock: Clock | None = None,
     *,
     name: str = "test",
@@ -32,15 +32,15 @@ def on_device(
 ) -> AbstractContextManager[None]:
     """In the block, each built-in driver speaks to this device.
 
-    transport  of the device, or a function that makes it for an experiment
+    transport  of the device, or a function that makes it for a setup
     clock      of the driver; None: the transport is a clock too
     name       of the port, for people
     emulated   whether the driver knows that no real motor is behind it
     Raises TypeError, when the driver opens, where neither is a clock.
     """
 
-    def opened(backend: LineBackend, e: Experiment) -> AbstractContextManager[Line]:
-        device = transport(e) if callable(transport) else transport
+    def opened(backend: LineBackend, d: DeviceSetup) -> AbstractContextManager[Line]:
+        device = transport(d) if callable(transport) else transport
         time = clock if clock is not None else device
         if not isinstance(time, Clock):
             raise TypeError("a transport without `sleep_until` needs a clock")

@@ -22,7 +22,7 @@ from rig.backends.registry import backend_of
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config import load
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup, Experiment
 from rig.plug_ins import PlugInError
 from rig.section import Positive, Section
 from rig.testing import conformance
@@ -46,35 +46,35 @@ class Scope(Backend):
     name = "scope"
     section = ScopeOptions
 
-    def rules(self, e: Experiment) -> Iterator[Problem]:
-        if e.tachometer is not None and self.options(e, ScopeOptions).channel == 3:
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
+        if d.tachometer is not None and self.options(d, ScopeOptions).channel == 3:
             yield wrong("daq.options.channel", "3 is the tachometer's", "0 to 2")
-        if not self.budget(e).fits(e.period_s):
-            yield self.budget(e).too_slow("daq.options.conversion_s", e.period_s, ())
+        if not self.budget(d).fits(d.period_s):
+            yield self.budget(d).too_slow("daq.options.conversion_s", d.period_s, ())
 
-    def watchdog(self, e: Experiment) -> Watchdog:
-        return Watchdog(e.daq.watchdog_s)
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
+        return Watchdog(d.daq.watchdog_s)
 
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         return False
 
-    def budget(self, e: Experiment) -> LinkBudget:
-        return LinkBudget((("two conversions", 2.0 * self.options(e, ScopeOptions).conversion_s),), "2 conversions")
+    def budget(self, d: DeviceSetup) -> LinkBudget:
+        return LinkBudget((("two conversions", 2.0 * self.options(d, ScopeOptions).conversion_s),), "2 conversions")
 
-    def words(self, e: Experiment) -> str:
-        return f"channel {self.options(e, ScopeOptions).channel} of an oscilloscope, nothing moves"
+    def words(self, d: DeviceSetup) -> str:
+        return f"channel {self.options(d, ScopeOptions).channel} of an oscilloscope, nothing moves"
 
-    def is_emulated(self, e: Experiment) -> bool:
+    def is_emulated(self, d: DeviceSetup) -> bool:
         return True
 
-    def plan(self, e: Experiment) -> Iterator[str]:
-        yield f"link: {self.budget(e).beside(e.period_s)}"
+    def plan(self, d: DeviceSetup) -> Iterator[str]:
+        yield f"link: {self.budget(d).beside(d.period_s)}"
 
     @contextmanager
-    def unopened(self, e: Experiment) -> Iterator[Unopened]:
+    def unopened(self, d: DeviceSetup) -> Iterator[Unopened]:
         clock = VirtualClock()
-        latency = SimulatedLatency(self.options(e, ScopeOptions).conversion_s, 0.0)
-        driver = SimulatedDriver(clock, DEMO, e.scaling, latency, e.seed)
+        latency = SimulatedLatency(self.options(d, ScopeOptions).conversion_s, 0.0)
+        driver = SimulatedDriver(clock, DEMO, d.scaling, latency, d.seed)
         yield Unopened(driver, clock, DEMO)
 
 
@@ -183,7 +183,7 @@ def test_every_built_in_device_is_found_as_any_other(monkeypatch: pytest.MonkeyP
     for name in registry.BUILT_IN:
         data = load(CARD).model_dump(mode="json", exclude_none=True)
         data["daq"]["driver"] = name
-        assert backend_of(Experiment.model_validate(data)).name == name
+        assert backend_of(Experiment.model_validate(data).device).name == name
 
 
 def test_the_conformance_suite_takes_it(tmp_path: Path) -> None:

@@ -136,22 +136,22 @@ def test_it_conforms(card: "Card", tmp_path: Path) -> None:
 
 def test_no_run_without_leave_to_do_without_a_watchdog(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path, daq__accept_no_watchdog=False))
-    with pytest.raises(Fault, match="NO_WATCHDOG"), connect(e):
+    with pytest.raises(Fault, match="NO_WATCHDOG"), connect(e.device):
         pass
     assert card.reserved == {}
 
 
 def test_the_output_is_zero_once_it_is_open_whatever_it_held_before(card: "Card", tmp_path: Path) -> None:
     card.output_V = 4.0
-    with connect(load(config(tmp_path))) as bench:
+    with connect(load(config(tmp_path)).device) as bench:
         assert card.output_V == 0.0
         assert bench.driver.read().u_V == 0.0
 
 
 def test_the_drive_is_that_of_the_converter(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path))
-    with connect(e) as bench:
-        bench.driver.arm(e.device_limits)
+    with connect(e.device) as bench:
+        bench.driver.arm(e.device.arming)
         for u_V in (1.0, -0.7, 3.0):
             bench.driver.write(u_V)
             assert card.output_V == pytest.approx(u_V / 1.2, abs=20.0 / 65536)
@@ -161,8 +161,8 @@ def test_the_drive_is_that_of_the_converter(card: "Card", tmp_path: Path) -> Non
 
 def test_a_card_that_is_pulled_out_ends_the_run_and_nobody_claims_that_it_stopped(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path))
-    with connect(e) as bench:
-        bench.driver.arm(e.device_limits)
+    with connect(e.device) as bench:
+        bench.driver.arm(e.device.arming)
         bench.driver.write(1.0)
         card.plugged_in = False
         with pytest.raises(Fault, match=r"LINK_LOST.*Dev1: Device cannot be accessed\.\)$"):
@@ -180,14 +180,14 @@ def test_a_card_that_is_pulled_out_ends_the_run_and_nobody_claims_that_it_stoppe
 )
 def test_another_card_than_the_config_says(card: "Card", tmp_path: Path, changes: dict[str, str], words: str) -> None:
     options = yaml.safe_load((EXAMPLE / "card.yaml").read_text(encoding="utf-8"))["daq"]["options"] | changes
-    with pytest.raises(Fault, match=words), connect(load(config(tmp_path, daq__options=options))):
+    with pytest.raises(Fault, match=words), connect(load(config(tmp_path, daq__options=options)).device):
         pass
     assert card.reserved == {}
 
 
 def test_a_channel_that_another_program_holds(card: "Card", tmp_path: Path) -> None:
     card.reserved["Dev1/ao0"] = object()
-    with pytest.raises(Fault, match=r"LINK_OPEN.*resource is reserved"), connect(load(config(tmp_path))):
+    with pytest.raises(Fault, match=r"LINK_OPEN.*resource is reserved"), connect(load(config(tmp_path)).device):
         pass
     assert list(card.reserved) == ["Dev1/ao0"]
 

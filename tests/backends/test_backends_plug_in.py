@@ -91,7 +91,7 @@ def test_with_no_plug_in_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert "; plug-ins installed: none; " in refused(tmp_path)[1]
     with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"):
         check(SOURCE)  # nobody said where plug-ins are
-    with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"), connect(config.load(SOURCE)):
+    with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"), connect(config.load(SOURCE).device):
         pass
 
 
@@ -165,7 +165,7 @@ def test_options_are_of_plug_ins_only(tmp_path: Path) -> None:
 def test_options_arrive_as_written_and_survive_the_resolved_config(installed: None, tmp_path: Path) -> None:
     options = {"seed": 3, "deep": {"list": [1, 2.5, "x", True, None]}}
     e = config.load(written(tmp_path, options=options))
-    settings = driver_settings_of(e)
+    settings = driver_settings_of(e.device)
     assert dict(settings.options) == options
     assert (settings.period_s, settings.watchdog_s, settings.timeout_s) == (0.01, 0.1, 0.03)
     assert (settings.counts_max, settings.rail_counts) == (1023, (5, 1018))
@@ -179,17 +179,17 @@ def test_options_arrive_as_written_and_survive_the_resolved_config(installed: No
 
 
 def test_a_driver_lives_in_its_own_clock_or_in_the_hosts(installed: None, tmp_path: Path) -> None:
-    with connect(config.load(written(tmp_path))) as bench:
+    with connect(config.load(written(tmp_path)).device) as bench:
         assert isinstance(bench.driver, VirtualCard)
         assert isinstance(bench.clock, VirtualClock)
         assert bench.clock is bench.driver.clock
         assert bench.truth is None
-    with connect(config.load(written(tmp_path, driver="bare-card", accept_no_watchdog=True))) as bench:
+    with connect(config.load(written(tmp_path, driver="bare-card", accept_no_watchdog=True)).device) as bench:
         assert isinstance(bench.clock, MonotonicClock)
 
 
 def test_a_device_without_a_watchdog_needs_leave(installed: None, tmp_path: Path) -> None:
-    with pytest.raises(Fault, match="NO_WATCHDOG"), connect(config.load(written(tmp_path, driver="bare-card"))):
+    with pytest.raises(Fault, match="NO_WATCHDOG"), connect(config.load(written(tmp_path, driver="bare-card")).device):
         pass
     path = written(tmp_path, driver="bare-card", accept_no_watchdog=True)
     lines = check(path)[1].lines

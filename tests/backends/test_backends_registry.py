@@ -134,15 +134,15 @@ def test_a_bench_is_stopped_before_it_is_closed_and_closed_though_the_stop_fails
 
     monkeypatch.setattr(SimulatedDriver, "safe_stop", fails)
     monkeypatch.setattr(SimulatedDriver, "close", lambda driver: done.append("close"))
-    with pytest.raises(Fault, match="LINK_LOST"), registry.connect(load(ready("simulated"))):
+    with pytest.raises(Fault, match="LINK_LOST"), registry.connect(load(ready("simulated")).device):
         pass
     assert done == ["stop", "close"]
 
 
 def test_only_a_device_that_says_so_is_emulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    with registry.connect(load(ready("simulated"))) as bench:
+    with registry.connect(load(ready("simulated")).device) as bench:
         assert bench.truth is not None
     opened = SimulatedDriver.open
     monkeypatch.setattr(SimulatedDriver, "open", lambda driver: replace(opened(driver), emulated=False))
-    with registry.connect(load(ready("simulated"))) as bench:
+    with registry.connect(load(ready("simulated")).device) as bench:
         assert bench.truth is None

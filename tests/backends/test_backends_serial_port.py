@@ -150,7 +150,7 @@ def test_an_adapter_slower_than_what_was_reckoned_with_is_refused(
     for port in ("/dev/ttyUSB9", str(link)):
         closed = plug_in(monkeypatch, "/dev/ttyUSB9", ids)
 
-        fault = fault_of(unopened(uno_at(port, adapter)).__enter__)
+        fault = fault_of(unopened(uno_at(port, adapter).device).__enter__)
         assert fault.code == "CONFIG_MISMATCH"
         assert port in fault.detail and f"{ids[0]:04x}:{ids[1]:04x}" in fault.detail
         assert f"({adapter}): {key}" in fault.detail
@@ -171,7 +171,7 @@ def test_an_adapter_that_is_quicker_or_unknown_is_taken(
     monkeypatch: pytest.MonkeyPatch, ids: tuple[int | None, int | None], adapter: str | None
 ) -> None:
     closed = plug_in(monkeypatch, "/dev/ttyACM9", ids)
-    with unopened(uno_at("/dev/ttyACM9", adapter)):
+    with unopened(uno_at("/dev/ttyACM9", adapter).device):
         assert closed == []
 
 

@@ -36,7 +36,7 @@ def test_the_simulated_driver_tells_the_shaft_at_each_reading() -> None:
 
 
 def test_a_bench_tells_the_shaft_only_where_it_is_emulated() -> None:
-    with connect(config.load(ROOT / "config/quick.yaml")) as bench:
+    with connect(config.load(ROOT / "config/quick.yaml").device) as bench:
         assert bench.shaft is not None
         assert bench.shaft() == ShaftPath(bench.shaft().t_s, bench.shaft().y_rad)
 
@@ -44,7 +44,7 @@ def test_a_bench_tells_the_shaft_only_where_it_is_emulated() -> None:
 @pytest.mark.parametrize("port", ["emulated", pytest.param("emulated-realtime", marks=pytest.mark.realtime)])
 def test_an_emulated_board_tells_its_shaft_too(port: str) -> None:
     e = config.load(ROOT / "config/demo.yaml")
-    with connect(e.model_copy(update={"daq": e.daq.model_copy(update={"port": port})})) as bench:
+    with connect(e.model_copy(update={"daq": e.daq.model_copy(update={"port": port})}).device) as bench:
         assert bench.shaft is not None
         bench.driver.read()
         path = bench.shaft()

@@ -37,8 +37,8 @@ def bare() -> Experiment:
 CASES: dict[str, Callable[[], tuple[Experiment, Any]]] = {
     "board": lambda: (experiment("demo"), VirtualBoard(DEMO, 3)),
     "chip": lambda: (experiment("demo"), VirtualChip(DEMO, 3)),
-    "block": lambda: (e := experiment("modbus-rtu", port="emulated"), emulated_io_block(e)),
-    "block without watchdog": lambda: (e := bare(), emulated_io_block(e)),
+    "block": lambda: (e := experiment("modbus-rtu", port="emulated"), emulated_io_block(e.device)),
+    "block without watchdog": lambda: (e := bare(), emulated_io_block(e.device)),
 }
 
 
@@ -57,17 +57,17 @@ def inherited(device: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.parametrize("name", CASES)
 def test_a_stopper_stops_what_another_process_drives(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     e, device = CASES[name]()
-    kind = backend_of(e)
-    driver = kind.driver(e, Line(device, device, "test", emulated=True))  # type: ignore[attr-defined]  # it has a line
+    kind = backend_of(e.device)
+    driver = kind.driver(e.device, Line(device, device, "test", emulated=True))  # type: ignore[attr-defined]  # it has a line
     driver.open()
-    driver.arm(e.device_limits)
+    driver.arm(e.device.arming)
     for _ in range(5):
         driver.write(0.7)
         device.sleep_until(device.now_s() + e.period_s)
         driver.read()
     assert drive_V(device) > 0.5
     with inherited(device, monkeypatch):
-        stopper = kind.stopper(e, 7)
+        stopper = kind.stopper(e.device, 7)
     assert stopper is not None
     assert stopper.safe_stop() is True
     device.sleep_until(device.now_s() + 0.02)
@@ -76,4 +76,4 @@ def test_a_stopper_stops_what_another_process_drives(name: str, monkeypatch: pyt
 
 def test_a_device_without_a_link_has_no_stopper() -> None:
     e = experiment("simulated")
-    assert backend_of(e).stopper(e, 7) is None
+    assert backend_of(e.device).stopper(e.device, 7) is None

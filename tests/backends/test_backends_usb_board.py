@@ -78,18 +78,18 @@ def test_swapped_boards_are_refused_before_they_are_opened_and_the_right_one_is_
 ) -> None:
     one, other = ports.path("ttyACM0"), ports.path("ttyACM1")
     ports.plug(ttyACM0=MINE, ttyACM1=OTHER)
-    with unopened(bench_at(one, MINE, config)):
+    with unopened(bench_at(one, MINE, config).device):
         assert ports.opened == [one]
     ports.plug(ttyACM0=OTHER, ttyACM1=MINE)
     for opens in (unopened, connect):
-        fault = fault_of(opens(bench_at(one, MINE, config)).__enter__)
+        fault = fault_of(opens(bench_at(one, MINE, config).device).__enter__)
         assert fault.code == "OTHER_BOARD"
         assert f"{one} has serial number {OTHER} on USB, and this config is for {MINE}" in fault.detail
         assert fault.detail.endswith(f"which is at {other} now: daq.port: {other}")
     (lasting := ports.folder / "by-id" / f"usb-Arduino_{MINE}-if00").symlink_to(other)
-    assert f"daq.port: {lasting}" in fault_of(unopened(bench_at(one, MINE, config)).__enter__).detail
+    assert f"daq.port: {lasting}" in fault_of(unopened(bench_at(one, MINE, config).device).__enter__).detail
     assert ports.opened == [one], "to open a board resets it"
-    with unopened(bench_at(str(lasting), MINE, config)):
+    with unopened(bench_at(str(lasting), MINE, config).device):
         pass  # by its lasting name, wherever it is
 
 
@@ -97,7 +97,7 @@ def test_swapped_boards_are_refused_before_they_are_opened_and_the_right_one_is_
 def test_a_board_that_comes_to_the_port_while_it_is_opened_is_refused(ports: Ports, config: str) -> None:
     ports.plug(ttyACM0=MINE)
     ports.meanwhile = lambda: ports.plug(ttyACM0=OTHER)
-    fault = fault_of(unopened(bench_at(ports.path("ttyACM0"), MINE, config)).__enter__)
+    fault = fault_of(unopened(bench_at(ports.path("ttyACM0"), MINE, config).device).__enter__)
     assert fault.code == "OTHER_BOARD" and f"serial number {OTHER}" in fault.detail
     assert ports.opened == [ports.path("ttyACM0")]
 
@@ -105,7 +105,7 @@ def test_a_board_that_comes_to_the_port_while_it_is_opened_is_refused(ports: Por
 @pytest.mark.parametrize("number", [None, "", "0001", OTHER])
 def test_a_board_that_is_not_there_and_one_without_a_number_are_told_apart(ports: Ports, number: str | None) -> None:
     ports.plug(ttyACM0=number)
-    fault = fault_of(unopened(bench_at(ports.path("ttyACM0"), MINE)).__enter__)
+    fault = fault_of(unopened(bench_at(ports.path("ttyACM0"), MINE).device).__enter__)
     assert fault.code == "OTHER_BOARD" and "which is not plugged in" in fault.detail
     new = f'daq.usb_serial: "{OTHER}"' if number == OTHER else "leave it out"
     assert fault.detail.endswith(f"If the bench has a new board: {new}")
@@ -120,7 +120,7 @@ def test_a_number_that_no_config_takes_is_none(ports: Ports, number: str) -> Non
     ports.plug(ttyACM0=number)
     found = module.usb_port(ports.path("ttyACM0")).serial_number
     assert (found is not None) == (number in ("x" * 126, ' a"1: '))
-    with unopened(bench_at(ports.path("ttyACM0"), found)):
+    with unopened(bench_at(ports.path("ttyACM0"), found).device):
         pass
 
 
@@ -128,11 +128,11 @@ def test_a_config_without_a_number_takes_any_board_and_check_advises(ports: Port
     port = ports.path("ttyACM0")
 
     def advice(e: Experiment) -> list[str]:
-        return [note for note in notes(e) if "for this bench's" in note]
+        return [note for note in notes(e.device) if "for this bench's" in note]
 
     ports.plug(ttyACM0=MINE)
     e = bench_at(port, None)
-    with unopened(e):
+    with unopened(e.device):
         assert ports.opened == [port]
     assert ["`rig calibrate` puts the number in" in note for note in advice(e)] == [True]
     assert advice(bench_at(port, MINE)) == []

@@ -17,6 +17,7 @@ from rig.calibrate.bench import HandBench
 from rig.calibrate.dialogue import Hold, Read
 from rig.calibrate.refusal import Refusal
 from rig.config import Experiment, load, ready
+from rig.config.schema import DeviceSetup
 from rig.config.yaml12 import parse
 from rig.faults import Fault
 from rig.live.stop_flag import StopFlag
@@ -57,11 +58,11 @@ def test_a_device_that_fails_is_opened_anew(
     opened: list[bool] = []
 
     @contextmanager
-    def failing_once(e: Experiment) -> Iterator[Bench]:
+    def failing_once(d: DeviceSetup) -> Iterator[Bench]:
         opened.append(True)
         if len(opened) == 1:
             raise Fault("LINK_LOST", "unplugged")
-        with connect(e) as bench:
+        with connect(d) as bench:
             yield bench
 
     monkeypatch.setattr(module, "connect", failing_once)
@@ -79,9 +80,9 @@ def test_a_real_bench_is_opened_once_for_all_readings(
     opened: list[bool] = []
 
     @contextmanager
-    def once(e: Experiment) -> Iterator[Bench]:
+    def once(d: DeviceSetup) -> Iterator[Bench]:
         opened.append(True)
-        with connect(e) as bench:
+        with connect(d) as bench:
             yield bench
         opened.append(False)
 

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +15,26 @@ from small_campaign import small
 
 from rig.campaign import results
 from rig.campaign.grid import CampaignError
-from rig.campaign.trial import COLUMNS, run_trial
+from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import load_campaign
 
-ROWS = [run_trial(small(), k) for k in (4, 0, 2)]
+
+@cache
+def rows() -> list[Row]:
+    return [run_trial(small(), k) for k in (4, 0, 2)]
 
 
 def filled(folder: Path) -> Path:
     with results.opened(folder, small()) as file:
-        file.append(ROWS[:2])
-        file.append(ROWS[2:])
+        file.append(rows()[:2])
+        file.append(rows()[2:])
     return folder / results.RESULTS
 
 
 def test_rows_come_back_exactly_by_number(tmp_path: Path) -> None:
     path = filled(tmp_path / "one")
     table = results.read(tmp_path / "one")
-    ordered = sorted(ROWS, key=lambda row: row["number"])
+    ordered = sorted(rows(), key=lambda row: row["number"])
     for name in COLUMNS:
         np.testing.assert_array_equal(table[name], [row[name] for row in ordered])
     with path.open(newline="", encoding="utf-8") as file:
@@ -39,7 +43,7 @@ def test_rows_come_back_exactly_by_number(tmp_path: Path) -> None:
 
 
 def test_texts_with_commas_quotes_and_line_ends_stay_in_one_row(tmp_path: Path) -> None:
-    row = ROWS[0] | {"verdict": "refused", "reasons": 'a "word", and\nanother line', "tau_s": math.nan}
+    row = rows()[0] | {"verdict": "refused", "reasons": 'a "word", and\nanother line', "tau_s": math.nan}
     with results.opened(tmp_path, small()) as file:
         file.append([row])
     table = results.read(tmp_path)
@@ -56,7 +60,7 @@ def test_a_torn_last_line_is_cut_off_and_its_experiment_is_missing(tmp_path: Pat
     assert results.read(tmp_path)["number"].tolist() == [0, 4]
     with results.opened(tmp_path, small()) as file:
         assert file.done == {0, 4}
-        file.append(ROWS[2:])
+        file.append(rows()[2:])
     assert path.read_bytes() == whole
 
 

@@ -47,11 +47,11 @@ def example(registers: dict[str, Any] | None = None, daq: dict[str, Any] | None 
 
 
 def link_budget(e: Experiment) -> LinkBudget:
-    return backend_of(e).budget(e)
+    return backend_of(e.device).budget(e.device)
 
 
 def reading_budget(e: Experiment) -> LinkBudget:
-    return backend_of(e).reading_budget(e)
+    return backend_of(e.device).reading_budget(e.device)
 
 
 def problems(e: Experiment) -> dict[str, str]:
@@ -126,7 +126,7 @@ def test_a_manual_s_address_that_can_be_asked_for_is_a_note() -> None:
 
 def test_what_a_device_cannot_tell_of_a_pause_is_a_note() -> None:
     def notes_of(registers: dict[str, Any], **modbus: Any) -> list[str]:
-        return [note for note in notes(example(registers, **modbus)) if "in a pause" in note]
+        return [note for note in notes(example(registers, **modbus).device) if "in a pause" in note]
 
     assert notes_of({}) == []
     (note,) = notes_of({"status": None})
@@ -291,7 +291,7 @@ def test_two_transactions_do_not_fit_into_10_ms_at_115200_but_over_tcp_they_do()
 
 def test_a_drive_that_goes_out_a_tick_later_counts_one_period_more() -> None:
     at_once, later = example(requests="separate"), example()
-    assert reaction_periods(later) == reaction_periods(at_once) + 1
+    assert reaction_periods(later.device) == reaction_periods(at_once.device) + 1
     more_s = guard_settings_of(later).reaction_s - guard_settings_of(at_once).reaction_s
     assert more_s == pytest.approx(later.period_s)
 
@@ -300,14 +300,16 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     """Nothing bounds what the shaft does if the host of such a device dies: no sum may look as if it did."""
     with_one = example()
     none = example({"watchdog": None}, daq={"accept_no_watchdog": True})
-    assert device_watchdog_s(none) is None
+    assert device_watchdog_s(none.device) is None
     v = none.limits.max_speed_rad_s
-    assert [words for words, _ in stopping_terms(none)] == [
-        words for words, _ in stopping_terms(with_one) if words != "watchdog"
+    assert [words for words, _ in stopping_terms(none.device)] == [
+        words for words, _ in stopping_terms(with_one.device) if words != "watchdog"
     ]
     less_s = guard_settings_of(with_one).reaction_s - guard_settings_of(none).reaction_s
     assert less_s == pytest.approx(with_one.daq.watchdog_s)
-    less_rad = sum(rad for _, rad in stopping_terms(with_one)) - sum(rad for _, rad in stopping_terms(none))
+    less_rad = sum(rad for _, rad in stopping_terms(with_one.device)) - sum(
+        rad for _, rad in stopping_terms(none.device)
+    )
     assert less_rad == pytest.approx(v * with_one.daq.watchdog_s)
     found = preflight(none)
     assert found.problems == ()

@@ -390,7 +390,9 @@ def test_pairs_go_on_only_while_the_sensor_shows_motion_and_none_of_their_series
         series.append(law._pair - proven)
     stroke_s, further = strokes.strokes_s[-1], strokes.further
     assert max(series) == further and sum(series) == strokes.in_all
-    unseen_rad = _unseen_rad(*_sheet(e), e.breakaway.max_V, (1.0,) * further, (stroke_s,) * further, strokes.watchdog_s)
+    unseen_rad = _unseen_rad(
+        *_sheet(e.device), e.breakaway.max_V, (1.0,) * further, (stroke_s,) * further, strokes.watchdog_s
+    )
     assert 0.8 * UNSEEN_RAD < unseen_rad <= UNSEEN_RAD
 
 

@@ -69,7 +69,7 @@ def test_without_the_bridge_it_says_which_one_the_firmware_is_for(tmp_path: Path
     config = config_with(tmp_path, "demo.yaml", port="/dev/null", adapter="none")
     assert CliRunner().invoke(main, ["jog", str(config), "--u-V", "0"]).exit_code == 2
     e = load(config)
-    device = emulated_chip(e.model_copy(update={"drive": e.drive.model_copy(update={"bridge": "in1-in2"})}))
+    device = emulated_chip(e.model_copy(update={"drive": e.drive.model_copy(update={"bridge": "in1-in2"})}).device)
     with on_device(device, emulated=False):
         done = doctor(config)
     assert done.exit_code == 1

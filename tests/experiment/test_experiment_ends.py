@@ -22,7 +22,7 @@ from rig import session
 from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench, connect
 from rig.backends.simulated.driver import SimulatedDriver
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 from rig.control.law import Constant
 from rig.experiment import script, stages
 from rig.faults import Fault
@@ -149,8 +149,8 @@ def test_what_the_device_had_latched_since_the_last_run_is_said(
     original = connect
 
     @contextmanager
-    def cleared(experiment: Experiment) -> Iterator[Bench]:
-        with original(experiment) as bench:
+    def cleared(setup: DeviceSetup) -> Iterator[Bench]:
+        with original(setup) as bench:
             yield replace(bench, info=replace(bench.info, acknowledged=("DEVICE_ESTOP",), remarks=("of old",)))
 
     monkeypatch.setattr(session, "connect", cleared)
@@ -181,8 +181,8 @@ def test_a_supply_that_is_a_little_off_is_said_and_makes_the_estimates_doubtful(
     original = connect
 
     @contextmanager
-    def measuring(experiment: Experiment) -> Iterator[Bench]:
-        with original(experiment) as bench:
+    def measuring(setup: DeviceSetup) -> Iterator[Bench]:
+        with original(setup) as bench:
             yield replace(bench, info=replace(bench.info, supply_V=measured_V, supply_at_least=at_least))
 
     monkeypatch.setattr(session, "connect", measuring)
@@ -353,7 +353,7 @@ def test_a_model_that_fails_in_simulation_never_drives_the_bench(changed: dict[s
     e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})
     found = identify([read_run(ROOT / "tests/golden/simulated")], ["sampled-data", "triple-relay"], choose_law=False)
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
-    outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
+    outcome = script.run_tracking(e, found.as_result(), tmp_path, tmp_path / "runs")
     assert outcome.fault is None
     reason = outcome.result.tracking["triple-relay"].not_run
     assert reason is not None and "in simulation on the best model" in reason

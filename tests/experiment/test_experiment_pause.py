@@ -20,7 +20,8 @@ from rig.backends.serial.backend import SerialBackend
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.opening import emulated_chip
 from rig.backends.simulated.driver import SimulatedDriver
-from rig.config import Experiment, load
+from rig.config import load
+from rig.config.schema import DeviceSetup
 from rig.experiment import script, stages
 from rig.identify import identify
 from rig.loop.pause_watch import PauseWatch
@@ -144,7 +145,7 @@ def test_a_power_cycle_of_a_block_ends_the_run(tmp_path: Path, monkeypatch: pyte
 def test_the_next_command_clears_it_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On one device, which no opening resets: pressed between two runs."""
     path = short(tmp_path, "demo.yaml", "emulated-chip")
-    chip = emulated_chip(load(path))
+    chip = emulated_chip(load(path).device)
     monkeypatch.setattr(chip, "close", lambda: None)  # the next command finds it as it is
     with on_device(chip):
         see_it_cleared(chip, path, tmp_path)
@@ -171,8 +172,8 @@ def test_one_command_of_several_runs_acknowledges_nothing_between_them(
     chips: list[VirtualChip] = []
     conclude = session._conclude
 
-    def made(e: Experiment) -> VirtualChip:
-        chips.append(emulated_chip(e))
+    def made(d: DeviceSetup) -> VirtualChip:
+        chips.append(emulated_chip(d))
         return chips[-1]
 
     monkeypatch.setattr(SerialBackend, "is_emulated", lambda *_: False)

@@ -110,7 +110,7 @@ def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
     told = tmp_path / "plain.yaml"
     text = path.read_text(encoding="utf-8").replace("with_law: true", "with_law: false")
     told.write_text(text, encoding="utf-8")
-    without = experiment.run_tracking(config.load(told), models, run, tmp_path).result.tracking[LEADING]
+    without = experiment.run_tracking(config.load(told), models.as_result(), run, tmp_path).result.tracking[LEADING]
     assert without.law is None
     assert with_laws["true_rms_rad"] < 0.5 * known(without.true_rms_rad)
 
@@ -124,7 +124,7 @@ def test_a_law_that_no_drive_makes_up_for_and_a_drive_beyond_the_answers_are_nam
     drift = FoundLaw(law, 0.02, (0.01, 0.03), 30.0, {"drift": 0.02})
     holds = HoldsResult(drive_V=(0.1, 0.3))
     changed = replace(models, motor_law=replace(models.motor_law, found=(*models.motor_law.found, drift), holds=holds))
-    outcome = experiment.run_tracking(config.load(path), changed, run, tmp_path)
+    outcome = experiment.run_tracking(config.load(path), changed.as_result(), run, tmp_path)
     tracked = outcome.result.tracking[LEADING]
     assert tracked.law == ("sag",) and tracked.law_left_out == ("drift",)
     assert any("no drive makes up for drift" in note for note in outcome.result.notes)
@@ -141,6 +141,6 @@ def test_where_only_the_motor_with_laws_is_good_enough_it_drives_alone(
     e = config.load(path)
     assert e.tracking is not None
     both = e.model_copy(update={"tracking": e.tracking.model_copy(update={"methods": (LEADING, "triple-relay")})})
-    tracked = experiment.run_tracking(both, changed, run, tmp_path).result.tracking
+    tracked = experiment.run_tracking(both, changed.as_result(), run, tmp_path).result.tracking
     assert tracked[LEADING].law == ("sag",) and known(tracked[LEADING].true_rms_rad) < 0.005
     assert "good enough" in (tracked["triple-relay"].not_run or "")

@@ -88,7 +88,7 @@ def opened(which: str) -> tuple[Experiment, OpenBench, SimulatedDriver]:
         device, _ = open_bench(e, one, departures_of(CAMPAIGN, one, ()), bench, 60.0, FAST)
     else:
         e = config.load(ROOT / "config/quick.yaml")
-        with SIMULATED.unopened(e) as un:
+        with SIMULATED.unopened(e.device) as un:
             device = OpenBench(un.driver, un.clock, un.driver.open(), un.truth)
     e = e.model_copy(update={"relay": RelaySection(until=UntilSection(longest_s=20.0)), "tracking": None})
     assert isinstance(device.driver, SimulatedDriver)
@@ -198,7 +198,7 @@ def test_a_reading_that_fails_in_strokes_or_a_relay_test_ends_the_run(
             test: PlannedTest = Strokes((Stroke(u_V, 0.2), Stroke(-u_V, -0.2)), 2.0)
             if after_s == 0.13:
                 test = RelayGains(0.2 * u_V, 0.8 * u_V)
-            with session.loop.armed(e.device_limits):
+            with session.loop.armed(e.device.arming):
                 tests = until._Tests(session, says, is_known=True)
                 tests._next = until._Next(test)
                 tests.run()
@@ -263,7 +263,7 @@ def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_i
         fail_at(session, sensor, "search", after_s)
         with prepared(session):
             armed_check(session)
-            with session.loop.armed(e.device_limits):
+            with session.loop.armed(e.device.arming):
                 stages.search_gains(session, *stages.relay_and_detector(e))
 
     session, fault = driven(e, bench, script)
@@ -338,7 +338,7 @@ def test_a_test_that_does_not_fit_is_broken_off_although_its_end_waits_for_the_s
     def script(session: Session) -> None:
         with prepared(session):
             armed_check(session)
-            with session.loop.armed(e.device_limits):
+            with session.loop.armed(e.device.arming):
                 tests = until._Tests(session, says, is_known=True)
                 tests._next = until._Next(Strokes((Stroke(1.2, 0.5), Stroke(-1.2, -0.5)), 2.0))
                 tests._test(tests._next.test)  # type: ignore[arg-type]
@@ -406,7 +406,7 @@ def test_wherever_a_test_is_stopped_the_shaft_coasts_within_the_hard_limits() ->
     def script(session: Session) -> None:
         with prepared(session):
             armed_check(session)
-            with session.loop.armed(e.device_limits):
+            with session.loop.armed(e.device.arming):
                 strokes = (Stroke(u_V, 9.0), Stroke(-u_V, -9.0))
                 law = StrokeTest(strokes, StrokeTiming(8.0, 1.5), e.breakaway.motion_rad)
                 session.loop.run(law, "strokes-1")

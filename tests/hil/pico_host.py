@@ -9,6 +9,7 @@ from dataclasses import replace
 import chip_host
 import virtual_host
 from chip_host import SETTLE_S, START_S, UnoHost
+from idle_node import IdleNode
 
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
@@ -36,6 +37,7 @@ SETUP = virtual_host.SETUP._replace(
     hard_lo=196, hard_hi=3900, rail_lo=20, rail_hi=4072, centre=2048, max_drive=PICO_FULL // 2
 )
 LSB_RAD = BENCH.rad_per_count
+_IDLE = IdleNode()
 
 
 class PicoHost(UnoHost[VirtualPico]):
@@ -50,11 +52,12 @@ def pico(
     bench: BenchParameters = BENCH, options: Variant = PLAIN_VARIANT, *, clock_error_ppm: float = 0.0
 ) -> Iterator[PicoHost]:
     """A chip that has just been powered on."""
-    board = VirtualPico(pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options))
+    parameters = pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options)
+    board = VirtualPico(parameters, _IDLE.take())
     try:
         yield PicoHost(board, options.baud)
     finally:
-        board.end()
+        _IDLE.keep(board.leave())
 
 
 @contextmanager

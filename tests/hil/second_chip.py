@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from chip_host import UnoHost
+from idle_node import IdleNode
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
@@ -17,6 +18,7 @@ from rig.model.bench import BenchParameters
 
 _FOLDER = Path(__file__).parent / "avr8js"
 _BYTE_NS = round(10e9 / 115200)
+_IDLE = IdleNode()
 
 
 class SecondTruth(NamedTuple):
@@ -62,7 +64,7 @@ class SecondChip:
             "motor": motor,
             "bench": {name: getattr(bench, name) for name in names},
         }
-        self._process = subprocess.Popen(
+        self._process = _IDLE.take() or subprocess.Popen(
             [node, str(_FOLDER / "main.js")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self._say(chip)
@@ -77,10 +79,7 @@ class SecondChip:
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait(10.0)
-        self._process.stdout.close()
+        _IDLE.keep(self._process)
 
     def write(self, data: bytes) -> None:
         self._to_send += data

@@ -28,10 +28,10 @@ def drive_until_it_moves(port: str, experiment: Experiment) -> float:
     """Through the driver that a run uses; how far it says that the shaft has moved, rad."""
     transport = SerialPort(port)
     # a shared machine may hold a process up for long
-    driver = SerialDriver(transport, experiment.scaling, Timeouts(2.0), emulated=True)
+    driver = SerialDriver(transport, experiment.device.scaling, Timeouts(2.0), emulated=True)
     info = driver.open()
     assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
-    driver.arm(replace(experiment.device_limits, watchdog_s=1.0))
+    driver.arm(replace(experiment.device.arming, watchdog_s=1.0))
     start_rad = y_rad = driver.read().y_rad
     until_s = time.monotonic() + PATIENCE_S
     while abs(y_rad - start_rad) < 0.2:

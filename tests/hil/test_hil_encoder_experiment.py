@@ -118,12 +118,12 @@ def test_a_shaft_without_limits_is_identified_and_turned_on_and_on(tmp_path: Pat
 def test_a_bound_in_turns_holds_in_the_device_from_where_the_command_finds_the_shaft(tmp_path: Path) -> None:
     motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": 700.0}
     experiment = load(changed(tmp_path, limits=ENDLESS | {"turns": 3}, emulated={"motor": motor}))
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         chip = bench.clock
         assert isinstance(chip, VirtualChip)
         chip.place(700.0 + 3 * math.tau - 0.1)
         chip.sleep_until(chip.now_s() + 1.0)  # the edges come one by one
-        bench.driver.arm(experiment.device_limits)
+        bench.driver.arm(experiment.device.arming)
         bench.driver.read()
         chip.place(700.0 + 3 * math.tau + 0.1)
         chip.sleep_until(chip.now_s() + 0.05)
@@ -159,7 +159,7 @@ def test_home_by_an_end_switch_finds_zero_to_a_few_counts(tmp_path: Path) -> Non
         tmp_path, sensor={"encoder": encoder}, emulated={"motor": motor, "encoder": {"end_rad": [-1.5, 1.5]}}
     )
     experiment = load(path)
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         found = zero.find_by_switch(experiment, bench, StopFlag())
         chip = bench.clock
         assert isinstance(chip, VirtualChip)
@@ -234,7 +234,7 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
 ) -> None:
     """Not the one of before, either, which may be wrong: the next command is refused, and the drive stays at 0."""
     experiment = with_end_switches(tmp_path)
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         chip, driver = bench.clock, bench.driver
         assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
         driver.set_zero(chip.truth().y_rad - 1.2)
@@ -253,8 +253,8 @@ def test_a_homing_that_goes_wrong_leaves_no_zero(
         assert not acts and not zeros
         assert chip.truth().pin_V == 0.0
         chip.rewire()
-        with standing(chip), connect(experiment) as again, pytest.raises(Fault) as refused:
-            again.driver.arm(experiment.device_limits)
+        with standing(chip), connect(experiment.device) as again, pytest.raises(Fault) as refused:
+            again.driver.arm(experiment.device.arming)
         assert chip.truth().pin_V == 0.0
     assert failed.value.code == code and words in str(failed.value), failed.value
     assert refused.value.code == "DEVICE_NO_ZERO"
@@ -265,7 +265,7 @@ def test_what_happens_in_the_last_moment_of_a_homing_leaves_no_zero(
     is_lost: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = with_end_switches(tmp_path)
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         chip, driver = bench.clock, bench.driver
         assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
         set_zero = driver.set_zero
@@ -280,14 +280,14 @@ def test_what_happens_in_the_last_moment_of_a_homing_leaves_no_zero(
         with pytest.raises(Fault, match="LINK_TIMEOUT" if is_lost else "INTERRUPTED"):
             zero.find_by_switch(experiment, bench, StopFlag())
         with pytest.raises(Fault, match="DEVICE_NO_ZERO"):
-            driver.arm(experiment.device_limits)
+            driver.arm(experiment.device.arming)
 
 
 def test_a_homing_that_ends_before_it_arms_leaves_no_zero(tmp_path: Path) -> None:
     """The e-stop is pressed, or the link dies, before anything moves."""
     path = changed(tmp_path, sensor={"encoder": {"counts_per_turn": 64, "gear": 50, "home": HOME}})
     experiment = load(path)
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         chip, driver = bench.clock, bench.driver
         assert isinstance(chip, VirtualChip) and isinstance(driver, SerialDriver)
         chip.contact("e_stop", is_open=True)
@@ -296,16 +296,16 @@ def test_a_homing_that_ends_before_it_arms_leaves_no_zero(tmp_path: Path) -> Non
             zero.find_by_switch(experiment, bench, StopFlag())
         assert failed.value.code == "DEVICE_ESTOP"
         chip.contact("e_stop", is_open=False)
-        with standing(chip), connect(experiment) as again, pytest.raises(Fault) as refused:
+        with standing(chip), connect(experiment.device) as again, pytest.raises(Fault) as refused:
             assert any("rig home" in remark for remark in again.info.remarks)
-            again.driver.arm(experiment.device_limits)
+            again.driver.arm(experiment.device.arming)
     assert refused.value.code == "DEVICE_NO_ZERO"
 
 
 def test_by_hand_the_zero_is_forgotten_before_the_hand_turns_the_shaft(tmp_path: Path) -> None:
     """Whoever is not sure and gives up at the prompt is left without a zero."""
     experiment = load(CONFIG)
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         chip = bench.clock
         assert isinstance(chip, VirtualChip)
         with standing(chip):
@@ -314,19 +314,19 @@ def test_by_hand_the_zero_is_forgotten_before_the_hand_turns_the_shaft(tmp_path:
             outcome = CliRunner().invoke(main, ["run", str(CONFIG), "--out", str(tmp_path), "--json"])
             assert json.loads(outcome.stdout)["faults"][0]["code"] == "DEVICE_NO_ZERO"
             assert CliRunner().invoke(main, ["home", str(CONFIG), "--at-rad", "0.2"], input="\n").exit_code == 0
-            with connect(experiment) as again:
+            with connect(experiment.device) as again:
                 assert not again.info.remarks
-                again.driver.arm(experiment.device_limits)
+                again.driver.arm(experiment.device.arming)
                 assert again.driver.read().y_rad == pytest.approx(0.2, abs=math.tau / 3200)
 
 
 def test_a_zero_that_the_encoder_loses_at_once_is_none(tmp_path: Path) -> None:
     """A wire is loose while `rig home` talks to the device: it says so, instead of "zero is set"."""
     experiment = load(CONFIG)
-    with connect(experiment) as bench:
+    with connect(experiment.device) as bench:
         chip = bench.clock
         assert isinstance(chip, VirtualChip)
-        with standing(chip), connect(experiment) as again:
+        with standing(chip), connect(experiment.device) as again:
             driver = again.driver
             assert isinstance(driver, SerialDriver)
             driver.forget_zero()

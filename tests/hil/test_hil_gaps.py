@@ -80,6 +80,6 @@ def test_the_longest_watchdog_has_room_to_stop(number: int, watchdog_s: float) -
     longest_s = longest_watchdog_s(slower)
     assert longest_s is not None and longest_s <= 0.5
     longest = slower.model_copy(update={"daq": slower.daq.model_copy(update={"watchdog_s": longest_s})})
-    assert sum(rad for _, rad in stopping_terms(longest)) <= room_rad(longest)
+    assert sum(rad for _, rad in stopping_terms(longest.device)) <= room_rad(longest.device)
     longer = slower.model_copy(update={"daq": slower.daq.model_copy(update={"watchdog_s": longest_s + 0.03})})
-    assert longest_s == 0.5 or sum(rad for _, rad in stopping_terms(longer)) > room_rad(longer)
+    assert longest_s == 0.5 or sum(rad for _, rad in stopping_terms(longer.device)) > room_rad(longer.device)

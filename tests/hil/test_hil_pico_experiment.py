@@ -81,10 +81,10 @@ def test_it_is_driven_as_a_board_would_be(tmp_path: Path) -> None:
         try:
             wait_until(link.is_symlink)
             # a shared machine may hold a process up for long
-            driver = SerialDriver(SerialPort(str(link)), experiment.scaling, Timeouts(2.0), emulated=True)
+            driver = SerialDriver(SerialPort(str(link)), experiment.device.scaling, Timeouts(2.0), emulated=True)
             info = driver.open()
             assert (info.board, info.emulated, info.reset_cause) == ("pico", True, "power-on")
-            driver.arm(replace(experiment.device_limits, watchdog_s=1.0))
+            driver.arm(replace(experiment.device.arming, watchdog_s=1.0))
             start_rad = y_rad = driver.read().y_rad
             until_s = time.monotonic() + PATIENCE_S
             while abs(y_rad - start_rad) < 0.2:

@@ -66,7 +66,7 @@ def test_the_run_ends_by_its_code_with_the_pins_at_0(
     picos: list[Troubled] = []
 
     def made(e: Experiment) -> Troubled:
-        picos.append(Troubled(opening._pico_parameters(e), trouble))
+        picos.append(Troubled(opening._pico_parameters(e.device), trouble))
         return picos[-1]
 
     monkeypatch.setattr(opening, "emulated_pico", made)

@@ -67,7 +67,7 @@ def test_no_device_hears_a_request_before_it_is_sent_nor_loses_time(name: str, t
     config["emulated"]["clock_error_ppm"] = 0  # so that both clocks can be compared
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config), "utf-8")
     experiment, _ = check(tmp_path / "config.yaml")
-    with emulated_board(experiment, chip=name == "demo-chip") as board:
+    with emulated_board(experiment.device, chip=name == "demo-chip") as board:
         port = SerialPort(board.port)
         asker = Asker(port)
         first = asker.first_answer()

@@ -308,7 +308,7 @@ def test_stop_by_another_panel_while_it_homes_is_0_V_at_the_pin(tmp_path: Path, 
     data["sensor"]["encoder"] |= encoder
     data["emulated"]["encoder"] = {"end_rad": [-1.5, 1.5]}
     e = Experiment.model_validate(data)
-    chip, panel = emulated_chip(e), OtherPanel(tmp_path)
+    chip, panel = emulated_chip(e.device), OtherPanel(tmp_path)
     pin = Pin(chip, panel.stop, phase)
     with on_device(chip), pytest.raises(Fault, match="Stop by panel"):
         zero.by_switch(e, tmp_path)

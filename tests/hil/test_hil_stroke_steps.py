@@ -73,7 +73,7 @@ def virtual_board(e: Experiment) -> VirtualBoard:
 
 def driven(e: Experiment, device: Any) -> list[tuple[int, float]]:
     """Each stroke that the check asked for: its ticks, and its largest drive, V. Raises Fault, but for NO_MOTION."""
-    driver = serial_driver(e, Line(device, device, "virtual", emulated=True))
+    driver = serial_driver(e.device, Line(device, device, "virtual", emulated=True))
     info = driver.open()
     record = ListSink()
     loop = Loop(driver, device, Guard(guard_settings_of(e)), record, e.period_s, StopRequest())
@@ -101,7 +101,7 @@ def test_neither_the_guard_nor_a_lost_frame_lets_a_stroke_last_longer_in_the_dev
     """Each frame of a stroke is a pulse, and whichever of them comes first names the same end."""
     e = bench(21.0)
     device = virtual_board(e)
-    driver = serial_driver(e, Line(device, device, "virtual", emulated=True))
+    driver = serial_driver(e.device, Line(device, device, "virtual", emulated=True))
     info = driver.open()
     ends_s: list[float] = []  # of each pulse; nan: none, the drive was to go on
     send_pulse, send = driver.write_pulse, driver.write
@@ -118,7 +118,7 @@ def test_neither_the_guard_nor_a_lost_frame_lets_a_stroke_last_longer_in_the_dev
     record = ListSink()
     loop = Loop(driver, device, _Clipping(guard_settings_of(e)), record, e.period_s, StopRequest())
     check = breakaway_check(e, info.drive_units)
-    with pytest.raises(Fault, match=r"NO_MOTION|LINK_TIMEOUT"), loop.armed(e.device_limits):
+    with pytest.raises(Fault, match=r"NO_MOTION|LINK_TIMEOUT"), loop.armed(e.device.arming):
         loop.run(check, "breakaway")
     driver.close()
     of_strokes = [list(ends) for is_none, ends in groupby(ends_s, math.isnan) if not is_none]
@@ -174,11 +174,11 @@ def test_every_stroke_is_as_planned_whatever_the_speed_and_the_steps_of_the_driv
 @pytest.mark.parametrize(("sensor", "speed_rad_s"), [("potentiometer", 5.0), *evidence(("encoder", 21.0))])
 def test_every_stroke_is_as_planned_on_the_unos_chip(sensor: Sensor, speed_rad_s: float) -> None:
     e = bench(speed_rad_s, sensor=sensor)
-    assert is_as_planned(e, driven(e, emulated_chip(e)))
+    assert is_as_planned(e, driven(e, emulated_chip(e.device)))
 
 
 @pytest.mark.long
 @pytest.mark.evidence
 def test_every_stroke_is_as_planned_on_the_picos_chip() -> None:
     e = bench(21.0, sensor="encoder", ramp_V_s=0.1, port="emulated-pico")
-    assert is_as_planned(e, driven(e, emulated_pico(e)))
+    assert is_as_planned(e, driven(e, emulated_pico(e.device)))

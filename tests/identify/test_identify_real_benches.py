@@ -13,11 +13,11 @@ from evidence import evidence
 from rig.identify import identify
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out, share_cut
-from rig.identify.departures.choice import Columns
+from rig.identify.departures.choice import Columns, levels
 from rig.identify.departures.cogging import Cogging
 from rig.identify.departures.departure import Bench
 from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
-from rig.identify.departures.outside import by_current, outside
+from rig.identify.departures.outside import by_current, by_friction_waves, outside
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, by_prediction
@@ -25,7 +25,7 @@ from rig.identify.in_pieces import fit_in_pieces
 from rig.identify.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
 from rig.identify.noise import Noise
 from rig.identify.plausibility import judge_records
-from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, response
+from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.recording.recording import from_columns
 from rig.recording.series import TimeSeries
 from rig.results import Answer
@@ -248,10 +248,12 @@ def test_a_soft_coupling_holds_the_reading_back_by_its_acceleration_and_a_curren
     _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
     fit = solve(start(problem, motor))
     bench = problem.cut.bench(fit.motor, 0.0)
-    changes = {law.name: change for law, change in outside(fit, (), bench)}
+    changes = {law.name: change for law, change, _ in outside(fit, (), bench)}  # of the stiffest coupling
     assert set(changes) == {"soft_coupling", "sag_by_current"}
     sag = [law for law in DEPARTURES if law.name == "sag"]
-    assert [law.name for law, _ in outside(fit, sag, bench)] == ["soft_coupling"]
+    assert {law.name for law, _, _ in outside(fit, sag, bench)} == {"soft_coupling"}
+    coloured = replace(fit, problem=replace(problem, noise=Noise(0.1, 2.0)))
+    assert "friction_wave" in [law.name for law, _, _ in outside(coloured, (), bench)]
     y_rad, t_s = problem.cut.y_rad + fit.residual_rad, problem.cut.t_s
     first = slice(0, problem.cut.lengths[0])
     speed = np.gradient(y_rad[first], t_s[first])
@@ -379,3 +381,72 @@ def test_a_record_shorter_than_a_stretch_still_has_its_voltages_balanced() -> No
     u_V = np.random.default_rng(1).choice([-7.0, -5.0, -3.0, 3.0, 5.0, 7.0], 8).repeat(15)[:115]
     y_rad = response(quick, Frame(duration_s=float(t_s[-1])), (t_s + 3e-4, u_V), t_s, Pieces.one())
     assert answered((t_s, u_V, 1e-4 * np.round(y_rad / 1e-4))).verdict != "ok"
+
+
+def behind_a_coupling(motor: RealMotor, rad_s: float, *, rows: int = 1200) -> Recorded:
+    """As ``recorded``, but half of the mass is a load behind a belt, and the sensor is on it."""
+    t_s, u_V, _ = recorded(motor, (3.0, 5.0, 7.0), rows=rows)
+    steps, share, damping = 50, 0.5, 0.1
+    h = PERIOD_S / steps
+    v = y = load_v = load_y = 0.0
+    y_rad = np.empty(rows)
+    for k in range(rows):
+        y_rad[k] = load_y
+        for _ in range(steps):
+            twist = rad_s**2 * (y - load_y) + 2.0 * damping * rad_s * (v - load_v)
+            push_V = float(u_V[k]) - motor.tau_s * share * (1.0 - share) * twist / motor.K_rad_s_V
+            way = math.copysign(1.0, v if v != 0.0 else push_V)
+            if v != 0.0 or abs(push_V) > motor.fc_V:
+                change = h * (motor.K_rad_s_V * (push_V - way * motor.fc_V) - v) / (motor.tau_s * (1.0 - share))
+                v = 0.0 if v * way > 0.0 > (v + change) * way else v + change
+            y += h * v
+            load_v += h * (1.0 - share) * twist
+            load_y += h * load_v
+    return t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)
+
+
+def test_a_soft_coupling_is_named_and_taken_out_of_the_numbers() -> None:
+    motor, rad_s = RealMotor(0.1, 10.0, 0.6), 2.0 * math.pi * 9.0
+    answer = answered(behind_a_coupling(motor, rad_s))
+    assert answer.law is not None and "soft_coupling" in [law.name for law in answer.law]
+    size = next(law.value for law in answer.law if law.name == "soft_coupling")
+    assert size is not None and float(size) == pytest.approx(rad_s**-2, rel=0.1)
+    assert right(answer, motor, 0.05, "tau_s", "K_rad_s_V", "fc_V")
+
+
+@pytest.mark.parametrize("of", [("a", "b"), ("a", "a")])
+def test_a_level_of_friction_is_seen_where_recordings_have_one_of_their_own(of: tuple[str, str]) -> None:
+    whole, series = 0.0, []
+    for k, share in enumerate((0.8, 1.2)):
+        t_s, u_V, y_rad = recorded(MOTOR._replace(fc_V=share * MOTOR.fc_V), (3.0, 5.0, 7.0), seed=k, rows=800)
+        series.append(TimeSeries(t_s + whole, y_rad, None, u_V))
+        whole += float(t_s[-1]) + 1.0
+    cut = Cut.whole(series, 0.01, of).every(1.0)
+    problem = Problem(cut, (*CORE, "delay_s"), limits_of((*CORE, "delay_s"), cut, (-0.005, 0.01)), STEP_RAD / 3.0)
+    fit = solve(start(problem, MOTOR._replace(delay_s=0.002)))
+    found = levels(fit, of)
+    assert list(found.values()) == pytest.approx([-0.2, 0.2] if of == ("a", "b") else [0.0], abs=0.03)
+    leveled = solve(start(replace(problem, cut=cut.with_levels(found, of)), fit.motor._replace(drift=0.2)))
+    assert leveled.rms_rad < (0.5 if of == ("a", "b") else 1.1) * fit.rms_rad
+
+
+@pytest.mark.evidence
+def test_recordings_of_different_days_are_one_motor_with_a_level_of_friction_each() -> None:
+    days = [recorded(MOTOR._replace(fc_V=fc), (3.0, 5.0, 7.0), seed=k, rows=1000) for k, fc in enumerate((0.54, 0.66))]
+    answer = answered(*days)
+    assert answer.law is not None and [law.name for law in answer.law] == ["level_each"]
+    assert answer.law[0].value == pytest.approx(0.1, abs=0.01)
+    assert right(answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_a_wave_of_friction_does_what_friction_over_position_does_where_it_has_its_period() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0)))
+    fit = solve(start(problem, motor))
+    rows = fit.problem.cut.derivatives(fit.motor, fit.starts, [index("friction_sin_V"), index("friction_cos_V")])
+    centre = problem.cut.frames[0].centre_rad
+    turned = np.array([[math.cos(centre), math.sin(centre)], [-math.sin(centre), math.cos(centre)]])
+    own, there = by_friction_waves(fit, [1.0]), rows.by_number
+    expected = np.linalg.lstsq(own @ turned, there, rcond=None)[0]
+    left = there - own @ turned @ expected
+    assert float(np.sum(left**2)) < 0.1 * float(np.sum(there**2))
+    assert np.diag(expected) == pytest.approx([1.0, 1.0], abs=0.1)

@@ -47,7 +47,7 @@ def experiment(emulated: dict[str, Any] | None = None, **sections: Any) -> Exper
 
 
 def test_every_key_that_is_left_out_is_as_the_config_believes() -> None:
-    bench = truth_of(experiment(**ODD))
+    bench = truth_of(experiment(**ODD).device)
     assert bench is not None
     assert bench.rad_per_count == pytest.approx(4.2 / (200 - 3900))
     assert bench.centre_counts == pytest.approx(200 + 2.0 * 3700 / 4.2)
@@ -55,7 +55,7 @@ def test_every_key_that_is_left_out_is_as_the_config_believes() -> None:
     assert (bench.supply_V, bench.bridge_drop_V) == (10.0, 1.4)
     assert (bench.dead_band_plus, bench.dead_band_minus, bench.reversed) == (0.03, 0.05, True)
     assert (bench.tachometer_rad_s_per_count, bench.tachometer_zero_counts) == (0.02, 2048.0)
-    assert list(differences(experiment(**ODD))) == []
+    assert list(differences(experiment(**ODD).device)) == []
 
 
 def test_no_key_is_left_without_a_value() -> None:
@@ -75,7 +75,7 @@ def test_no_key_is_left_without_a_value() -> None:
 def test_the_configs_of_the_project_mean_what_they_did(name: str) -> None:
     """What was a fixed default until the config was asked."""
     read = load(ROOT / "config" / name)
-    bench = truth_of(read)
+    bench = truth_of(read.device)
     assert bench is not None
     if name == "demo-pico.yaml":  # 12 bits
         assert (bench.rad_per_count, bench.centre_counts, bench.counts_max) == (4.2 / 4096, 2048.0, 4095)
@@ -92,7 +92,7 @@ def test_the_configs_of_the_project_mean_what_they_did(name: str) -> None:
     assert (bench.supply_V, bench.bridge_drop_V, bench.dead_band_plus, bench.dead_band_minus) == (12.0, 0.0, 0.0, 0.0)
     assert (bench.reversed, bench.tachometer_rad_s_per_count) == (False, None)
     parts = read.emulated is not None and read.emulated.motor.parts is not None
-    assert [sentence.split(":")[0] for sentence in differences(read)] == ([NOTE_ON_PARTS] if parts else [])
+    assert [sentence.split(":")[0] for sentence in differences(read.device)] == ([NOTE_ON_PARTS] if parts else [])
 
 
 SAYS: dict[str, tuple[dict[str, Any], str]] = {
@@ -128,7 +128,7 @@ def test_rig_check_notes_what_is_told_otherwise(tmp_path: Path, told: str) -> No
 
 def test_rig_check_notes_a_missing_velocity_channel_and_a_bent_calibration() -> None:
     bent = {"calibration": [{"counts": 24, "rad": -2.0}, {"counts": 512, "rad": 0.1}, {"counts": 1000, "rad": 2.0}]}
-    table, tachometer = differences(experiment({"tachometer": False}, sensor=bent, tachometer=ODD["tachometer"]))
+    table, tachometer = differences(experiment({"tachometer": False}, sensor=bent, tachometer=ODD["tachometer"]).device)
     assert "no velocity channel" in tachometer
     assert "bends by up to 24.4 counts" in table
 
@@ -147,18 +147,18 @@ def with_parts(**motor: Any) -> Experiment:
 
 
 def test_a_motor_with_parts_is_the_given_one_and_its_parts() -> None:
-    bench = truth_of(with_parts())
+    bench = truth_of(with_parts().device)
     assert bench is not None and bench.real is not None
     assert bench.real == plain(bench.motor)._replace(backlash_rad=0.02, lag_s=0.005, drift=0.1)
     assert bench.frame == Frame(0.1, 1.0, 0.0, 40.0)
-    (said,) = differences(with_parts())
+    (said,) = differences(with_parts().device)
     assert "emulated.motor.parts: lag_s 0.005, backlash_rad 0.02, drift 0.1" in said
-    without = truth_of(experiment())
+    without = truth_of(experiment().device)
     assert without is not None and without.real is None
 
 
 def test_a_bench_with_parts_moves_as_its_motor() -> None:
-    bench = truth_of(with_parts())
+    bench = truth_of(with_parts().device)
     assert bench is not None and bench.real is not None
     model, moving = BenchModel(bench, 1), MovingMotor(bench.real, bench.frame, bench.start_rad)
     model.arm()

@@ -405,7 +405,7 @@ def test_the_guard_reckons_with_every_term_of_the_stopping_sum(name: str) -> Non
     experiment = check(CONFIGS / name)[0]
     guard = guard_settings_of(experiment)
     travelled_rad = guard.max_speed_rad_s * (guard.reaction_s + guard.coast_tau_s)
-    assert travelled_rad == pytest.approx(sum(rad for _, rad in stopping_terms(experiment)))
+    assert travelled_rad == pytest.approx(sum(rad for _, rad in stopping_terms(experiment.device)))
 
 
 def test_the_guard_reckons_with_the_delay_that_was_shown() -> None:
@@ -418,7 +418,7 @@ def test_the_guard_reckons_with_the_delay_that_was_shown() -> None:
         (BenchDelay(0.002, (0.012, 0.02, 0.03)), 0.03),
         (BenchDelay(0.0352, (0.012, 0.02, 0.03)), 0.0552),
     ):
-        assert counted_delay_s(e, delay) == pytest.approx(counted_s)
+        assert counted_delay_s(e.device, delay) == pytest.approx(counted_s)
         guard = guard_settings_of(e, 0.003, delay)
         assert guard.delay_s == pytest.approx(counted_s)
         assert guard.reaction_s == guard_settings_of(e).reaction_s
@@ -426,7 +426,7 @@ def test_the_guard_reckons_with_the_delay_that_was_shown() -> None:
 
 def test_in_order_write_first_a_drives_own_tick_is_the_next_one() -> None:
     modbus = check(CONFIGS / "modbus-rtu.yaml")[0]
-    assert counted_delay_s(modbus, BenchDelay(0.0352)) == pytest.approx(0.0152)
+    assert counted_delay_s(modbus.device, BenchDelay(0.0352)) == pytest.approx(0.0152)
 
 
 @pytest.mark.parametrize(
@@ -446,7 +446,7 @@ def test_with_as_much_delay_as_there_is_room_for_the_shaft_just_stops(changes: d
     e = experiment(**changes)
     room_s, v, target = room_for_delay_s(e), e.limits.max_speed_rad_s, e.relay.target
     assert target is not None
-    reaction_s = sum(rad for _, rad in stopping_terms(e)) / v + room_s
+    reaction_s = sum(rad for _, rad in stopping_terms(e.device)) / v + room_s
     largest_rad = target.amplitude_rad * max(1.0, e.relay.second_ratio) * (1.0 + target.tolerance)
     arc = np.linspace(0.0, 1.0, 2001)
     stop_rad = float(np.max(largest_rad * (1.0 - arc**2) + 8.0 * largest_rad / target.period_s * arc * reaction_s))

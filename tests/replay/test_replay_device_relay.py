@@ -14,7 +14,7 @@ from rig.backends.driver import RelayRules
 from rig.backends.serial.backend import SerialBackend
 from rig.backends.serial.firmware_laws import FirmwareLawRules
 from rig.calibration import DriveMap
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 from rig.recording.errors import RecordingError
 
 
@@ -27,8 +27,8 @@ class Clone(SerialBackend):
 class OtherSupply(Clone):
     """One that drives as on another supply."""
 
-    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
-        return FirmwareLawRules(e.sensor.curve, DriveMap(1.1 * drive_map.supply_V), clock_ratio)
+    def relay_rules(self, d: DeviceSetup, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
+        return FirmwareLawRules(d.sensor.curve, DriveMap(1.1 * drive_map.supply_V), clock_ratio)
 
 
 class Silent(Clone):

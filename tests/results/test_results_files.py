@@ -38,7 +38,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rig.session.write_report", lambda *_: None)
         relay = experiment.run_relay(e, parent).folder
-        track = experiment.run_tracking(e, identify([read_run(relay)], choose_law=False), relay, parent).folder
+        track = experiment.run_tracking(
+            e, identify([read_run(relay)], choose_law=False).as_result(), relay, parent
+        ).folder
         return [relay, track, experiment.jog(e, 0.5, 0.1, parent).folder]
 
 

@@ -17,7 +17,7 @@ from mutants import named
 from mutants.__main__ import wrong
 from mutants.functions import name_at, spans
 from mutants.mutant import AnchorError, Mutant
-from mutants.named import NAMED
+from mutants.named import all_named
 from mutants.page import render
 from mutants.rooms import EQUIVALENT
 from mutants.sampled import Room, draw
@@ -35,10 +35,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_each_named_mutant_changes_its_function_and_no_two_are_called_alike() -> None:
-    for mutant in NAMED:
+    for mutant in all_named():
         assert mutant.applied_in(ROOT) != (ROOT / mutant.path).read_text(encoding="utf-8")
-    assert [name for name, times in Counter(m.name for m in NAMED).items() if times > 1] == []
-    assert len(NAMED) >= 40
+    assert [name for name, times in Counter(m.name for m in all_named()).items() if times > 1] == []
+    assert len(all_named()) >= 40
 
 
 def test_a_data_file_is_refused_by_file_and_line_for_a_key_that_nobody_knows_and_a_value_that_is_no_text(
@@ -68,7 +68,9 @@ def test_a_data_file_is_refused_by_file_and_line_for_a_key_that_nobody_knows_and
 def test_each_mutant_of_the_firmware_compiles_without_a_warning(tmp_path: Path) -> None:
     workshop = Workshop(ROOT, tmp_path)
     workshop.prepare(only="firmware")
-    wrong = {mutant.name: complaint for mutant in NAMED if mutant.is_c and (complaint := workshop.complaint(mutant))}
+    wrong = {
+        mutant.name: complaint for mutant in all_named() if mutant.is_c and (complaint := workshop.complaint(mutant))
+    }
     assert wrong == {}
 
 
@@ -80,7 +82,7 @@ def functions_of(name: str) -> set[str]:
 
 def test_each_test_that_is_to_catch_one_is_there() -> None:
     rows, devices = {row.name for row in ROWS}, {backend.key for backend in BACKENDS}
-    for killer in {killer for mutant in NAMED for killer in mutant.killers}:
+    for killer in {killer for mutant in all_named() for killer in mutant.killers}:
         name, _, test = killer.partition("::")
         assert (ROOT / name).exists(), killer
         if test:
@@ -93,7 +95,7 @@ def test_each_test_that_is_to_catch_one_is_there() -> None:
 
 def test_the_table_in_the_docs_has_each_named_mutant() -> None:
     page = (ROOT / "docs" / "evidence" / "mutant-table.md").read_text(encoding="utf-8")
-    assert [mutant.name for mutant in NAMED if f"| {mutant.name} |" not in page] == []
+    assert [mutant.name for mutant in all_named() if f"| {mutant.name} |" not in page] == []
     assert re.search(r"\| \*\*\w", page) is None  # nothing survived that should not, and nothing went wrong
     assert all(why in page for why in EQUIVALENT.values())
 

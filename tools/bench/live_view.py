@@ -101,7 +101,7 @@ def stop_ms(bench: Bench, experiment: Experiment, folder: Path, faults: list[str
             loop = Loop(bench.driver, bench.clock, guard, stopped, experiment.period_s, StopRequest(flag))
             asking = threading.Timer(0.1 + number / STOPS * experiment.period_s, ask)
             try:
-                with real_time(real_time_of(experiment)), loop.armed(experiment.device_limits):
+                with real_time(real_time_of(experiment)), loop.armed(experiment.device.arming):
                     asking.start()
                     loop.run(Constant(0.3, 1.0), "jog")
             except Fault as fault:
@@ -155,7 +155,7 @@ def measure(seconds: float, viewers: int, folder: Path) -> dict[str, Any]:
                     os.kill(process.pid, signal.SIGSTOP if turn % 2 else signal.SIGCONT)
                 test = RelayTest(relay, detector, GAINS_V, 1000, 1e6)
                 try:
-                    with real_time(real_time_of(experiment)), loop.armed(experiment.device_limits):
+                    with real_time(real_time_of(experiment)), loop.armed(experiment.device.arming):
                         loop.run(Limited(test, round(TURN_S / experiment.period_s)), "relay-1")
                 except Fault as fault:  # a machine that stood still for longer than daq.timeout_s
                     faults.append(fault.code)

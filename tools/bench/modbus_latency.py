@@ -110,8 +110,8 @@ def ours(slave: LibmodbusSlave, stack: ExitStack) -> Exchange:
     experiment = load(ROOT / "config" / "modbus-rtu.yaml")
     daq = experiment.daq.model_copy(update={"port": slave.port, "timeout_s": TIMEOUT_S})
     experiment = experiment.model_copy(update={"daq": daq})
-    driver = stack.enter_context(connect(experiment)).driver
-    driver.arm(replace(experiment.device_limits, watchdog_s=1.0))
+    driver = stack.enter_context(connect(experiment.device)).driver
+    driver.arm(replace(experiment.device.arming, watchdog_s=1.0))
     return driver.read
 
 

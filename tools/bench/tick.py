@@ -111,16 +111,16 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     """The bench of the config in real time, a simulated one, too."""
     if experiment.daq.driver != "simulated":
         daq = experiment.daq.model_copy(update={"port": words.in_real_time(experiment.daq.port or "")})
-        with connect(experiment.model_copy(update={"daq": daq})) as bench:
+        with connect(experiment.model_copy(update={"daq": daq}).device) as bench:
             yield bench
         return
-    truth = truth_of(experiment)
+    truth = truth_of(experiment.device)
     assert truth is not None
     clock = MonotonicClock(1e-6 * experiment.loop.spin_us)
     driver = SimulatedDriver(
         clock,
         truth,
-        experiment.scaling,
+        experiment.device.scaling,
         SimulatedLatency(0.001, 0.0),
         experiment.seed,
     )
@@ -135,7 +135,7 @@ class Turns:
     def __init__(self, experiment: Experiment, bench: Bench, recorder: Recorder, condition: str) -> None:
         self._cores, raise_workers = CONDITIONS[condition]
         self._settings = replace(real_time_of(experiment), raise_workers=raise_workers)
-        self._limits = experiment.device_limits
+        self._limits = experiment.device.arming
         self._ticks = round(TURN_S / experiment.period_s)
         settings = guard_settings_of(experiment)
         guard = Guard(settings)

@@ -128,7 +128,7 @@ def open_bench(
     clock = VirtualClock()
     plain = Motor(one.tau_s, one.K_rad_s_V, coulomb(one.fc_V), one.asym_V)
     truth = BenchParameters(plain, noise_rad=bench.noise_rad, rad_per_count=bench.lsb_rad, offset_rad=bench.offset_rad)
-    driver = SimulatedDriver(clock, truth, e.scaling, SimulatedLatency(bench.delay_s, 0.0), seed)
+    driver = SimulatedDriver(clock, truth, e.device.scaling, SimulatedLatency(bench.delay_s, 0.0), seed)
     motor = PlainMotor(one.tau_s, one.K_rad_s_V, one.fc_V, one.asym_V)
     shaft = DepartingShaft(motor, departures, bench, truth, drifts_over_s, seed)
     driver.bench = shaft  # type: ignore[assignment]  # the same calls, another motor

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.library_build import NAME, compile_library
+from rig.model.library_build import compiled
 
 Array = NDArray[np.float64]
 
@@ -26,10 +26,7 @@ SOURCE = Path(__file__).with_suffix(".c")
 
 
 def _loaded() -> ctypes.CDLL:
-    built = SOURCE.parents[2] / "build" / "campaign_real" / NAME
-    if not built.is_file() or built.stat().st_mtime_ns < SOURCE.stat().st_mtime_ns:
-        compile_library([SOURCE], built)
-    loaded = ctypes.CDLL(str(built))
+    loaded = ctypes.CDLL(str(compiled([SOURCE], SOURCE.parents[2] / "build" / "campaign_real")))
     numbers, span = ctypes.c_void_p, ctypes.c_double
     loaded.departing_advance.argtypes = [numbers] * 4 + [span, numbers]
     loaded.departing_advance.restype = None

@@ -34,7 +34,7 @@ from campaign_real.departing_motor import row_of
 from real_records.siblings import next_record
 from rig.identify import IdentifyError, identify
 from rig.identify.departures.budget import Entry
-from rig.model.library_build import NAME, compile_library
+from rig.model.library_build import compiled
 from rig.recording.recording import Recording, from_columns
 from shared.cases import spread
 from shared.page import render, today, write
@@ -56,10 +56,7 @@ NEXT = 1.05
 
 
 def _loaded() -> ctypes.CDLL:
-    built = SOURCE.parents[2] / "build" / "campaign_real_outside" / NAME
-    if not built.is_file() or built.stat().st_mtime_ns < SOURCE.stat().st_mtime_ns:
-        compile_library([SOURCE], built)
-    loaded = ctypes.CDLL(str(built))
+    loaded = ctypes.CDLL(str(compiled([SOURCE], SOURCE.parents[2] / "build" / "campaign_real_outside")))
     numbers = ctypes.c_void_p
     loaded.outside_record.argtypes = [numbers] * 6 + [ctypes.c_int64, numbers]
     loaded.outside_record.restype = ctypes.c_double

@@ -184,11 +184,11 @@ def _on_the_wire_s(experiment: Experiment) -> float:
     """A tick's question, answer and drive; of the relay in the device a block."""
     if experiment.relay.where == "device":
         return block_share(experiment.daq.baud) * BLOCK_ROWS * 0.001
-    return backend_of(experiment).budget(experiment).total_s
+    return backend_of(experiment.device).budget(experiment.device).total_s
 
 
 def _bench(experiment: Experiment) -> BenchParameters:
-    bench = truth_of(experiment)
+    bench = truth_of(experiment.device)
     if bench is None or experiment.emulated is None:
         raise ValueError("the matrix needs an emulated bench")
     return bench
@@ -442,14 +442,14 @@ def _block_language(experiment: Experiment) -> ModbusLanguage:
 
 def _servo_stop_s(experiment: Experiment) -> float:
     """With the ramp of the duty, from the largest drive to 0."""
-    slope = servo_of(experiment).table.role("slope")
+    slope = servo_of(experiment.device).table.role("slope")
     ramp_s = experiment.drive.max_V / (_FASTEST * slope.scale)
     return dynamixel.request_bytes(2 + 2) * _BITS_PER_BYTE / experiment.daq.baud + ramp_s
 
 
 def _servo_language(experiment: Experiment) -> ServoLanguage:
-    table = servo_of(experiment).table
-    return ServoLanguage(table, experiment.drive.supply_V / table.full_drive, setup_of(experiment).zero_counts)
+    table = servo_of(experiment.device).table
+    return ServoLanguage(table, experiment.drive.supply_V / table.full_drive, setup_of(experiment.device).zero_counts)
 
 
 _SERIAL = {"daq": {"port": "emulated-chip", "timeout_s": 0.02}}
@@ -486,7 +486,7 @@ MODBUS = Backend(
     {"daq": _modbus_daq("modbus-rtu.yaml", "emulated")},
     _modbus_stop_s,
     math.nan,
-    lambda e: InjectableBlock(emulated_io_block(e)),
+    lambda e: InjectableBlock(emulated_io_block(e.device)),
     _block_language,
     _through_injector("emulated"),
 )
@@ -602,7 +602,7 @@ SERVO = Backend(
     {"breakaway": {"ramp_V_s": 0.2}},
     _servo_stop_s,
     math.nan,
-    lambda e: InjectableServo(emulated_bus(e)),
+    lambda e: InjectableServo(emulated_bus(e.device)),
     _servo_language,
     _through_injector("emulated"),
     remark=(

@@ -24,7 +24,7 @@ from rig.backends.driver import Transport
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
 from rig.cli import main
-from rig.config import Experiment
+from rig.config.schema import DeviceSetup
 from rig.testing.line import lines_opened_by
 
 
@@ -113,8 +113,8 @@ def run(log: str, word: str, arguments: list[str]) -> None:
     fault = LinkFault(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), Path(word))
 
     @contextmanager
-    def opened(backend: LineBackend, experiment: Experiment) -> Iterator[Line]:
-        with backend.line(experiment) as line:
+    def opened(backend: LineBackend, setup: DeviceSetup) -> Iterator[Line]:
+        with backend.line(setup) as line:
             if not isinstance(line.clock, MonotonicClock):  # in virtual time: no wire of this machine
                 yield line
                 return

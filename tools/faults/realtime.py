@@ -2,9 +2,9 @@
 
 And to the whole machine: there the device in virtual time, which is no process, is tried too, at the pace of the clock.
 
-The drive is that of the device's own trace. A shared machine is late now and then: by as much as the device missed its
-ticks, and the loop its, in that run, a bound is longer. The chip and the I/O block catch up with ticks that they
-missed, in their own time; of these it is by how much the longest exchange took more than it should.
+The drive is that of the device's own trace. A shared machine is late now and then: by as much as the loop was late in
+that run, and as the longest exchange took more than the others, a bound is longer. Devices catch up with missed ticks,
+each at its own time: what they were late shows in the exchanges only.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import yaml
@@ -45,7 +46,6 @@ from rig.recording.stage import StageKind, kind_of
 
 FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml
-_DEVICE_PERIOD_S = 0.01  # of its trace
 _WAIT_S = 60.0
 _STARTS_S = 180.0  # to start, and to get to a limit cycle, on a busy machine
 _ATTEMPTS = 3
@@ -55,7 +55,6 @@ _ATTEMPTS = 3
 class RealDevice:
     """A device as a process; its rows' bounds and config are those of a backend.
 
-    is_kept  its trace has a row for each of its ticks that came late; else it catches up, in its own time
     start    its process, config, folder: starts it, returns its port
     changes  of the config's section daq
     told     keys of the samples in what its host has received; ``apart``: least distance between two of them
@@ -72,7 +71,6 @@ class RealDevice:
     told: Callable[[bytes], list[int]]
     apart: int
     between: int
-    is_kept: bool = False
     is_bare: bool = False
     name: str = ""
     options: tuple[str, ...] = ()
@@ -224,7 +222,7 @@ def _beside(changes: Mapping[str, str], *codes: str) -> Callable[[Case], None]:
         config["daq"] |= {"port": port, **changes}
         (folder / "other.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
         try:
-            with connect(check(folder / "other.yaml")[0]):
+            with connect(check(folder / "other.yaml")[0].device):
                 raise RuntimeError("the other process was not refused")
         except Fault as fault:
             if fault.code not in codes:
@@ -294,7 +292,7 @@ NO_WATCHDOG = RealDevice(
     is_bare=True,
 )
 DEVICES = (
-    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, 2, 1, is_kept=True),
+    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, 2, 1),
     RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states, 2, 1),
     RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies, 1, 2),
     RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies, 1, 2),
@@ -478,11 +476,10 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             path.write_text(yaml.safe_dump(config), encoding="utf-8")
             experiment = check(path)[0]
             with _rig(folder, "run" if row.law else "relay", *device.options) as host:
-                with _going_first() if row.law else contextlib.nullcontext():
-                    if row.law:
-                        hung_s = _await_mark(mark, host)
-                    else:
-                        time.sleep(phase * _await_cycle(folder, host))
+                if not row.law:
+                    time.sleep(phase * _await_cycle(folder, host))
+                with contextlib.nullcontext() if row.alone else _going_first():  # what takes long has no moment
+                    hung_s = _await_mark(mark, host) if row.law else 0.0
                     happened_s = hung_s if row.counts_from_hang else time.monotonic()
                     row.act(Case(host, board, folder / "link-fault"))
                 output = host.communicate(timeout=_STARTS_S)[0]
@@ -641,7 +638,7 @@ class _Ended:
 
 def _judged(row: RealRow, device: RealDevice, phase: float, experiment: Experiment, run: _Ended) -> RealFound:
     times = device.backend.times(experiment, 1.0)
-    off_s, late_s = _off_s(row, run), _late_s(device, run, times.exchange)
+    off_s, late_s = _off_s(row, run), _late_s(run)
     bound_s = row.bound.seconds(times) + late_s
     lost = 0
     if not row.law and not device.is_virtual:  # the reading of a hang is no row, and none before it is lost
@@ -687,7 +684,7 @@ def _off_s(row: RealRow, run: _Ended) -> float:
     return max(run.trace[last + 1][0] - began_s, 0.0) if last + 1 < len(run.trace) else float("inf")
 
 
-def _late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
+def _late_s(run: _Ended) -> float:
     """By how much this machine made the run late: the device, and the loop where that does not end with a fault.
 
     The loop's own lateness is part of what a signal waits for. While the loop is stopped, it is what is measured.
@@ -695,15 +692,8 @@ def _late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
     counted = run.rows if run.code in ("INTERRUPTED", "") else []
     loop_s = max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
     keeper_s = max((1e-3 * float(event.get("late_ms", 0.0)) for event in run.events), default=0.0)
-    return _device_late_s(device, run, exchange_s) + loop_s + keeper_s
-
-
-def _device_late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
-    """By how much this machine let the device wait in that run, s. Not in its last row: what happened may be in it."""
-    if device.is_kept:
-        seen = [one for one in run.trace if one[0] >= run.happened_s - 0.1]
-        return max(max((b[0] - a[0] for a, b in itertools.pairwise(seen)), default=0.0) - _DEVICE_PERIOD_S, 0.0)
-    return max(max((1e-6 * float(r["io_us"]) for r in run.rows[:-1]), default=0.0) - exchange_s, 0.0)
+    exchanges_s = [1e-6 * float(r["io_us"]) for r in run.rows[:-1]]  # what happened may be in the last row
+    return max(exchanges_s, default=0.0) - (median(exchanges_s) if exchanges_s else 0.0) + loop_s + keeper_s
 
 
 def _keys(device: RealDevice, rows: list[dict[str, str]]) -> list[int]:

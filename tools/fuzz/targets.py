@@ -195,7 +195,7 @@ class _ScriptedUnit(_Scripted):
 
 def modbus_unit(data: bytes) -> None:
     """A Modbus unit that answers anything: only faults come out, a stop never fails."""
-    _drive(modbus_driver(_modbus_experiment(), _ScriptedUnit(data)))
+    _drive(modbus_driver(_modbus_experiment().device, _ScriptedUnit(data)))
 
 
 @cache

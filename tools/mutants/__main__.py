@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mutants.mutant import Mutant
-from mutants.named import ROOMS
+from mutants.named import rooms as named_rooms
 from mutants.page import render
 from mutants.rooms import EQUIVALENT, SEED
 from mutants.rooms import ROOMS as DRAWN_ROOMS
@@ -50,7 +50,7 @@ def main() -> int:
             parser.error(f"another run works in {FOLDER}")
         began_s = time.monotonic()
         root = Path.cwd()
-        named = _chosen(ROOMS if given.part in (None, "named") else {}, given.only)
+        named = _chosen(named_rooms() if given.part in (None, "named") else {}, given.only)
         drawn = _chosen(
             {
                 room.folder: draw(root, room, SEED)

@@ -61,7 +61,7 @@ def compute(trials: int = 4, periods_s: tuple[float, ...] = PERIODS_S) -> Result
 
 
 def _worst(config: Experiment, motor: Motor, truth: Array, period_s: float, seed: int) -> dict[str, float]:
-    pot = truth_of(config)
+    pot = truth_of(config.device)
     noise, lsb = (pot.noise_rad, abs(pot.rad_per_count)) if pot is not None else (0.0, 0.0)
     rng = np.random.default_rng(seed)
     records, cycles = [], []

@@ -201,14 +201,14 @@ def _plain_track(config: Experiment, found: Identification, plain: Estimate, mod
     """The tracking check with the plain iteration's model, in a run of its own."""
     as_tr = replace(found.estimates[TR], tau_s=plain.tau_s, K_rad_s_V=plain.K_rad_s_V, fc_V=plain.fc_V)
     models = replace(found, estimates=found.estimates | {TR: as_tr})
-    outcome = experiment.run_tracking(_tracking(config, methods=(TR,)), models, models_from, runs)
+    outcome = experiment.run_tracking(_tracking(config, methods=(TR,)), models.as_result(), models_from, runs)
     return _track(outcome.folder, TR, outcome.result.tracking)
 
 
 def _by_estimated_sign(config: Experiment, found: Identification, models_from: Path, runs: Path) -> dict[str, float]:
     """Tracking RMS of each model where friction is compensated by the sign of the estimated velocity, rad."""
     changed = _tracking(config, friction_sign="estimate")
-    outcome = experiment.run_tracking(changed, found, models_from, runs)
+    outcome = experiment.run_tracking(changed, found.as_result(), models_from, runs)
     return {method: known(entry.rms_rad) for method, entry in outcome.result.tracking.items()}
 
 
@@ -304,7 +304,7 @@ def _bench_words() -> str:
 
 def _chosen_words(config: Experiment) -> str:
     """The rest of what was chosen, as bench.yaml has it."""
-    emulated, tracking, pot = config.emulated, config.tracking, truth_of(config)
+    emulated, tracking, pot = config.emulated, config.tracking, truth_of(config.device)
     if emulated is None or tracking is None or pot is None:
         raise ValueError(f"{CONFIG.name} needs the sections `emulated` and `tracking`")
     sines = " + ".join(f"{c.amplitude_rad:g} sin {c.omega_rad_s:g}t" for c in tracking.trajectory)
@@ -355,7 +355,7 @@ def _wins(result: Result, method: str) -> int:
 
 def _sensor_rad(result: Result) -> float:
     """Standard deviation of the position reading, rad: noise and resolution."""
-    pot = truth_of(result.config)
+    pot = truth_of(result.config.device)
     if pot is None:
         return float("nan")
     return float(np.hypot(pot.noise_rad, abs(pot.rad_per_count) / np.sqrt(12.0)))

@@ -15,8 +15,10 @@ from real_records.known import LESS_BIAS, NUMBERS, PUBLISHED, Known
 from real_records.siblings import Next
 from rig.identify.identification import Identification
 from rig.results import Answer
+from rig.results import known as number
 
 ASKED_CPU_S = 12.0
+SAME_RANGE = 0.5  # of the speeds that either answer holds for: at least so many both do
 BETTER = 1.05  # times the linear model's error
 
 
@@ -122,11 +124,14 @@ def laws_shared(records: Sequence[Seen]) -> tuple[int, int]:
     return shared, count
 
 
-def agreeing(records: Sequence[Seen]) -> tuple[int, int]:
-    """Of the usable numbers of two records of one motor: how many agree within the root sum of squares, of how many."""
+def agreeing(records: Sequence[Seen], *, alike: bool = False) -> tuple[int, int]:
+    """Of the usable numbers of two records of one motor: how many agree within the root sum of squares, of how many.
+
+    alike   only of records with the same range: ``hold_alike``
+    """
     agree = count = 0
     for one, other in combinations(records, 2):
-        if one.motor != other.motor:
+        if one.motor != other.motor or (alike and not hold_alike(one, other)):
             continue
         for name in (*NUMBERS, LESS_BIAS):
             mine, theirs = one.given(name), other.given(name)
@@ -134,6 +139,16 @@ def agreeing(records: Sequence[Seen]) -> tuple[int, int]:
                 count += 1
                 agree += abs(mine[0] - theirs[0]) <= math.hypot(mine[1], theirs[1])
     return agree, count
+
+
+def hold_alike(one: Seen, other: Seen) -> bool:
+    """Whether two answers hold for the same range: the same ways, and of all their speeds at least half for both."""
+    held, beside = (None if seen.answer is None else seen.answer.holds for seen in (one, other))
+    if held is None or beside is None or held.speed_rad_s is None or beside.speed_rad_s is None:
+        return False
+    low, high, slow, fast = map(number, (*held.speed_rad_s, *beside.speed_rad_s))
+    shared, every = min(high, fast) - max(low, slow), max(high, fast) - min(low, slow)
+    return held.ways == beside.ways and shared >= SAME_RANGE * every
 
 
 def figures(records: Sequence[Seen], known: Mapping[str, Known], following: Sequence[Next]) -> list[str]:
@@ -154,6 +169,7 @@ def figures(records: Sequence[Seen], known: Mapping[str, Known], following: Sequ
         _of(refused, len(predicted)),
         _of(useful, len(records)),
         _of(*agreeing(records)),
+        _of(*agreeing(records, alike=True)),
         _of(better, len(pairs)),
         _of(*laws_shared(records)),
         _of(sum(s.cpu_s <= ASKED_CPU_S for s in records), len(records)),
@@ -168,6 +184,7 @@ FIGURES = (
     "refused, of those that can be predicted (0 asked)",
     "records with a usable number",
     "numbers of siblings that agree (90 % asked)",
+    "the same, of siblings whose answers hold for the same range",
     "next record: at most 1.05 x linear (3/4 asked)",
     "laws shared (60 % asked)",
     "within 12 s of CPU (90 % asked)",

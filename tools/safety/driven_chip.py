@@ -88,10 +88,10 @@ class Stand(NamedTuple):
 
 def _stand(board: Board, config: str, full: int) -> Stand:
     e = check(Path(__file__).resolve().parents[2] / "config" / config)[0]
-    truth = truth_of(e)
+    truth = truth_of(e.device)
     assert truth is not None
     drive_map = DriveMap(e.drive.supply_V, full_units=full)
-    setup = setup_for(e.device_limits, e.sensor.curve, drive_map, e.sensor.rails, SESSION)
+    setup = setup_for(e.device.arming, e.sensor.curve, drive_map, e.sensor.rails, SESSION)
     return Stand(board, e, full, e.sensor.curve, replace(truth, offset_rad=0.0), setup)
 
 
@@ -103,7 +103,7 @@ def _with_encoder(stand: Stand) -> Stand:
         stand.bench, encoder=True, rad_per_count=math.tau / COUNTS_PER_TURN, centre_counts=0.0, noise_rad=0.0
     )
     return stand._replace(
-        curve=curve, bench=bench, setup=setup_for(e.device_limits, curve, drive_map, ALL_COUNTS, SESSION)
+        curve=curve, bench=bench, setup=setup_for(e.device.arming, curve, drive_map, ALL_COUNTS, SESSION)
     )
 
 
@@ -111,7 +111,7 @@ UNO = _stand("uno", "demo.yaml", 400)
 PICO = _stand("pico", "demo-pico.yaml", 6250)
 UNO_ENCODER, PICO_ENCODER = _with_encoder(UNO), _with_encoder(PICO)
 PERIOD_S = UNO.experiment.period_s
-WATCHDOG_S = UNO.experiment.device_limits.watchdog_s
+WATCHDOG_S = UNO.experiment.device.arming.watchdog_s
 
 
 class Way(NamedTuple):

@@ -119,7 +119,7 @@ def config_of(one: Draw, campaign: Campaign, watchdog_s: float, board: Board = "
     )
     e = next((trial for trial in levels if breakaway_strokes(trial) is not None), e.model_copy(update=given))
     e = checked(e)
-    slower = FASTEST_RAD_S * min(SHARE * room_rad(e) / sum(rad for _, rad in stopping_terms(e)), 1.0)
+    slower = FASTEST_RAD_S * min(SHARE * room_rad(e.device) / sum(rad for _, rad in stopping_terms(e.device)), 1.0)
     return e.model_copy(update={"limits": e.limits.model_copy(update={"max_speed_rad_s": slower})})
 
 
@@ -150,7 +150,7 @@ def row(campaign: Campaign, number: int, stalls: Stalls, watchdog_s: float, boar
     )
     host = HostileHost(device_of(board, truth, e), stalls, e.seed)
     driver = SerialDriver(
-        host, e.scaling, Timeouts(e.daq.timeout_s, e.daq.open_timeout_s), session=1 + number, emulated=True
+        host, e.device.scaling, Timeouts(e.daq.timeout_s, e.daq.open_timeout_s), session=1 + number, emulated=True
     )
     opened = OpenBench(driver, host, driver.open(), truth)
 

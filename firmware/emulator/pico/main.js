@@ -1,6 +1,7 @@
 "use strict";
 
-// One chip for a parent process: a line of JSON with its parameters, then a line for each stretch of virtual time
+// One chip for a parent process, or one after the other: a line of JSON with its parameters, those of ``pico_parameters``,
+// makes a new one; then a line for each stretch of virtual time
 //     {send: hex, calls: [[method, ...arguments]], until_ns, until_byte}
 // answered by {received: hex, now_ns, results: [of the calls, which come after the stretch]}, or {error}.
 // Ends with its standard input.
@@ -19,7 +20,8 @@ function* lines() {
 let chip = null;
 
 function answer(asked) {
-  if (chip === null) {
+  if (asked.command !== undefined) {
+    chip = null;
     chip = new Chip(asked);
     return {};
   }

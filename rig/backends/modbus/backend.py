@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
+from rig.backends.backend import Line, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus import link_budget
 from rig.backends.modbus.rules import modbus_notes, modbus_rules
 from rig.backends.modbus.section import EMULATED_PORTS, ModbusKeys, is_tcp
+from rig.backends.registers.backend import RegisterBackend
 from rig.config.problems import Problem
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
@@ -27,91 +26,71 @@ if TYPE_CHECKING:  # it loads slowly
 _STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
 
 
-class ModbusBackend(LineBackend):
+class ModbusBackend(RegisterBackend):
     """A Modbus device on RTU or TCP; or an emulated I/O block on either."""
 
     name = "modbus"
     own_keys = ModbusKeys
-    shared_keys = frozenset({"port", "usb_serial"})
-    has_chip = False
+    emulated_ports = EMULATED_PORTS
+    adapter_hint = "add its delay to daq.modbus.turnaround_s"
 
     @override
-    def rules(self, e: Experiment) -> Iterator[Problem]:
-        yield from usb_rules(e)
-        yield from modbus_rules(e)
-
-    @override
-    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
-        """The delay of a USB adapter has another key here."""
-        problem = super().foreign_key(e, key, owner)
-        return replace(problem, hint="add its delay to daq.modbus.turnaround_s") if key == "adapter" else problem
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
+        yield from super().rules(d)
+        yield from modbus_rules(d)
 
     @override
     def owns_port(self, port: str) -> bool:
         return is_tcp(port)
 
     @override
-    def watchdog(self, e: Experiment) -> Watchdog:
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
         """The watchdog of its register; or the one that was set on the device itself."""
-        modbus = e.daq.modbus
+        modbus = d.daq.modbus
         if modbus is None:
-            return Watchdog(e.daq.watchdog_s)
+            return Watchdog(d.daq.watchdog_s)
         if modbus.registers.watchdog is not None:
-            return Watchdog(e.daq.watchdog_s, modbus.registers.watchdog.unit_s)
+            return Watchdog(d.daq.watchdog_s, modbus.registers.watchdog.unit_s)
         return Watchdog(modbus.device_watchdog_s, None)
 
     @override
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         """With FC23 it does."""
-        return e.daq.modbus is not None and e.daq.modbus.requests == "read-write"
+        return d.daq.modbus is not None and d.daq.modbus.requests == "read-write"
 
     @override
-    def budget(self, e: Experiment) -> LinkBudget:
-        return LinkBudget() if e.daq.modbus is None else link_budget.tick_budget(e.daq, e.daq.modbus)
+    def budget(self, d: DeviceSetup) -> LinkBudget:
+        return LinkBudget() if d.daq.modbus is None else link_budget.tick_budget(d.daq, d.daq.modbus)
 
     @override
-    def reading_budget(self, e: Experiment) -> LinkBudget:
-        return LinkBudget() if e.daq.modbus is None else link_budget.reading_budget(e.daq, e.daq.modbus)
+    def reading_budget(self, d: DeviceSetup) -> LinkBudget:
+        return LinkBudget() if d.daq.modbus is None else link_budget.reading_budget(d.daq, d.daq.modbus)
 
     @override
-    def times_error_s(self, e: Experiment) -> float:
+    def times_error_s(self, d: DeviceSetup) -> float:
         """The device reports no times: rig computes them.
 
         When within its turnaround the device samples and drives is not known.
         """
-        return _STAMPS_S + (0.5 * e.daq.modbus.turnaround_s if e.daq.modbus is not None else 0.0)
+        return _STAMPS_S + (0.5 * d.daq.modbus.turnaround_s if d.daq.modbus is not None else 0.0)
 
     @override
-    def words(self, e: Experiment) -> str:
-        unit = 1 if e.daq.modbus is None else e.daq.modbus.unit
-        tcp = is_tcp(e.daq.port)
-        link = f"Modbus TCP, unit {unit}" if tcp else f"Modbus RTU, unit {unit}, {e.daq.baud} baud"
-        if not self.is_emulated(e):
-            return f"a REAL MOTOR behind {e.daq.port}, {link}"
-        if self.in_virtual_time(e):
+    def words(self, d: DeviceSetup) -> str:
+        unit = 1 if d.daq.modbus is None else d.daq.modbus.unit
+        tcp = is_tcp(d.daq.port)
+        link = f"Modbus TCP, unit {unit}" if tcp else f"Modbus RTU, unit {unit}, {d.daq.baud} baud"
+        if not self.is_emulated(d):
+            return f"a REAL MOTOR behind {d.daq.port}, {link}"
+        if self.in_virtual_time(d):
             return f"an emulated I/O block, {link}, virtual time, nothing moves"
         place = "on a port of this machine" if tcp else "behind a pseudo-terminal"
         return f"an emulated I/O block {place}, {link}, real time, nothing moves"
 
     @override
-    def is_emulated(self, e: Experiment) -> bool:
-        return e.daq.port in EMULATED_PORTS
-
-    @override
-    def in_virtual_time(self, e: Experiment) -> bool:
-        return self.is_emulated(e) and in_virtual_time(e.daq.port)
-
-    @override
-    def plan(self, e: Experiment) -> Iterator[str]:
-        budget = self.budget(e)
-        if budget.terms:
-            yield f"link: {budget.beside(e.period_s)}"
-
-    @override
-    def failsafe_words(self, e: Experiment) -> str:
-        modbus = e.daq.modbus
+    def failsafe_words(self, d: DeviceSetup) -> str:
+        modbus = d.daq.modbus
         if modbus is None or modbus.registers.watchdog is not None:
-            return super().failsafe_words(e)
+            return super().failsafe_words(d)
         if modbus.device_watchdog_s is None:
             return "failsafe: none; daq.accept_no_watchdog accepts that: keep the motor's supply switch in reach"
         return (
@@ -120,48 +99,44 @@ class ModbusBackend(LineBackend):
         )
 
     @override
-    def notes(self, e: Experiment) -> Iterator[str]:
-        yield from usb_notes(e)
-        yield from modbus_notes(e)
+    def notes(self, d: DeviceSetup) -> Iterator[str]:
+        yield from super().notes(d)
+        yield from modbus_notes(d)
 
     @override
-    def not_emulated_words(self, e: Experiment) -> str:
-        return f"section `emulated` is not used with port {e.daq.port}"
-
-    @override
-    def line(self, e: Experiment) -> AbstractContextManager[Line]:
+    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
         from rig.backends.modbus.opening import modbus_line
 
-        return modbus_line(e)
+        return modbus_line(d)
 
     @override
-    def driver(self, e: Experiment, line: Line) -> Driver:
+    def driver(self, d: DeviceSetup, line: Line) -> Driver:
         from rig.backends.modbus.opening import modbus_driver
 
-        return modbus_driver(e, line.transport, line.name, emulated=line.emulated, answered=line.answered)
+        return modbus_driver(d, line.transport, line.name, emulated=line.emulated, answered=line.answered)
 
     @override
     def emulated(
-        self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess]:
         """There is no ``chip``."""
         from rig.backends.modbus.opening import emulated_board
 
-        return emulated_board(e, link, trace)
+        return emulated_board(d, link, trace)
 
     @override
-    def rehearsed(self, e: Experiment) -> dict[str, JsonObject]:
+    def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:
         """An I/O block with the config's register map, on the same kind of line."""
-        port = "emulated-tcp" if is_tcp(e.daq.port) else "emulated"
-        return {"daq": {"port": port, "usb_serial": None}, "emulated": {}}
+        found = super().rehearsed(d)
+        return found | {"daq": found["daq"] | {"port": "emulated-tcp"}} if is_tcp(d.daq.port) else found
 
     @override
-    def emulated_hint(self, e: Experiment, port: str) -> str:
-        if e.daq.modbus is None:
+    def emulated_hint(self, d: DeviceSetup, port: str) -> str:
+        if d.daq.modbus is None:
             return ""
         from rig.backends.modbus.emulated.modbus_board import mbpoll_line
 
-        return f"try: {mbpoll_line(e.daq.modbus, port, e.daq.baud)}"
+        return f"try: {mbpoll_line(d.daq.modbus, port, d.daq.baud)}"
 
 
 MODBUS = ModbusBackend()

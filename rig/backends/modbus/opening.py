@@ -22,37 +22,37 @@ from rig.backends.modbus.link_budget import bits_per_byte, silence_s
 from rig.backends.modbus.registers import RegisterMap
 from rig.backends.modbus.section import EMULATED_PORTS, Modbus, is_tcp, tcp_address
 from rig.calibration import polarity
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 
 @contextmanager
-def modbus_line(e: Experiment) -> Iterator[Line]:
+def modbus_line(d: DeviceSetup) -> Iterator[Line]:
     """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
-    port = e.daq.port
+    port = d.daq.port
     if port is None:
         raise ValueError("daq.port is missing")
     if in_virtual_time(port):
-        block = emulated_tcp_block(e) if is_tcp(port) else emulated_io_block(e)
+        block = emulated_tcp_block(d) if is_tcp(port) else emulated_io_block(d)
         yield Line(block, block, port, emulated=True)
     elif port in EMULATED_PORTS:
-        with emulated_board(e) as board:
-            yield Line(_transport(e, board.port), host_clock(e), f"modbus:{board.port}", emulated=True)
+        with emulated_board(d) as board:
+            yield Line(_transport(d, board.port), host_clock(d), f"modbus:{board.port}", emulated=True)
     else:
-        yield Line(_transport(e, port), host_clock(e), f"modbus:{port}")
+        yield Line(_transport(d, port), host_clock(d), f"modbus:{port}")
 
 
-def _transport(e: Experiment, port: str) -> Transport:
-    modbus = _modbus_of(e)
+def _transport(d: DeviceSetup, port: str) -> Transport:
+    modbus = _modbus_of(d)
     if is_tcp(port):
-        return TcpTransport(*tcp_address(port), e.daq.open_timeout_s, modbus.unit)
-    return SerialPort(port, e.daq.baud, modbus.parity[0].upper(), modbus.stop_bits, e.daq.usb_serial)
+        return TcpTransport(*tcp_address(port), d.daq.open_timeout_s, modbus.unit)
+    return SerialPort(port, d.daq.baud, modbus.parity[0].upper(), modbus.stop_bits, d.daq.usb_serial)
 
 
 def modbus_driver(
-    e: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False, answered: bool = False
+    d: DeviceSetup, transport: Transport, name: str = "modbus", *, emulated: bool = False, answered: bool = False
 ) -> ModbusDriver:
     """The driver of the config on a transport, not opened yet; RTU or TCP as the config's port."""
-    daq, modbus = e.daq, _modbus_of(e)
+    daq, modbus = d.daq, _modbus_of(d)
     asked = ModbusLine(
         tcp=is_tcp(daq.port),
         unit=modbus.unit,
@@ -66,7 +66,7 @@ def modbus_driver(
         transport,
         asked,
         RegisterMap.of(modbus),
-        e.scaling,
+        d.scaling,
         Timeouts(daq.timeout_s, daq.open_timeout_s),
         name=name,
         emulated=emulated,
@@ -74,46 +74,46 @@ def modbus_driver(
     )
 
 
-def emulated_io_block(e: Experiment) -> VirtualIoBlock:
+def emulated_io_block(d: DeviceSetup) -> VirtualIoBlock:
     """The emulated I/O block of the config in virtual time: RTU line and clock in one.
 
     Raises EmulationError where a register cannot hold what it is for.
     """
-    modbus, emulated = _modbus_of(e), emulated_of(e)
-    return VirtualIoBlock(modbus, emulated, e.seed, baud=e.daq.baud, polarity=_register_polarity(e))
+    modbus, emulated = _modbus_of(d), emulated_of(d)
+    return VirtualIoBlock(modbus, emulated, d.seed, baud=d.daq.baud, polarity=_register_polarity(d))
 
 
-def emulated_tcp_block(e: Experiment) -> VirtualTcpBlock:
+def emulated_tcp_block(d: DeviceSetup) -> VirtualTcpBlock:
     """The same block on Modbus TCP in virtual time: a connection and clock in one. Raises as ``emulated_io_block``."""
-    block = VirtualTcpBlock(_modbus_of(e), emulated_of(e), e.seed, polarity=_register_polarity(e))
-    block.connect(e.daq.open_timeout_s)
+    block = VirtualTcpBlock(_modbus_of(d), emulated_of(d), d.seed, polarity=_register_polarity(d))
+    block.connect(d.daq.open_timeout_s)
     return block
 
 
 @contextmanager
-def emulated_board(e: Experiment, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
+def emulated_board(d: DeviceSetup, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
     """The emulated I/O block, running in real time for the block; its ``port`` is as daq.port takes it.
 
     On TCP where the config's port is that of TCP; then there is no link. Raises EmulationError where it does not start.
     """
     with ModbusBoard() as io_block:
         io_block.start(
-            _modbus_of(e),
-            emulated_of(e),
-            e.seed,
+            _modbus_of(d),
+            emulated_of(d),
+            d.seed,
             link,
             trace,
-            baud=e.daq.baud,
-            tcp_port=_tcp_port(e.daq.port),
-            polarity=_register_polarity(e),
+            baud=d.daq.baud,
+            tcp_port=_tcp_port(d.daq.port),
+            polarity=_register_polarity(d),
         )
         yield io_block
 
 
-def _register_polarity(e: Experiment) -> int:
+def _register_polarity(d: DeviceSetup) -> int:
     """+1 if positive drive raises the position register, -1 if it lowers it."""
-    direction = polarity(e.sensor.curve, e.drive.map)
-    return direction if _modbus_of(e).registers.position.scale > 0.0 else -direction
+    direction = polarity(d.sensor.curve, d.drive.map)
+    return direction if _modbus_of(d).registers.position.scale > 0.0 else -direction
 
 
 def _tcp_port(port: str | None) -> int | None:
@@ -126,7 +126,7 @@ def _tcp_port(port: str | None) -> int | None:
     return url.port or 502 if url.hostname in ("localhost", "127.0.0.1") else 0
 
 
-def _modbus_of(e: Experiment) -> Modbus:
-    if e.daq.modbus is None:
+def _modbus_of(d: DeviceSetup) -> Modbus:
+    if d.daq.modbus is None:
         raise ValueError("the config has no section `daq.modbus`")
-    return e.daq.modbus
+    return d.daq.modbus

@@ -25,7 +25,7 @@ from rig.backends.modbus.section import (
     written_in_a_tick,
 )
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 _MOST_READ = 125  # registers of one reply
 _REGISTERS = 65536
@@ -33,31 +33,31 @@ _SLACK = 1e-9
 _HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without tcp://
 
 
-def modbus_rules(e: Experiment) -> Iterator[Problem]:
+def modbus_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rules that only a Modbus device has."""
-    yield from _port(e)
-    if e.relay.where == "device":
+    yield from _port(d)
+    if d.runs_relay:
         yield wrong(
             "relay.where",
             "`driver: modbus` has no relay in the device",
             "set it to host, or daq.driver to serial with a port",
         )
-    modbus = e.daq.modbus
+    modbus = d.daq.modbus
     if modbus is None:
         yield wrong("daq.modbus", "`driver: modbus` needs this section", "see config/modbus-rtu.yaml")
         return
     yield from _map(modbus)
-    yield from _times(e, modbus)
-    yield from _link_budget(e, modbus)
-    if e.tachometer is not None:
+    yield from _times(d, modbus)
+    yield from _link_budget(d, modbus)
+    if d.tachometer is not None:
         yield wrong("tachometer", "no register of `driver: modbus` holds a velocity", "leave it out")
 
 
-def modbus_notes(e: Experiment) -> Iterator[str]:
+def modbus_notes(d: DeviceSetup) -> Iterator[str]:
     """What a Modbus device may not report of a pause, in which it is disarmed; and addresses as manuals count them."""
-    if e.daq.modbus is None:
+    if d.daq.modbus is None:
         return
-    r = e.daq.modbus.registers
+    r = d.daq.modbus.registers
     if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
         yield words
     if r.status is None:
@@ -77,14 +77,14 @@ def modbus_notes(e: Experiment) -> Iterator[str]:
         )
 
 
-def _port(e: Experiment) -> Iterator[Problem]:
-    port = e.daq.port
+def _port(d: DeviceSetup) -> Iterator[Problem]:
+    port = d.daq.port
     if port is None:
         yield wrong(
             "daq.port", "`driver: modbus` needs a port", "/dev/ttyUSB0, tcp://192.168.0.5:502, or port: emulated"
         )
     elif port in EMULATED_PORTS:
-        if e.emulated is None:
+        if d.emulated is None:
             yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
     elif port.startswith("emulated"):
         hint = "it is `emulated` now" if port == OLD_VIRTUAL_PORT else f"one of {', '.join(EMULATED_PORTS)}"
@@ -141,23 +141,23 @@ def _apart(spans: Iterable[KeySpan]) -> Iterator[Problem]:
             yield _register(b.key, f"{_registers(b)} {lie} in the place of {a.key}, {_registers(a)}")
 
 
-def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
-    d = e.daq
-    longest_s = longest_transaction_s(d, m)
-    if d.timeout_s > e.period_s * (1 + _SLACK):
+def _times(d: DeviceSetup, m: Modbus) -> Iterator[Problem]:
+    daq = d.daq
+    longest_s = longest_transaction_s(daq, m)
+    if daq.timeout_s > d.period_s * (1 + _SLACK):
         yield wrong(
             "daq.timeout_s",
-            f"{d.timeout_s:g} s is longer than the period of {e.period_s:g} s: a reply could come in the next tick",
-            f"at most {e.period_s:g} seconds",
+            f"{daq.timeout_s:g} s is longer than the period of {d.period_s:g} s: a reply could come in the next tick",
+            f"at most {d.period_s:g} seconds",
         )
-    elif d.timeout_s < longest_s <= e.period_s:  # a longer one is too slow for the period
+    elif daq.timeout_s < longest_s <= d.period_s:  # a longer one is too slow for the period
         yield wrong(
             "daq.timeout_s",
-            f"{d.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_s * 1e3:.2f} ms",
-            f"up to {e.period_s:g} seconds",
+            f"{daq.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_s * 1e3:.2f} ms",
+            f"up to {d.period_s:g} seconds",
         )
     watchdog = m.registers.watchdog
-    if watchdog is None and m.device_watchdog_s is None and not d.accept_no_watchdog:
+    if watchdog is None and m.device_watchdog_s is None and not daq.accept_no_watchdog:
         yield wrong(
             "daq.modbus",
             "nothing sets 0 V when the host is silent: the config gives neither the register of the device's output "
@@ -166,25 +166,27 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
             "keep the motor's supply switch in reach",
         )
     elif watchdog is not None:
-        units = d.watchdog_s / watchdog.unit_s
-        if not (0.5 <= units <= 65535.5 and abs(round(units) * watchdog.unit_s - d.watchdog_s) <= 0.05 * d.watchdog_s):
+        units = daq.watchdog_s / watchdog.unit_s
+        if not (
+            0.5 <= units <= 65535.5 and abs(round(units) * watchdog.unit_s - daq.watchdog_s) <= 0.05 * daq.watchdog_s
+        ):
             yield wrong(
                 "daq.watchdog_s",
-                f"{d.watchdog_s:g} s is {units:g} units of the watchdog's register, "
+                f"{daq.watchdog_s:g} s is {units:g} units of the watchdog's register, "
                 "which takes whole numbers from 1 to 65535",
                 "within 5 %, or correct daq.modbus.registers.watchdog.unit_s",
             )
 
 
-def _link_budget(e: Experiment, m: Modbus) -> Iterator[Problem]:
-    if tick_budget(e.daq, m).fits(e.period_s):
+def _link_budget(d: DeviceSetup, m: Modbus) -> Iterator[Problem]:
+    if tick_budget(d.daq, m).fits(d.period_s):
         return
     if reads_too_far_apart(m):
         return  # refused by its register: no such request can be made, so its time says nothing
-    bauds = () if is_tcp(e.daq.port) else BAUD_RATES
-    fitting = [f"daq.baud {baud} fits" for baud in bauds if tick_budget(e.daq, m, baud).fits(e.period_s)]
-    key = "period_s" if is_tcp(e.daq.port) else "daq.baud"
-    yield tick_budget(e.daq, m).too_slow(key, e.period_s, fitting[:1])
+    bauds = () if is_tcp(d.daq.port) else BAUD_RATES
+    fitting = [f"daq.baud {baud} fits" for baud in bauds if tick_budget(d.daq, m, baud).fits(d.period_s)]
+    key = "period_s" if is_tcp(d.daq.port) else "daq.baud"
+    yield tick_budget(d.daq, m).too_slow(key, d.period_s, fitting[:1])
 
 
 def _registers(span: KeySpan) -> str:

@@ -226,13 +226,24 @@ class RegisterDriver(ABC, Generic[Req]):
         if not self._met:
             return False  # never write to a device that has not answered yet, or that somebody else drives
         begin_s = self._transport.now_s()
+
+        def stopped(attempt: int) -> bool | None:
+            self._write_stop(self._client.asked, self._timeout_s)
+            return self._is_stopped(begin_s + attempt * _STOPPING_S, begin_s + ATTEMPTS * _STOPPING_S) or None
+
+        if self._tried(stopped):
+            self._is_off = True
+            return True
+        return False
+
+    def _tried(self, once: Callable[[int], bool | None]) -> bool:
+        """What ``once`` says of attempt 1, 2, ...: None asks for another. False after the last, or on a lost link."""
         for attempt in range(1, ATTEMPTS + 1):
             try:
                 self._settle()
-                self._write_stop(self._client.asked, self._timeout_s)
-                if self._is_stopped(begin_s + attempt * _STOPPING_S, begin_s + ATTEMPTS * _STOPPING_S):
-                    self._is_off = True
-                    return True
+                said = once(attempt)
+                if said is not None:
+                    return said
             except Fault as fault:
                 if fault.code == "LINK_LOST":
                     return False

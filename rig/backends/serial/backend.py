@@ -20,7 +20,7 @@ from rig.backends.serial.ports import adapter_of, is_emulated, is_virtual
 from rig.backends.serial.rules import serial_rules
 from rig.backends.serial.section import SerialKeys
 from rig.config.problems import Problem
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
@@ -39,40 +39,40 @@ class SerialBackend(LineBackend):
     shared_keys = frozenset({"port", "usb_serial"})
 
     @override
-    def rules(self, e: Experiment) -> Iterator[Problem]:
-        yield from usb_rules(e)
-        yield from serial_rules(e)
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
+        yield from usb_rules(d)
+        yield from serial_rules(d)
 
     @override
-    def watchdog(self, e: Experiment) -> Watchdog:
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
         """The firmware's watchdog, in milliseconds."""
-        return Watchdog(e.daq.watchdog_s)
+        return Watchdog(d.daq.watchdog_s)
 
     @override
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         """A drive goes out at once."""
         return False
 
     @override
-    def budget(self, e: Experiment) -> LinkBudget:
-        return link_budget.tick_budget(e)
+    def budget(self, d: DeviceSetup) -> LinkBudget:
+        return link_budget.tick_budget(d)
 
     @override
-    def reading_budget(self, e: Experiment) -> LinkBudget:
-        return link_budget.reading_budget(e)
+    def reading_budget(self, d: DeviceSetup) -> LinkBudget:
+        return link_budget.reading_budget(d)
 
     @override
-    def reply_delay_s(self, e: Experiment) -> float:
+    def reply_delay_s(self, d: DeviceSetup) -> float:
         """The delay of the USB adapter."""
-        return link_budget.reply_delay_s(e)
+        return link_budget.reply_delay_s(d)
 
     @override
-    def times_error_s(self, e: Experiment) -> float:
+    def times_error_s(self, d: DeviceSetup) -> float:
         """The device stamps both times itself."""
         return link_budget.STAMPS_S
 
     @override
-    def words(self, e: Experiment) -> str:
+    def words(self, d: DeviceSetup) -> str:
         emulated = {
             "emulated-chip": "the Uno's emulated chip with its firmware, {} baud, virtual time, nothing moves",
             "emulated-chip-realtime": "the Uno's emulated chip with its firmware, {} baud, real time, nothing moves",
@@ -81,39 +81,39 @@ class SerialBackend(LineBackend):
             "emulated": "an emulated device, {} baud, virtual time, nothing moves",
             "emulated-realtime": "an emulated device behind a pseudo-terminal, {} baud, real time, nothing moves",
         }
-        found = emulated.get(e.daq.port or "")
+        found = emulated.get(d.daq.port or "")
         if found is not None:
-            return found.format(e.daq.baud)
-        return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
+            return found.format(d.daq.baud)
+        return f"a REAL MOTOR behind the serial port {d.daq.port}, {d.daq.baud} baud"
 
     @override
-    def is_emulated(self, e: Experiment) -> bool:
-        return is_emulated(e)
+    def is_emulated(self, d: DeviceSetup) -> bool:
+        return is_emulated(d)
 
     @override
-    def in_virtual_time(self, e: Experiment) -> bool:
-        return is_virtual(e)
+    def in_virtual_time(self, d: DeviceSetup) -> bool:
+        return is_virtual(d)
 
     @override
-    def plan(self, e: Experiment) -> Iterator[str]:
-        yield f"link: {self.budget(e).beside(e.period_s)}"
-        delay_ms = 1e3 * link_budget.sample_to_drive_s(e)
+    def plan(self, d: DeviceSetup) -> Iterator[str]:
+        yield f"link: {self.budget(d).beside(d.period_s)}"
+        delay_ms = 1e3 * link_budget.sample_to_drive_s(d)
         yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
-        if e.relay.where == "device":
-            block = link_budget.block_sum(e.daq.baud)
-            if e.relay.until is None:
+        if d.runs_relay:
+            block = link_budget.block_sum(d.daq.baud)
+            if not d.runs_strokes:
                 yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
-                yield from _device_drives(e)
+                yield from _device_drives(d)
             else:
                 yield f"relay and strokes in the device: decide every ms; {block}; the rest runs in the host"
 
     @override
-    def notes(self, e: Experiment) -> Iterator[str]:
+    def notes(self, d: DeviceSetup) -> Iterator[str]:
         """Which USB adapter rig assumes, where it is not certain; and whether it can tell the board from another."""
-        yield from usb_notes(e)
-        adapter = adapter_of(e)
+        yield from usb_notes(d)
+        adapter = adapter_of(d)
         chip = CHIPS.get(adapter)
-        if chip is not None and e.daq.adapter is None:
+        if chip is not None and d.daq.adapter is None:
             yield (
                 f"daq.adapter is not given; from the port's name rig assumes {chip.words} ({adapter}): "
                 "`rig doctor` says which is there"
@@ -125,54 +125,54 @@ class SerialBackend(LineBackend):
             )
 
     @override
-    def not_emulated_words(self, e: Experiment) -> str:
-        return f"section `emulated` is not used with port {e.daq.port}"
+    def not_emulated_words(self, d: DeviceSetup) -> str:
+        return f"section `emulated` is not used with port {d.daq.port}"
 
     @override
-    def adapter_behind(self, e: Experiment) -> Adapter | None:
-        return None if is_emulated(e) else adapter_of(e)
+    def adapter_behind(self, d: DeviceSetup) -> Adapter | None:
+        return None if is_emulated(d) else adapter_of(d)
 
     @override
-    def line(self, e: Experiment) -> AbstractContextManager[Line]:
+    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
         from rig.backends.serial.opening import serial_line
 
-        return serial_line(e)
+        return serial_line(d)
 
     @override
-    def driver(self, e: Experiment, line: Line) -> Driver:
+    def driver(self, d: DeviceSetup, line: Line) -> Driver:
         from rig.backends.serial.opening import serial_driver
 
-        return serial_driver(e, line)
+        return serial_driver(d, line)
 
     @override
     def emulated(
-        self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess]:
         from rig.backends.serial.opening import emulated_board
 
-        return emulated_board(e, link, trace, chip=chip)
+        return emulated_board(d, link, trace, chip=chip)
 
     @override
-    def rehearsed(self, e: Experiment) -> dict[str, JsonObject]:
+    def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:
         """The firmware's core on this machine, with the board's steps of the drive, behind the same USB adapter."""
-        if is_emulated(e):
-            return {"daq": {"port": without_real_time(e.daq.port or "")}, "emulated": {}}
+        if is_emulated(d):
+            return {"daq": {"port": without_real_time(d.daq.port or "")}, "emulated": {}}
         return {
-            "daq": {"port": "emulated", "usb_serial": None, "adapter": adapter_of(e)},
-            "emulated": {"drive_counts": FULL_DUTY[board_of(e)], "clock_error_ppm": _RESONATOR_PPM},
+            "daq": {"port": "emulated", "usb_serial": None, "adapter": adapter_of(d)},
+            "emulated": {"drive_counts": FULL_DUTY[board_of(d)], "clock_error_ppm": _RESONATOR_PPM},
         }
 
     @override
-    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
+    def relay_rules(self, d: DeviceSetup, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
         from rig.backends.serial.firmware_laws import FirmwareLawRules
 
-        return FirmwareLawRules(e.sensor.curve, drive_map, clock_ratio)
+        return FirmwareLawRules(d.sensor.curve, drive_map, clock_ratio)
 
 
-def _device_drives(e: Experiment) -> Iterator[str]:
+def _device_drives(d: DeviceSetup) -> Iterator[str]:
     """The given gains in whole units of the drive."""
-    full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
-    for g in e.relay.gains or ():
+    full_V, dead = d.drive.supply_V - d.drive.bridge_drop_V, d.drive.dead_band_duty.plus
+    for g in d.gains:
         outer, inner = (
             round(_DRIVE_UNITS * (dead + (1.0 - dead) * u_V / full_V))
             for u_V in (g.h1_V + g.h2_V, abs(g.h2_V - g.h1_V))

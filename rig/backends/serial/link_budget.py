@@ -8,7 +8,7 @@ from __future__ import annotations
 from rig.backends.link_budget import LinkBudget, wire_term, wire_words
 from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_delay_s
 from rig.backends.serial.ports import adapter_of
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 REPLY_SHARE = 2 / 3  # of daq.timeout_s, after which the driver asks for a reading again
 STAMPS_S = 1e-4  # a device's own times: a conversion (0.11 ms), a period of the PWM (0.05 ms), an interrupt
@@ -25,32 +25,32 @@ _BLOCK_BYTES = 18 + 10 * 4 + _FRAME_BYTES
 _BLOCK_S = 0.010
 
 
-def tick_budget(e: Experiment, baud: int | None = None, adapter: Adapter | None = None) -> LinkBudget:
+def tick_budget(d: DeviceSetup, baud: int | None = None, adapter: Adapter | None = None) -> LinkBudget:
     """What one tick needs.
 
     baud, adapter   instead of the config's, to see which would do
     """
-    baud = e.daq.baud if baud is None else baud
-    return _sum(tuple(_BODY_BYTES), baud, adapter_of(e) if adapter is None else adapter)
+    baud = d.daq.baud if baud is None else baud
+    return _sum(tuple(_BODY_BYTES), baud, adapter_of(d) if adapter is None else adapter)
 
 
-def reading_budget(e: Experiment) -> LinkBudget:
+def reading_budget(d: DeviceSetup) -> LinkBudget:
     """What one reading of a device that is not armed needs, until its reply is there."""
-    return _sum(("READ", "STATE"), e.daq.baud, adapter_of(e))
+    return _sum(("READ", "STATE"), d.daq.baud, adapter_of(d))
 
 
-def sample_to_drive_s(e: Experiment) -> float:
+def sample_to_drive_s(d: DeviceSetup) -> float:
     """From a sample to the drive that answers it, at most, s, where the exchange fits.
 
     The reply's way to the host, the drive's way back, and a tick of the device. The host's own part is in none of it.
     """
-    asking_s = (_BODY_BYTES["READ"] + _FRAME_BYTES) * _BITS_PER_BYTE / e.daq.baud
-    return tick_budget(e).total_s - asking_s
+    asking_s = (_BODY_BYTES["READ"] + _FRAME_BYTES) * _BITS_PER_BYTE / d.daq.baud
+    return tick_budget(d).total_s - asking_s
 
 
-def reply_delay_s(e: Experiment) -> float:
+def reply_delay_s(d: DeviceSetup) -> float:
     """By how much the adapter makes an exchange longer, at most, s; 0 without one."""
-    return adapter_delay_s(adapter_of(e))
+    return adapter_delay_s(adapter_of(d))
 
 
 def block_share(baud: int) -> float:

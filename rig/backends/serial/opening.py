@@ -29,125 +29,123 @@ from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of, is_virtual
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 from rig.faults import Fault
 from rig.results import JsonObject
 
 
 @contextmanager
-def serial_line(e: Experiment) -> Iterator[Line]:
+def serial_line(d: DeviceSetup) -> Iterator[Line]:
     """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
-    port = e.daq.port
-    if port is not None and is_virtual(e):
-        yield _virtual_line(e, port)
+    port = d.daq.port
+    if port is not None and is_virtual(d):
+        yield _virtual_line(d, port)
     elif port in EMULATED_PORTS:
         with TemporaryDirectory(prefix="rig-") as folder:
             trace = Path(folder) / "truth.csv"
-            with emulated_board(e, trace=trace) as board:
-                line = _line_of_port(e, board.port, emulated=True)
+            with emulated_board(d, trace=trace) as board:
+                line = _line_of_port(d, board.port, emulated=True)
                 yield line._replace(shaft=partial(traced, trace))
     elif port is not None:
-        yield _line_of_port(e, port)
+        yield _line_of_port(d, port)
     else:
         raise ValueError("daq.port is missing")
 
 
-def _virtual_line(e: Experiment, port: str) -> Line:
+def _virtual_line(d: DeviceSetup, port: str) -> Line:
     device: VirtualBoard | VirtualChip | VirtualPico
     shaft = None
     if port in PICO_PORTS:
-        device = emulated_pico(e)
+        device = emulated_pico(d)
     elif port in CHIP_PORTS:
-        device = emulated_chip(e)
+        device = emulated_chip(d)
     else:
-        device = emulated_host_board(e)
+        device = emulated_host_board(d)
         shaft = device.shaft
-    adapter = adapter_of(e)
+    adapter = adapter_of(d)
     line = device if adapter == "none" else BehindUsb(device, adapter)
     return Line(line, line, port, emulated=True, shaft=shaft)
 
 
-def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
-    transport = SerialPort(port, e.daq.baud, usb_serial=e.daq.usb_serial)
-    if e.sensor.encoder is not None:
+def _line_of_port(d: DeviceSetup, port: str, *, emulated: bool = False) -> Line:
+    transport = SerialPort(port, d.daq.baud, usb_serial=d.daq.usb_serial)
+    if d.sensor.encoder is not None:
         transport.keep_on()
     if not emulated:
         try:
-            check_adapter(port, adapter_of(e))
+            check_adapter(port, adapter_of(d))
         except Fault:
             transport.close()
             raise
-    return Line(transport, host_clock(e), f"serial:{port}", emulated=emulated)
+    return Line(transport, host_clock(d), f"serial:{port}", emulated=emulated)
 
 
-def serial_driver(e: Experiment, line: Line) -> SerialDriver:
+def serial_driver(d: DeviceSetup, line: Line) -> SerialDriver:
     """As of ``LineBackend.driver``."""
     return SerialDriver(
         line.transport,
-        e.scaling,
-        Timeouts(e.daq.timeout_s, e.daq.open_timeout_s),
-        board=Board(
-            e.drive.bridge, flash_line(e), runs_strokes=e.relay.where == "device" and e.relay.until is not None
-        ),
+        d.scaling,
+        Timeouts(d.daq.timeout_s, d.daq.open_timeout_s),
+        board=Board(d.drive.bridge, flash_line(d), runs_strokes=d.runs_strokes),
         # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
-        session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
+        session=random.Random(d.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,
         emulated=line.emulated,
-        by_hand=_by_hand(e, line),
+        by_hand=_by_hand(d, line),
     )
 
 
-def _by_hand(e: Experiment, line: Line) -> ByHand | None:
+def _by_hand(d: DeviceSetup, line: Line) -> ByHand | None:
     """Without travel limits zero is where the shaft stands. With them nobody knows but `rig home`.
 
     An emulated device that starts with the command has a hand, which does what a person would do.
     """
-    if e.sensor.encoder is None:
+    if d.sensor.encoder is None:
         return None
-    if e.limits.is_endless:
+    if d.limits.is_endless:
         return ByHand(0.0, tried_estop=line.emulated)
-    return ByHand(emulated_of(e).motor.start_rad) if line.emulated else None
+    return ByHand(emulated_of(d).motor.start_rad) if line.emulated else None
 
 
-def emulated_host_board(e: Experiment) -> VirtualBoard:
+def emulated_host_board(d: DeviceSetup) -> VirtualBoard:
     """The firmware's core on this machine with the config's bench behind it, as ``emulated_chip``."""
-    emulated = emulated_of(e)
-    bench = bench_parameters(emulated, e.tachometer)
-    board = VirtualBoard(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, baud=e.daq.baud)
+    emulated = emulated_of(d)
+    bench = bench_parameters(emulated, d.tachometer)
+    board = VirtualBoard(bench, d.seed, clock_error_ppm=emulated.clock_error_ppm, baud=d.daq.baud)
     board.keeps_shaft = True
     return board
 
 
-def emulated_chip(e: Experiment) -> VirtualChip:
+def emulated_chip(d: DeviceSetup) -> VirtualChip:
     """The Uno's emulated chip with the config's bench behind it: port and clock in one, in virtual time.
 
     Raises EmulationError where it cannot be built, ValueError without section ``emulated``.
     """
-    emulated = emulated_of(e)
-    bench = bench_parameters(emulated, e.tachometer)
+    emulated = emulated_of(d)
+    bench = bench_parameters(emulated, d.tachometer)
     return VirtualChip(
         bench,
-        e.seed,
+        d.seed,
         clock_error_ppm=emulated.clock_error_ppm,
-        options=variant_of(bench, e.daq.baud, e.drive.bridge),
+        options=variant_of(bench, d.daq.baud, d.drive.bridge),
     )
 
 
-def emulated_pico(e: Experiment) -> VirtualPico:
+def emulated_pico(d: DeviceSetup) -> VirtualPico:
     """The Pico's emulated chip, as ``emulated_chip``."""
-    return VirtualPico(_pico_parameters(e))
+    return VirtualPico(_pico_parameters(d))
 
 
-def _pico_parameters(e: Experiment) -> JsonObject:
-    emulated = emulated_of(e)
-    bench = bench_parameters(emulated, e.tachometer)
-    options = variant_of(bench, e.daq.baud, e.drive.bridge)
-    return pico_parameters(bench, e.seed, clock_error_ppm=emulated.clock_error_ppm, options=options)
+def _pico_parameters(d: DeviceSetup) -> JsonObject:
+    emulated = emulated_of(d)
+    bench = bench_parameters(emulated, d.tachometer)
+    options = variant_of(bench, d.daq.baud, d.drive.bridge)
+    return pico_parameters(bench, d.seed, clock_error_ppm=emulated.clock_error_ppm, options=options)
 
 
 @contextmanager
 def emulated_board(
-    e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+    d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
 ) -> Iterator[BoardProcess]:
     """The emulated board of the config, running in real time for the block; its ``port`` is a value for daq.port.
 
@@ -157,20 +155,20 @@ def emulated_board(
            names a chip, else the firmware's core on this machine
     Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
-    emulated = emulated_of(e)
-    adapter = e.daq.adapter or "none"
+    emulated = emulated_of(d)
+    adapter = d.daq.adapter or "none"
     own_link = link if adapter == "none" else None
     with ExitStack() as stack:
         board: ChipBoard | HostBoard | PicoBoard
-        if e.daq.port in PICO_PORTS:
+        if d.daq.port in PICO_PORTS:
             board = stack.enter_context(PicoBoard())
-            board.start(_pico_parameters(e), own_link, trace)
-        elif chip or e.daq.port in CHIP_PORTS:
+            board.start(_pico_parameters(d), own_link, trace)
+        elif chip or d.daq.port in CHIP_PORTS:
             board = stack.enter_context(ChipBoard())
-            board.start(emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
+            board.start(emulated, d.seed, own_link, trace, d.tachometer, baud=d.daq.baud, bridge=d.drive.bridge)
         else:
             board = stack.enter_context(HostBoard())
-            board.start(emulated, e.seed, own_link, trace, e.tachometer)
+            board.start(emulated, d.seed, own_link, trace, d.tachometer)
         if adapter == "none":
             yield board
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rig.backends.emulated.words import in_virtual_time
 from rig.backends.links.usb_adapters import Adapter, adapter_by_name
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 PICO_PORTS = ("emulated-pico", "emulated-pico-realtime")
 CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime", *PICO_PORTS)
@@ -12,18 +12,18 @@ EMULATED_PORTS = ("emulated", "emulated-realtime", *CHIP_PORTS)
 CHIP_BAUDS = (115200, 1_000_000)  # that the boards' firmware is built for
 
 
-def is_emulated(e: Experiment) -> bool:
+def is_emulated(d: DeviceSetup) -> bool:
     """Whether the port is that of an emulated device."""
-    return e.daq.port in EMULATED_PORTS
+    return d.daq.port in EMULATED_PORTS
 
 
-def is_virtual(e: Experiment) -> bool:
+def is_virtual(d: DeviceSetup) -> bool:
     """Whether that device lives in virtual time."""
-    return is_emulated(e) and in_virtual_time(e.daq.port)
+    return is_emulated(d) and in_virtual_time(d.daq.port)
 
 
-def adapter_of(e: Experiment) -> Adapter:
+def adapter_of(d: DeviceSetup) -> Adapter:
     """The USB adapter that delays the replies: from the config, else from the port's name."""
-    if e.daq.adapter is not None:
-        return e.daq.adapter
-    return "none" if e.daq.port is None or is_emulated(e) else adapter_by_name(e.daq.port)
+    if d.daq.adapter is not None:
+        return d.daq.adapter
+    return "none" if d.daq.port is None or is_emulated(d) else adapter_by_name(d.daq.port)

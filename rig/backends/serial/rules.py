@@ -20,42 +20,41 @@ from rig.backends.serial.link_budget import (
 )
 from rig.backends.serial.ports import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment
-from rig.config.sensor import count_rad
+from rig.config.schema import DeviceSetup
 
 _SLACK = 1e-9  # relative
 
 
-def serial_rules(e: Experiment) -> Iterator[Problem]:
+def serial_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rules that only a serial device has."""
-    yield from _keys(e)
-    yield from _bridge(e)
-    yield from _link_budget(e)
-    yield from _reply_time(e)
-    if e.relay.where == "device":
-        yield from _device_relay(e)
+    yield from _keys(d)
+    yield from _bridge(d)
+    yield from _link_budget(d)
+    yield from _reply_time(d)
+    if d.runs_relay:
+        yield from _device_relay(d)
 
 
-def _keys(e: Experiment) -> Iterator[Problem]:
-    d = e.daq
-    if d.port is None:
+def _keys(d: DeviceSetup) -> Iterator[Problem]:
+    daq = d.daq
+    if daq.port is None:
         yield wrong("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
-    elif d.port.startswith("emulated") and d.port not in EMULATED_PORTS:
-        yield wrong("daq.port", f"no {d.port} for `driver: serial`", f"one of {', '.join(EMULATED_PORTS)}")
-    if e.emulated is None and d.port in EMULATED_PORTS:
-        yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
-    if e.emulated is not None and e.emulated.motor.delay_s is not None and d.port in EMULATED_PORTS:
+    elif daq.port.startswith("emulated") and daq.port not in EMULATED_PORTS:
+        yield wrong("daq.port", f"no {daq.port} for `driver: serial`", f"one of {', '.join(EMULATED_PORTS)}")
+    if d.emulated is None and daq.port in EMULATED_PORTS:
+        yield wrong("emulated", f"`port: {daq.port}` needs this section", "describe the bench: see config/demo.yaml")
+    if d.emulated is not None and d.emulated.motor.delay_s is not None and daq.port in EMULATED_PORTS:
         yield wrong("emulated.motor.delay_s", "an emulated board has no such delay", "use driver simulated or modbus")
-    if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
-        yield wrong("daq.baud", f"the board's firmware does not speak {d.baud} baud", "115200 or 1000000")
+    if daq.port in CHIP_PORTS and daq.baud not in CHIP_BAUDS:
+        yield wrong("daq.baud", f"the board's firmware does not speak {daq.baud} baud", "115200 or 1000000")
 
 
-def _bridge(e: Experiment) -> Iterator[Problem]:
+def _bridge(d: DeviceSetup) -> Iterator[Problem]:
     """Only the config knows the wiring. rig compares the firmware with it when it opens the port."""
-    port = e.daq.port
+    port = d.daq.port
     if port is None or port.startswith("emulated"):
         return
-    if e.drive.bridge is None:
+    if d.drive.bridge is None:
         yield wrong(
             "drive.bridge",
             f"is missing, and a real motor may be behind {port}: it names the inputs of the bridge, and {WRONG_BRIDGE}",
@@ -64,72 +63,72 @@ def _bridge(e: Experiment) -> Iterator[Problem]:
         )
 
 
-def _fits(e: Experiment, baud: int, adapter: Adapter | None = None) -> bool:
-    return tick_budget(e, baud, adapter).fits(e.period_s)
+def _fits(d: DeviceSetup, baud: int, adapter: Adapter | None = None) -> bool:
+    return tick_budget(d, baud, adapter).fits(d.period_s)
 
 
-def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
+def _quicker_adapter(d: DeviceSetup, fits: Callable[[Adapter], bool]) -> str:
     """The hint to use another adapter, where that would fit; "" where none would."""
-    adapter = adapter_of(e)
+    adapter = adapter_of(d)
     if adapter == "ftdi" and fits("ftdi-1ms"):
-        device = PurePosixPath(e.daq.port or "").name if (e.daq.port or "").startswith("/dev/tty") else "ttyUSB0"
+        device = PurePosixPath(d.daq.port or "").name if (d.daq.port or "").startswith("/dev/tty") else "ttyUSB0"
         timer = (
             f"an FTDI with its latency timer at 1 ms fits: `echo 1 | sudo tee /sys/bus/usb-serial/devices/{device}/"
             "latency_timer`, and daq.adapter: ftdi-1ms"
         )
-        return timer if e.daq.adapter is not None else f"set daq.adapter to what `rig doctor` finds there; {timer}"
-    if adapter != "none" and e.daq.adapter is None and fits("native-usb"):
+        return timer if d.daq.adapter is not None else f"set daq.adapter to what `rig doctor` finds there; {timer}"
+    if adapter != "none" and d.daq.adapter is None and fits("native-usb"):
         return "set daq.adapter to what `rig doctor` finds there, if it is another"
     return ""
 
 
-def _link_budget(e: Experiment) -> Iterator[Problem]:
-    if _fits(e, e.daq.baud):
+def _link_budget(d: DeviceSetup) -> Iterator[Problem]:
+    if _fits(d, d.daq.baud):
         return
-    bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
+    bauds = CHIP_BAUDS if adapter_of(d) == "16u2" or d.daq.port in CHIP_PORTS else BAUD_RATES
     quicker = ""
-    for baud in (e.daq.baud, *bauds):
-        quicker = _quicker_adapter(e, partial(_fits, e, baud))
+    for baud in (d.daq.baud, *bauds):
+        quicker = _quicker_adapter(d, partial(_fits, d, baud))
         if quicker:
-            quicker += "" if baud == e.daq.baud else f", and daq.baud {baud}"
+            quicker += "" if baud == d.daq.baud else f", and daq.baud {baud}"
             break
-    fitting = [f"daq.baud {baud} fits" for baud in bauds if _fits(e, baud)]
+    fitting = [f"daq.baud {baud} fits" for baud in bauds if _fits(d, baud)]
     ways_out = [*([quicker] if quicker else []), *fitting[:1]]
-    yield tick_budget(e).too_slow("daq.adapter" if quicker else "daq.baud", e.period_s, ways_out)
+    yield tick_budget(d).too_slow("daq.adapter" if quicker else "daq.baud", d.period_s, ways_out)
 
 
-def _reply_time(e: Experiment) -> Iterator[Problem]:
+def _reply_time(d: DeviceSetup) -> Iterator[Problem]:
     """A run ends after three repeated readings in a row. On a sound link no reading may need repeating."""
-    if not _fits(e, e.daq.baud):
+    if not _fits(d, d.daq.baud):
         return
-    reading = reading_budget(e)
-    most_s = REPLY_SHARE * e.daq.timeout_s * (1 + _SLACK)
+    reading = reading_budget(d)
+    most_s = REPLY_SHARE * d.daq.timeout_s * (1 + _SLACK)
     if reading.total_s > most_s:
-        chip_s = reply_delay_s(e)
-        quicker = _quicker_adapter(e, lambda adapter: reading.total_s - chip_s + adapter_delay_s(adapter) <= most_s)
+        chip_s = reply_delay_s(d)
+        quicker = _quicker_adapter(d, lambda adapter: reading.total_s - chip_s + adapter_delay_s(adapter) <= most_s)
         least_ms = math.ceil(1e4 * reading.total_s / REPLY_SHARE) / 10
         yield wrong(
             "daq.timeout_s",
-            f"{1e3 * e.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
+            f"{1e3 * d.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
             "time-out it is asked for again, and three repeated readings in a row end the run",
             f"{least_ms / 1e3:g} seconds and more, or {quicker or 'a higher daq.baud'}",
         )
 
 
-def _device_relay(e: Experiment) -> Iterator[Problem]:
-    if block_share(e.daq.baud) > LINK_SHARE:
+def _device_relay(d: DeviceSetup) -> Iterator[Problem]:
+    if block_share(d.daq.baud) > LINK_SHARE:
         fitting = next(baud for baud in BAUD_RATES if block_share(baud) <= LINK_SHARE)
         yield wrong(
             "daq.baud",
-            f"too slow for the samples of a relay in the device: {block_sum(e.daq.baud)}; {LINK_SHARE:.0%} may be used",
+            f"too slow for the samples of a relay in the device: {block_sum(d.daq.baud)}; {LINK_SHARE:.0%} may be used",
             f"daq.baud {fitting} fits, or relay.where: host",
         )
-    points = e.sensor.points
+    points = d.sensor.points
     (c0, r0), (c1, r1) = points[0], points[-1]
     bend_rad = max(abs(r - r0 - (c - c0) * (r1 - r0) / (c1 - c0)) for c, r in points)
-    if bend_rad > 0.5 * count_rad(e):
+    if bend_rad > 0.5 * d.sensor.curve.lsb_rad:
         yield wrong(
             "sensor.calibration",
-            f"bends by {bend_rad / count_rad(e):.1f} counts, but a relay in the device integrates counts",
+            f"bends by {bend_rad / d.sensor.curve.lsb_rad:.1f} counts, but a relay in the device integrates counts",
             "a straight line within half a count, or relay.where: host",
         )

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
+from rig.backends.backend import Line, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
+from rig.backends.registers.backend import RegisterBackend
 from rig.backends.servo import link_budget
 from rig.backends.servo.rules import has_watchdog, servo_rules
 from rig.backends.servo.section import EMULATED_PORTS, ServoKeys
 from rig.config.problems import Problem
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
@@ -27,89 +26,69 @@ if TYPE_CHECKING:  # it loads slowly
 _STEP_S = 1e-3  # of a servo's own loop: when within it a duty acts, and a position is sampled, no manual says
 
 
-class ServoBackend(LineBackend):
+class ServoBackend(RegisterBackend):
     """A servo on a bus; or an emulated bus."""
 
     name = "servo"
     own_keys = ServoKeys
-    shared_keys = frozenset({"port", "usb_serial"})
-    has_chip = False
+    emulated_ports = EMULATED_PORTS
+    adapter_hint = "daq.servo.adapter"
 
     @override
-    def rules(self, e: Experiment) -> Iterator[Problem]:
-        yield from usb_rules(e)
-        yield from servo_rules(e)
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
+        yield from super().rules(d)
+        yield from servo_rules(d)
 
     @override
-    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
-        """The adapter has another key here."""
-        problem = super().foreign_key(e, key, owner)
-        return replace(problem, hint="daq.servo.adapter") if key == "adapter" else problem
-
-    @override
-    def watchdog(self, e: Experiment) -> Watchdog:
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
         """Of a servo that has one in its registers; whether it works the opening tries."""
-        servo = e.daq.servo
+        servo = d.daq.servo
         if servo is None:
-            return Watchdog(e.daq.watchdog_s)
+            return Watchdog(d.daq.watchdog_s)
         if not has_watchdog(servo):
             return Watchdog(None)
-        return Watchdog(e.daq.watchdog_s, servo.table.role("watchdog").scale, certain=not e.daq.accept_no_watchdog)
+        return Watchdog(d.daq.watchdog_s, servo.table.role("watchdog").scale, certain=not d.daq.accept_no_watchdog)
 
     @override
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         return False
 
     @override
-    def budget(self, e: Experiment) -> LinkBudget:
-        return LinkBudget() if e.daq.servo is None else link_budget.tick_budget(e.daq, e.daq.servo)
+    def budget(self, d: DeviceSetup) -> LinkBudget:
+        return LinkBudget() if d.daq.servo is None else link_budget.tick_budget(d.daq, d.daq.servo)
 
     @override
-    def reading_budget(self, e: Experiment) -> LinkBudget:
-        return LinkBudget() if e.daq.servo is None else link_budget.reading_budget(e.daq, e.daq.servo)
+    def reading_budget(self, d: DeviceSetup) -> LinkBudget:
+        return LinkBudget() if d.daq.servo is None else link_budget.reading_budget(d.daq, d.daq.servo)
 
     @override
-    def reply_delay_s(self, e: Experiment) -> float:
-        adapter = self.adapter_behind(e)
+    def reply_delay_s(self, d: DeviceSetup) -> float:
+        adapter = self.adapter_behind(d)
         return 0.0 if adapter is None else adapter_delay_s(adapter)
 
     @override
-    def times_error_s(self, e: Experiment) -> float:
+    def times_error_s(self, d: DeviceSetup) -> float:
         """Both times are known to a half of the servo's step each."""
         return _STEP_S
 
     @override
-    def adapter_behind(self, e: Experiment) -> Adapter | None:
-        return None if e.daq.servo is None or self.is_emulated(e) else link_budget.adapter_of(e.daq, e.daq.servo)
+    def adapter_behind(self, d: DeviceSetup) -> Adapter | None:
+        return None if d.daq.servo is None or self.is_emulated(d) else link_budget.adapter_of(d.daq, d.daq.servo)
 
     @override
-    def words(self, e: Experiment) -> str:
-        servo = e.daq.servo
-        who = f"servo {servo.id}, {servo.model}, {e.daq.baud} baud" if servo is not None else "a servo"
-        if not self.is_emulated(e):
-            return f"a REAL SERVO behind {e.daq.port}, {who}"
-        if self.in_virtual_time(e):
+    def words(self, d: DeviceSetup) -> str:
+        servo = d.daq.servo
+        who = f"servo {servo.id}, {servo.model}, {d.daq.baud} baud" if servo is not None else "a servo"
+        if not self.is_emulated(d):
+            return f"a REAL SERVO behind {d.daq.port}, {who}"
+        if self.in_virtual_time(d):
             return f"an emulated bus, {who}, virtual time, nothing moves"
         return f"an emulated bus behind a pseudo-terminal, {who}, real time, nothing moves"
 
     @override
-    def is_emulated(self, e: Experiment) -> bool:
-        return e.daq.port in EMULATED_PORTS
-
-    @override
-    def in_virtual_time(self, e: Experiment) -> bool:
-        return self.is_emulated(e) and in_virtual_time(e.daq.port)
-
-    @override
-    def plan(self, e: Experiment) -> Iterator[str]:
-        budget = self.budget(e)
-        if budget.terms:
-            yield f"link: {budget.beside(e.period_s)}"
-
-    @override
-    def failsafe_words(self, e: Experiment) -> str:
-        servo = e.daq.servo
-        silent_ms = 1e3 * e.daq.watchdog_s
+    def failsafe_words(self, d: DeviceSetup) -> str:
+        servo = d.daq.servo
+        silent_ms = 1e3 * d.daq.watchdog_s
         keeper = (
             f"a keeper, a process on this machine, stops the servo if rig dies or is silent for {silent_ms:g} ms; it "
             "does not cover cable, adapter or machine"
@@ -120,53 +99,44 @@ class ServoBackend(LineBackend):
         return f"failsafe: {watchdog}; {keeper}"
 
     @override
-    def notes(self, e: Experiment) -> Iterator[str]:
-        yield from usb_notes(e)
+    def notes(self, d: DeviceSetup) -> Iterator[str]:
+        yield from super().notes(d)
         yield (
             "the travel limits of a servo are in this host alone: no firmware of rig's holds them, and when within its "
             "step of 1 ms a servo samples and drives no manual says"
         )
 
-        if e.daq.servo is not None and e.daq.servo.attached != "nothing" and e.load is None:
+        if d.daq.servo is not None and d.daq.servo.attached != "nothing" and d.load is None:
             yield (
                 "without section `load` rig cannot tell whether what is on the horn falls when the torque goes off: "
                 "try it by hand"
             )
-        if e.daq.servo is not None and "tick" not in e.daq.servo.table.roles:
+        if d.daq.servo is not None and "tick" not in d.daq.servo.table.roles:
             yield (
-                f"{e.daq.servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
+                f"{d.daq.servo.model} tells no clock: rig asks at another place within its step of 1 ms in each tick, "
                 "and takes the mean for true; what delays it besides makes tau wrong by as much"
             )
 
     @override
-    def not_emulated_words(self, e: Experiment) -> str:
-        return f"section `emulated` is not used with port {e.daq.port}"
-
-    @override
-    def line(self, e: Experiment) -> AbstractContextManager[Line]:
+    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
         from rig.backends.servo.line import servo_line
 
-        return servo_line(e)
+        return servo_line(d)
 
     @override
-    def driver(self, e: Experiment, line: Line) -> Driver:
+    def driver(self, d: DeviceSetup, line: Line) -> Driver:
         from rig.backends.servo.line import servo_driver
 
-        return servo_driver(e, line)
+        return servo_driver(d, line)
 
     @override
     def emulated(
-        self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess]:
         """There is no ``chip``."""
         from rig.backends.servo.line import emulated_board
 
-        return emulated_board(e, link, trace)
-
-    @override
-    def rehearsed(self, e: Experiment) -> dict[str, dict[str, Any]]:
-        """A servo of the same model on an emulated bus."""
-        return {"daq": {"port": "emulated", "usb_serial": None}, "emulated": {}}
+        return emulated_board(d, link, trace)
 
 
 SERVO = ServoBackend()

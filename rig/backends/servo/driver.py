@@ -8,15 +8,16 @@ steps; else it asks at another place within them in each tick, and takes the mea
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from typing_extensions import override
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
-from rig.backends.registers.bus import ATTEMPTS, LATE_TIMEOUTS, BusClient, Reply
+from rig.backends.registers.bus import LATE_TIMEOUTS, BusClient, Reply
 from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
@@ -40,6 +41,7 @@ _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: on
 _SAG_SHARE: Final = 0.25  # of the supply that may be lost under load
 _STEPS_OFF: Final = 2.0  # of the drive, by which the duty that acts may differ from what was written
 _STAMPED_S: Final = 0.004  # before now a duty was told, at most: the servo's step, and the way of its answer
+_WAYS: Final = 8  # drives within that time, at most
 _GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)  # its multiples are spread evenly over a step
 _STAGGERED: Final = 24  # readings that find where within its step the servo is
 _TICK_SLACK_S: Final = 0.1  # by which the servo's clock may differ from the host's between two readings
@@ -53,6 +55,22 @@ _ERROR_FAULTS: Final = {
         (0x02, "DEVICE_SENSOR"),
     ),
 }
+
+
+class _Way(NamedTuple):
+    """A drive of the servo: from a time on, s, its duty is ramped from one to another, steps, by ``slope`` steps/s."""
+
+    begins_s: float
+    start: float
+    end: float
+    slope: float
+
+    def at(self, t_s: float) -> float:
+        """The duty at a time, steps."""
+        way = self.slope * max(t_s - self.begins_s, 0.0)
+        if not math.isfinite(way) or abs(self.end - self.start) <= way:
+            return self.end
+        return self.start + math.copysign(way, self.end - self.start)
 
 
 class ServoDriver(RegisterDriver[Ask]):
@@ -99,7 +117,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._guardian: Guardian | None = None
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
-        self._acted, self._acted_s = 0.0, -math.inf  # duty that acted at a time, steps, s
+        self._ways: deque[_Way] = deque(maxlen=_WAYS)  # the latest drives since it was armed
         self._position: int | None = None  # as last read
         self._errors = 0  # error byte of the last answer
         self._strange = 0  # readings in a row of a duty that is not what was written
@@ -182,7 +200,8 @@ class ServoDriver(RegisterDriver[Ask]):
         self._strange = self._bad = 0
         super().arm(limits)
         self._find_steps()
-        self._acted, self._acted_s = 0.0, self._transport.now_s()
+        self._ways.clear()
+        self._ways.append(_Way(self._transport.now_s(), 0.0, 0.0, self._slope_units_s))
 
     @override
     def read(self) -> Sample:
@@ -317,35 +336,26 @@ class ServoDriver(RegisterDriver[Ask]):
 
     def _cut_off(self) -> bool:
         """Torque off at once, where no duty 0 was confirmed: in another mode it says nothing to a servo."""
-        for _ in range(ATTEMPTS):
-            try:
-                self._settle()
-                self._write_torque_off(self._client.asked, self._timeout_s)
-                until_s = self._transport.now_s() + _CUTS_S
-                if self._is_stopped(until_s, until_s):
-                    return True
-            except Fault as fault:
-                if fault.code == "LINK_LOST":
-                    return False
-                self._client.is_suspect = True
-        return False
+
+        def cut(_: int) -> bool | None:
+            self._write_torque_off(self._client.asked, self._timeout_s)
+            until_s = self._transport.now_s() + _CUTS_S
+            return self._is_stopped(until_s, until_s) or None
+
+        return self._tried(cut)
 
     def _torque_off(self) -> bool:
         """Wait until the shaft rests, torque off; True once that is read back. One lost reply is none."""
         control = self._map.control
         assert control is not None
-        for _ in range(ATTEMPTS):
-            try:
-                self._settle()
-                if self._setup.brakes and not self._only_stops:
-                    self._await_rest()
-                self._client.asked(self._off, self._timeout_s)
-                return control.unpack(self._stored(control)) == self._map.stop
-            except Fault as fault:
-                if fault.code == "LINK_LOST":
-                    return False
-                self._client.is_suspect = True
-        return False
+
+        def off(_: int) -> bool:
+            if self._setup.brakes and not self._only_stops:
+                self._await_rest()
+            self._client.asked(self._off, self._timeout_s)
+            return control.unpack(self._stored(control)) == self._map.stop
+
+        return self._tried(off)
 
     def _await_rest(self) -> None:
         """Until the shaft has stood for a while, or for as long as any shaft takes."""
@@ -411,24 +421,32 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _tick_writing(self, units: int) -> None:
-        before = self._ramped(self._transport.now_s())
+        last_s = self._t_u_s
         try:
             super()._tick_writing(units)
         except Fault as fault:
             raise self._why_refused(fault) from fault
         steps = self._steps
         begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
-        self._acted, self._acted_s = before, begins_s
+        before = self._ways[-1].at(begins_s)  # until then the drive of before is ramped on
+        self._ways.append(_Way(begins_s, before, units, self._slope_units_s))
         # a ramp gives what a step in its middle gives
         way_s = abs(units - before) / self._slope_units_s if math.isfinite(self._slope_units_s) else 0.0
-        self._t_u_s = begins_s + 0.5 * way_s
+        # of a ramp that was ended early its drive never acted: it ends where it began
+        self._t_u_s = begins_s + 0.5 * way_s if math.isnan(last_s) else max(begins_s + 0.5 * way_s, last_s)
 
-    def _ramped(self, now_s: float) -> float:
-        """Duty at a time by what was written last, steps."""
-        way = self._slope_units_s * max(now_s - self._acted_s, 0.0)
-        if not math.isfinite(way) or abs(self._units - self._acted) <= way:
-            return float(self._units)
-        return self._acted + math.copysign(way, self._units - self._acted)
+    def _may_act(self) -> tuple[float, float]:
+        """Least and largest duty that a reading of now may tell, steps: by each drive of the last milliseconds."""
+        now_s = self._transport.now_s()
+        since_s, ways = now_s - _STAMPED_S, list(self._ways)
+        ends_s = [*(way.begins_s for way in ways[1:]), now_s + STEP_S]  # a servo may be a step ahead on its ramp
+        duties = [
+            duty
+            for way, end_s in zip(ways, ends_s, strict=True)
+            if end_s > since_s
+            for duty in (way.at(max(way.begins_s, since_s)), way.at(end_s))
+        ]
+        return min(duties), max(duties)
 
     @override
     def _acting_V(self, values: Mapping[str, float], reply: Reply) -> float:
@@ -463,8 +481,7 @@ class ServoDriver(RegisterDriver[Ask]):
 
     def _check_duty(self, values: Mapping[str, float]) -> None:
         """A servo that drives otherwise than it was told has restarted, protects itself, or has another master."""
-        now_s = self._transport.now_s()
-        low, high = sorted((self._ramped(now_s - _STAMPED_S), self._ramped(now_s)))
+        low, high = self._may_act()
         is_strange = not low - _STEPS_OFF <= values["applied"] <= high + _STEPS_OFF
         self._strange = self._strange + 1 if is_strange else 0
         if not is_strange:

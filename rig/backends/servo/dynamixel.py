@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 from rig.backends.servo.packets import BROADCAST as BROADCAST
 from rig.backends.servo.packets import LAST_ID as LAST_ID
-from rig.backends.servo.packets import PacketStream, any_id, is_id, one_id
+from rig.backends.servo.packets import PacketStream, Requests, any_id, one_id, whole_packet
 from rig.backends.servo.packets import Skipped as Skipped
 
 LONGEST = 1024  # bytes of a packet; dynamixel-sdk sends and takes no longer one
@@ -128,19 +128,10 @@ class Stream(PacketStream[Frame]):
 
 
 def _take(data: bytearray, at: int) -> tuple[Frame, int] | str | None:
-    """The packet whose header is at ``at``, and its length; why it is none; None while that is open."""
-    have = len(data) - at
-    if have > 4 and not is_id(data[at + 4]):
-        return f"id {data[at + 4]}"
-    if have < 7:
-        return None
-    length = data[at + 5] | data[at + 6] << 8
-    if not 3 <= length <= LONGEST - 7:
-        return f"length {length}"
-    whole = length + 7
-    if have < whole:
-        return None
-    packet = bytes(data[at : at + whole])
+    """As ``packets.Take``."""
+    packet = whole_packet(data, at, header=len(_HEADER), length_bytes=2, shortest=SHORTEST, longest=LONGEST)
+    if not isinstance(packet, bytes):
+        return packet
     if crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
         return "CRC"
     id, body = packet[4], packet[7:-2]
@@ -149,35 +140,21 @@ def _take(data: bytearray, at: int) -> tuple[Frame, int] | str | None:
         if plain.replace(_BEGIN, _STUFFED) != body:
             return "not stuffed"
         body = plain
-    return Frame(id, body[0], body[1:]), whole
+    return Frame(id, body[0], body[1:]), len(packet)
 
 
 # ---------------------------------------------------------------------- requests
 
 
-def ping(id: int = BROADCAST) -> bytes:
-    """Ask who is there; each answers with model number and firmware version."""
-    return Frame(id, Instruction.PING).encode()
+def _word(value: int) -> bytes:
+    if not 0 <= value <= 0xFFFF:
+        raise ValueError(f"{value} is no address or length: 0 to 65535")
+    return value.to_bytes(2, "little")
 
 
-def read(id: int, address: int, length: int) -> bytes:
-    """Ask one servo for ``length`` bytes from ``address``. Raises ValueError for all at once, or beyond 65,535."""
-    return Frame(one_id(id), Instruction.READ, _word(address) + _word(length)).encode()
-
-
-def write(id: int, address: int, data: bytes) -> bytes:
-    """Write bytes from ``address`` on; BROADCAST writes to all, and none answers."""
-    return Frame(id, Instruction.WRITE, _word(address) + data).encode()
-
-
-def reg_write(id: int, address: int, data: bytes) -> bytes:
-    """Have bytes written at the next action."""
-    return Frame(id, Instruction.REG_WRITE, _word(address) + data).encode()
-
-
-def action(id: int = BROADCAST) -> bytes:
-    """Do what was registered."""
-    return Frame(id, Instruction.ACTION).encode()
+_requests = Requests(lambda id, code, parameters: Frame(id, code, parameters).encode(), _word)
+ping, read, write, reg_write = _requests.ping, _requests.read, _requests.write, _requests.reg_write
+action, reboot, sync_read, sync_write = _requests.action, _requests.reboot, _requests.sync_read, _requests.sync_write
 
 
 def factory_reset(id: int, keep: Keep) -> bytes:
@@ -185,35 +162,14 @@ def factory_reset(id: int, keep: Keep) -> bytes:
     return Frame(id, Instruction.FACTORY_RESET, bytes((_KEEP[keep],))).encode()
 
 
-def reboot(id: int) -> bytes:
-    """Start the servo anew: RAM registers as shipped, errors gone."""
-    return Frame(id, Instruction.REBOOT).encode()
-
-
 def clear_turns(id: int) -> bytes:
     """Have the position fall back into one turn; only at rest."""
     return Frame(id, Instruction.CLEAR, _TURNS).encode()
 
 
-def sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
-    """Ask several servos for the same registers; each answers for itself, in this order."""
-    return _sync(Instruction.SYNC_READ, address, length, ids)
-
-
 def fast_sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
     """The same, with one answer for all (``fast_statuses``)."""
-    return _sync(Instruction.FAST_SYNC_READ, address, length, ids)
-
-
-def sync_write(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Write the same registers of several servos, by id; none answers. Raises ValueError for unequal lengths."""
-    lengths = {len(values) for values in data.values()}
-    if len(lengths) != 1:
-        raise ValueError("a sync write takes the same number of bytes for each of at least one servo")
-    parameters = _word(address) + _word(lengths.pop())
-    for id, values in data.items():
-        parameters += bytes((one_id(id),)) + values
-    return Frame(BROADCAST, Instruction.SYNC_WRITE, parameters).encode()
+    return sync_read(address, length, ids, Instruction.FAST_SYNC_READ)
 
 
 def bulk_read(spans: Mapping[int, tuple[int, int]]) -> bytes:
@@ -236,13 +192,6 @@ def bulk_write(data: Mapping[int, tuple[int, bytes]]) -> bytes:
     return Frame(BROADCAST, Instruction.BULK_WRITE, parameters).encode()
 
 
-def _sync(instruction: Instruction, address: int, length: int, ids: Iterable[int]) -> bytes:
-    listed = list(ids)
-    if not listed or len(set(listed)) != len(listed):
-        raise ValueError(f"ids {listed}: at least one, and each once")
-    return Frame(BROADCAST, instruction, _word(address) + _word(length) + bytes(map(one_id, listed))).encode()
-
-
 def _bulk(instruction: Instruction, spans: Mapping[int, tuple[int, int]]) -> bytes:
     parameters = b"".join(
         bytes((one_id(id),)) + _word(address) + _word(length) for id, (address, length) in spans.items()
@@ -250,12 +199,6 @@ def _bulk(instruction: Instruction, spans: Mapping[int, tuple[int, int]]) -> byt
     if not parameters:
         raise ValueError("a bulk read of no servo")
     return Frame(BROADCAST, instruction, parameters).encode()
-
-
-def _word(value: int) -> bytes:
-    if not 0 <= value <= 0xFFFF:
-        raise ValueError(f"{value} is no address or length: 0 to 65535")
-    return value.to_bytes(2, "little")
 
 
 def request_bytes(n_parameters: int) -> int:

@@ -8,33 +8,19 @@ first; a signed one is its magnitude and a bit.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from enum import IntEnum
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from rig.backends.servo.packets import BROADCAST as BROADCAST
 from rig.backends.servo.packets import LAST_ID as LAST_ID
-from rig.backends.servo.packets import PacketStream, any_id, is_id, one_id
+from rig.backends.servo.packets import Instruction as Instruction
+from rig.backends.servo.packets import PacketStream, Requests, any_id, one_id, whole_packet
 from rig.backends.servo.packets import Skipped as Skipped
 
 LONGEST = 250  # bytes of a packet; feetech-servo-sdk sends and takes no longer one
 SHORTEST = 6
 
 _HEADER = b"\xff\xff"
-
-
-class Instruction(IntEnum):
-    """What a packet asks for."""
-
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    RESET = 0x06
-    REBOOT = 0x08
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
 
 
 VOLTAGE, SENSOR, HEAT, CURRENT, OVERLOAD = 0x01, 0x02, 0x04, 0x08, 0x20  # bits of a status's errors
@@ -82,22 +68,13 @@ class Stream(PacketStream[Frame]):
 
 
 def _take(data: bytearray, at: int) -> tuple[Frame, int] | str | None:
-    """The packet whose header is at ``at``, and its length; why it is none; None while that is open."""
-    have = len(data) - at
-    if have > 2 and not is_id(data[at + 2]):
-        return f"id {data[at + 2]}"
-    if have < 4:
-        return None
-    length = data[at + 3]
-    if not 2 <= length <= LONGEST - 4:
-        return f"length {length}"
-    whole = length + 4
-    if have < whole:
-        return None
-    packet = bytes(data[at : at + whole])
+    """As ``packets.Take``."""
+    packet = whole_packet(data, at, header=len(_HEADER), length_bytes=1, shortest=SHORTEST, longest=LONGEST)
+    if not isinstance(packet, bytes):
+        return packet
     if check_sum(packet[2:-1]) != packet[-1]:
         return "check sum"
-    return Frame(packet[2], packet[4], packet[5:-1]), whole
+    return Frame(packet[2], packet[4], packet[5:-1]), len(packet)
 
 
 # ---------------------------------------------------------------------- numbers
@@ -124,68 +101,20 @@ def signed(raw: int, sign_bit: int) -> int:
 # ---------------------------------------------------------------------- requests
 
 
-def ping(id: int) -> bytes:
-    """Ask whether a servo is there."""
-    return Frame(id, Instruction.PING).encode()
+def _number(value: int) -> bytes:
+    if not 0 <= value <= 0xFF:
+        raise ValueError(f"{value} is no address or length: 0 to 255")
+    return bytes((value,))
 
 
-def read(id: int, address: int, length: int) -> bytes:
-    """Ask one servo for ``length`` bytes from ``address``. Raises ValueError for all at once, or beyond a byte."""
-    return Frame(one_id(id), Instruction.READ, bytes((_byte(address), _byte(length)))).encode()
-
-
-def write(id: int, address: int, data: bytes) -> bytes:
-    """Write bytes from ``address`` on; BROADCAST writes to all, and none answers."""
-    return Frame(id, Instruction.WRITE, bytes((_byte(address),)) + data).encode()
-
-
-def reg_write(id: int, address: int, data: bytes) -> bytes:
-    """Have bytes written at the next action."""
-    return Frame(id, Instruction.REG_WRITE, bytes((_byte(address),)) + data).encode()
-
-
-def action(id: int = BROADCAST) -> bytes:
-    """Do what was registered."""
-    return Frame(id, Instruction.ACTION).encode()
+_requests = Requests(lambda id, code, parameters: Frame(id, code, parameters).encode(), _number)
+ping, read, write, reg_write = _requests.ping, _requests.read, _requests.write, _requests.reg_write
+action, reboot, sync_read, sync_write = _requests.action, _requests.reboot, _requests.sync_read, _requests.sync_write
 
 
 def reset(id: int) -> bytes:
     """Put every register back to how it was shipped, but the id."""
     return Frame(id, Instruction.RESET).encode()
-
-
-def reboot(id: int) -> bytes:
-    """Start the servo anew."""
-    return Frame(id, Instruction.REBOOT).encode()
-
-
-def sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
-    """Ask several servos for the same registers; each answers for itself, in this order. SCS servos do not know it.
-
-    Raises ValueError for no servo, or for one twice.
-    """
-    listed = list(ids)
-    if not listed or len(set(listed)) != len(listed):
-        raise ValueError(f"ids {listed}: at least one, and each once")
-    parameters = bytes((_byte(address), _byte(length), *map(one_id, listed)))
-    return Frame(BROADCAST, Instruction.SYNC_READ, parameters).encode()
-
-
-def sync_write(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Write the same registers of several servos, by id; none answers. Raises ValueError for unequal lengths."""
-    lengths = {len(values) for values in data.values()}
-    if len(lengths) != 1:
-        raise ValueError("a sync write takes the same number of bytes for each of at least one servo")
-    parameters = bytes((_byte(address), _byte(lengths.pop())))
-    for id, values in data.items():
-        parameters += bytes((one_id(id),)) + values
-    return Frame(BROADCAST, Instruction.SYNC_WRITE, parameters).encode()
-
-
-def _byte(value: int) -> int:
-    if not 0 <= value <= 0xFF:
-        raise ValueError(f"{value} is no address or length: 0 to 255")
-    return value
 
 
 def request_bytes(n_parameters: int) -> int:

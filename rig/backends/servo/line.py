@@ -26,40 +26,40 @@ from rig.backends.servo.link_budget import adapter_of, longest_return_delay_s
 from rig.backends.servo.opening import ServoSetup
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.calibration import largest_drive_in_units
-from rig.config.schema import Experiment, ServoSensor
+from rig.config.schema import DeviceSetup, ServoSensor
 
 
 @contextmanager
-def servo_line(e: Experiment) -> Iterator[Line]:
+def servo_line(d: DeviceSetup) -> Iterator[Line]:
     """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
-    port = e.daq.port
+    port = d.daq.port
     if port is None:
         raise ValueError("daq.port is missing")
     if in_virtual_time(port):
-        bus = emulated_bus(e)
+        bus = emulated_bus(d)
         yield Line(bus, bus, port, emulated=True)
     elif port in EMULATED_PORTS:
-        with emulated_board(e) as board:
-            yield Line(SerialPort(board.port, e.daq.baud), host_clock(e), f"servo:{board.port}", emulated=True)
+        with emulated_board(d) as board:
+            yield Line(SerialPort(board.port, d.daq.baud), host_clock(d), f"servo:{board.port}", emulated=True)
     else:
-        check_adapter(port, adapter_of(e.daq, servo_of(e)), "daq.servo.adapter")
-        yield Line(SerialPort(port, e.daq.baud, usb_serial=e.daq.usb_serial), host_clock(e), f"servo:{port}")
+        check_adapter(port, adapter_of(d.daq, servo_of(d)), "daq.servo.adapter")
+        yield Line(SerialPort(port, d.daq.baud, usb_serial=d.daq.usb_serial), host_clock(d), f"servo:{port}")
 
 
-def servo_driver(e: Experiment, line: Line) -> ServoDriver:
+def servo_driver(d: DeviceSetup, line: Line) -> ServoDriver:
     """The driver of the config on a line, not opened yet."""
-    servo = servo_of(e)
+    servo = servo_of(d)
     descriptor = getattr(line.transport, "descriptor", None)
-    is_real = e.daq.port not in EMULATED_PORTS and not line.emulated
-    store = store_of(e.daq.port or "", servo.id) if is_real else BeforeStore()
+    is_real = d.daq.port not in EMULATED_PORTS and not line.emulated
+    store = store_of(d.daq.port or "", servo.id) if is_real else BeforeStore()
     # what only stops the servo, on a link that it has inherited, needs nobody to stop it
-    guardian = None if descriptor is None or line.answered else starter(descriptor, e.daq.watchdog_s)
+    guardian = None if descriptor is None or line.answered else starter(descriptor, d.daq.watchdog_s)
     return ServoDriver(
         line.transport,
-        setup_of(e),
-        e.daq.baud,
-        e.scaling,
-        Timeouts(e.daq.timeout_s, e.daq.open_timeout_s),
+        setup_of(d),
+        d.daq.baud,
+        d.scaling,
+        Timeouts(d.daq.timeout_s, d.daq.open_timeout_s),
         store,
         guardian=guardian,
         name=line.name,
@@ -68,62 +68,62 @@ def servo_driver(e: Experiment, line: Line) -> ServoDriver:
     )
 
 
-def setup_of(e: Experiment) -> ServoSetup:
+def setup_of(d: DeviceSetup) -> ServoSetup:
     """What the config says of the servo."""
-    servo = servo_of(e)
-    drive_map = replace(e.drive.map, full_units=servo.table.full_drive)
+    servo = servo_of(d)
+    drive_map = replace(d.drive.map, full_units=servo.table.full_drive)
     return ServoSetup(
         model=servo.table,
         id=servo.id,
         fastest_slope=servo.pwm_slope == "fastest",
         brakes=servo.on_stop == "brake",
         hot_degC=servo.hot_degC,
-        supply_V=e.drive.supply_V,
-        zero_counts=_sensor(e).zero_counts,
-        max_units=largest_drive_in_units(e.device_limits, drive_map),
-        watchdog_s=e.daq.watchdog_s,
-        longest_delay_s=longest_return_delay_s(e.daq, servo, e.period_s),
+        supply_V=d.drive.supply_V,
+        zero_counts=_sensor(d).zero_counts,
+        max_units=largest_drive_in_units(d.arming, drive_map),
+        watchdog_s=d.daq.watchdog_s,
+        longest_delay_s=longest_return_delay_s(d.daq, servo, d.period_s),
     )
 
 
-def emulated_servo(e: Experiment) -> ServoOptions:
+def emulated_servo(d: DeviceSetup) -> ServoOptions:
     """The emulated servo of the config, as shipped but for its id and baud."""
-    servo, bench = servo_of(e), bench_parameters(emulated_of(e))
-    sensor = _sensor(e)
+    servo, bench = servo_of(d), bench_parameters(emulated_of(d))
+    sensor = _sensor(d)
     return ServoOptions(
         model=servo.model,
         id=servo.id,
-        baud=e.daq.baud,
+        baud=d.daq.baud,
         bench=replace(bench, coasting=False),
-        seed=e.seed,
+        seed=d.seed,
         polarity=sensor.sign * (-1 if bench.reversed else 1),
         zero_counts=sensor.zero_counts,
     )
 
 
-def emulated_bus(e: Experiment) -> VirtualServoBus:
+def emulated_bus(d: DeviceSetup) -> VirtualServoBus:
     """The emulated bus in virtual time: line and clock in one. Raises EmulationError."""
-    return VirtualServoBus([emulated_servo(e)], line=_times(e))
+    return VirtualServoBus([emulated_servo(d)], line=_times(d))
 
 
 @contextmanager
-def emulated_board(e: Experiment, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
+def emulated_board(d: DeviceSetup, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
     """The emulated bus, running in real time for the block. Raises EmulationError where it does not start."""
     with ServoBoard() as board:
-        board.start([emulated_servo(e)], link, trace, line=_times(e))
+        board.start([emulated_servo(d)], link, trace, line=_times(d))
         yield board
 
 
-def servo_of(e: Experiment) -> Servo:
+def servo_of(d: DeviceSetup) -> Servo:
     """Section ``daq.servo``. Raises ValueError without it."""
-    if e.daq.servo is None:
+    if d.daq.servo is None:
         raise ValueError("the config has no section `daq.servo`")
-    return e.daq.servo
+    return d.daq.servo
 
 
-def _sensor(e: Experiment) -> ServoSensor:
-    return ServoSensor() if e.sensor.servo is None else e.sensor.servo
+def _sensor(d: DeviceSetup) -> ServoSensor:
+    return ServoSensor() if d.sensor.servo is None else d.sensor.servo
 
 
-def _times(e: Experiment) -> LineTimes:
-    return LineTimes(e.daq.baud, adapter_delay_s(adapter_of(e.daq, servo_of(e))))
+def _times(d: DeviceSetup) -> LineTimes:
+    return LineTimes(d.daq.baud, adapter_delay_s(adapter_of(d.daq, servo_of(d))))

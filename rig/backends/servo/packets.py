@@ -1,8 +1,9 @@
-"""Packets out of a stream of bytes, whatever else comes in between; what both protocols of servos share. Pure."""
+"""What both protocols of servos share: packets out of bytes, whatever else comes in between, and requests. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from enum import IntEnum
 from typing import Generic, NamedTuple, TypeVar
 
 BROADCAST = 0xFE
@@ -102,3 +103,94 @@ def any_id(id: int) -> int:
 def is_id(id: int) -> bool:
     """Whether packets may have this id."""
     return 0 <= id <= LAST_ID or id == BROADCAST
+
+
+def whole_packet(
+    data: bytearray, at: int, *, header: int, length_bytes: int, shortest: int, longest: int
+) -> bytes | str | None:
+    """The packet whose header is at ``at``, check sum not tried; why it is none; None while that is open.
+
+    header        bytes in front of the id, which the length follows
+    length_bytes  of the length, low byte first; it counts all that follows it
+    shortest, longest   of a packet, bytes
+    """
+    have, begins = len(data) - at, header + 1 + length_bytes
+    if have > header and not is_id(data[at + header]):
+        return f"id {data[at + header]}"
+    if have < begins:
+        return None
+    length = int.from_bytes(data[at + header + 1 : at + begins], "little")
+    if not shortest <= begins + length <= longest:
+        return f"length {length}"
+    return bytes(data[at : at + begins + length]) if have >= begins + length else None
+
+
+class Instruction(IntEnum):
+    """What a packet asks for, in both protocols."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    RESET = 0x06
+    REBOOT = 0x08
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+class Requests:
+    """The requests of both protocols, as they are on the wire.
+
+    encode  a packet of id, instruction and parameters
+    number  an address or a length, as bytes; raises ValueError for one that does not fit
+    """
+
+    def __init__(self, encode: Callable[[int, int, bytes], bytes], number: Callable[[int], bytes]) -> None:
+        self._encode, self._number = encode, number
+
+    def ping(self, id: int = BROADCAST) -> bytes:
+        """Ask whether a servo is there, or who is."""
+        return self._encode(id, Instruction.PING, b"")
+
+    def read(self, id: int, address: int, length: int) -> bytes:
+        """Ask one servo for ``length`` bytes from ``address``. Raises ValueError for all at once."""
+        return self._encode(one_id(id), Instruction.READ, self._number(address) + self._number(length))
+
+    def write(self, id: int, address: int, data: bytes) -> bytes:
+        """Write bytes from ``address`` on; BROADCAST writes to all, and none answers."""
+        return self._encode(id, Instruction.WRITE, self._number(address) + data)
+
+    def reg_write(self, id: int, address: int, data: bytes) -> bytes:
+        """Have bytes written at the next action."""
+        return self._encode(id, Instruction.REG_WRITE, self._number(address) + data)
+
+    def action(self, id: int = BROADCAST) -> bytes:
+        """Do what was registered."""
+        return self._encode(id, Instruction.ACTION, b"")
+
+    def reboot(self, id: int) -> bytes:
+        """Start the servo anew: RAM registers as shipped, errors gone."""
+        return self._encode(id, Instruction.REBOOT, b"")
+
+    def sync_read(
+        self, address: int, length: int, ids: Iterable[int], instruction: int = Instruction.SYNC_READ
+    ) -> bytes:
+        """Ask several servos for the same registers; each answers for itself, in this order.
+
+        Raises ValueError for no servo, or for one twice.
+        """
+        listed = list(ids)
+        if not listed or len(set(listed)) != len(listed):
+            raise ValueError(f"ids {listed}: at least one, and each once")
+        parameters = self._number(address) + self._number(length) + bytes(map(one_id, listed))
+        return self._encode(BROADCAST, instruction, parameters)
+
+    def sync_write(self, address: int, data: Mapping[int, bytes]) -> bytes:
+        """Write the same registers of several servos, by id; none answers. Raises ValueError for unequal lengths."""
+        lengths = {len(values) for values in data.values()}
+        if len(lengths) != 1:
+            raise ValueError("a sync write takes the same number of bytes for each of at least one servo")
+        parameters = self._number(address) + self._number(lengths.pop())
+        parameters += b"".join(bytes((one_id(id),)) + values for id, values in data.items())
+        return self._encode(BROADCAST, Instruction.SYNC_WRITE, parameters)

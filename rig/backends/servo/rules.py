@@ -9,7 +9,7 @@ from typing import Final
 from rig.backends.servo.link_budget import tick_budget
 from rig.backends.servo.section import EMULATED_PORTS, Servo
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 _NO_WATCHDOG_S: Final = 0.1  # for which full drive must stay inside the hard limits where nothing else stops a servo
 _HALF_TURN_RAD: Final = math.pi - 0.1  # beyond it a position has two places
@@ -17,32 +17,32 @@ _SLACK: Final = 1e-9
 _UNITS: Final = 127  # of the watchdog's register, at most
 
 
-def servo_rules(e: Experiment) -> Iterator[Problem]:
+def servo_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rules that only a servo has."""
-    port, servo = e.daq.port, e.daq.servo
+    port, servo = d.daq.port, d.daq.servo
     if port is None:
         yield wrong("daq.port", "`driver: servo` needs a port", "/dev/ttyUSB0, or port: emulated")
     elif port.startswith("emulated"):
         if port not in EMULATED_PORTS:
             yield wrong("daq.port", f"no {port} for `driver: servo`", f"one of {', '.join(EMULATED_PORTS)}")
-        elif e.emulated is None:
+        elif d.emulated is None:
             yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/servo.yaml")
-    if e.relay.where == "device":
+    if d.runs_relay:
         yield wrong("relay.where", "`driver: servo` has no relay in the device", "set it to host")
-    if e.tachometer is not None:
+    if d.tachometer is not None:
         yield wrong("tachometer", "rig takes a servo's position alone", "leave it out")
-    if e.sensor.servo is None:
+    if d.sensor.servo is None:
         yield wrong("sensor", "`driver: servo` has a sensor of its own", "servo: {}")
     if servo is None:
         yield wrong("daq.servo", "`driver: servo` needs this section", "see config/servo.yaml")
         return
-    yield from _keys(e, servo)
-    yield from _travel(e, servo)
+    yield from _keys(d, servo)
+    yield from _travel(d, servo)
     if port is None or (port.startswith("emulated") and port not in EMULATED_PORTS):
         return  # its adapter is not known
-    if not tick_budget(e.daq, servo).fits(e.period_s):
-        fitting = [f"daq.baud {baud} fits" for baud in sorted(servo.table.bauds.values()) if _fits(e, servo, baud)]
-        yield tick_budget(e.daq, servo).too_slow("daq.baud", e.period_s, fitting[:1])
+    if not tick_budget(d.daq, servo).fits(d.period_s):
+        fitting = [f"daq.baud {baud} fits" for baud in sorted(servo.table.bauds.values()) if _fits(d, servo, baud)]
+        yield tick_budget(d.daq, servo).too_slow("daq.baud", d.period_s, fitting[:1])
 
 
 def has_watchdog(servo: Servo) -> bool:
@@ -50,27 +50,27 @@ def has_watchdog(servo: Servo) -> bool:
     return "watchdog" in servo.table.roles
 
 
-def _keys(e: Experiment, servo: Servo) -> Iterator[Problem]:
-    table, d = servo.table, e.daq
-    if d.baud not in table.bauds.values():
+def _keys(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
+    table, daq = servo.table, d.daq
+    if daq.baud not in table.bauds.values():
         yield wrong(
             "daq.baud",
-            f"{servo.model} has no {d.baud} baud",
+            f"{servo.model} has no {daq.baud} baud",
             f"one of {', '.join(map(str, sorted(table.bauds.values())))}",
         )
     low_V, high_V = table.supply_V
-    if not low_V <= e.drive.supply_V <= high_V:
-        yield wrong("drive.supply_V", f"{servo.model} takes {low_V:g} to {high_V:g} V, not {e.drive.supply_V:g} V")
-    if e.drive.bridge is not None:
+    if not low_V <= d.drive.supply_V <= high_V:
+        yield wrong("drive.supply_V", f"{servo.model} takes {low_V:g} to {high_V:g} V, not {d.drive.supply_V:g} V")
+    if d.drive.bridge is not None:
         yield wrong("drive.bridge", "a servo has its bridge inside", "leave it out")
-    if d.timeout_s > e.period_s * (1 + _SLACK):
+    if daq.timeout_s > d.period_s * (1 + _SLACK):
         yield wrong(
             "daq.timeout_s",
-            f"{d.timeout_s:g} s is longer than the period of {e.period_s:g} s: a reply could come in the next tick",
-            f"at most {e.period_s:g} seconds",
+            f"{daq.timeout_s:g} s is longer than the period of {d.period_s:g} s: a reply could come in the next tick",
+            f"at most {d.period_s:g} seconds",
         )
     if not has_watchdog(servo):
-        if not d.accept_no_watchdog:
+        if not daq.accept_no_watchdog:
             yield wrong(
                 "daq.servo",
                 f"{servo.model} has no watchdog: it holds its duty when the host is silent. A keeper on this machine "
@@ -79,25 +79,25 @@ def _keys(e: Experiment, servo: Servo) -> Iterator[Problem]:
             )
         return
     unit_s = table.role("watchdog").scale
-    units = d.watchdog_s / unit_s
+    units = daq.watchdog_s / unit_s
     if not (0.5 <= units <= _UNITS and abs(round(units) - units) <= 1e-6):
-        yield wrong("daq.watchdog_s", f"{d.watchdog_s:g} s is no whole number of {unit_s:g} s", "such as 0.06")
+        yield wrong("daq.watchdog_s", f"{daq.watchdog_s:g} s is no whole number of {unit_s:g} s", "such as 0.06")
 
 
-def _travel(e: Experiment, servo: Servo) -> Iterator[Problem]:
-    if e.limits.is_endless:
+def _travel(d: DeviceSetup, servo: Servo) -> Iterator[Problem]:
+    if d.limits.is_endless:
         yield wrong("limits.travel", "`driver: servo` has no e-stop that could be tried", "give soft_rad and hard_rad")
         return
-    low, high = e.limits.hard_rad
+    low, high = d.limits.hard_rad
     if low < -_HALF_TURN_RAD or high > _HALF_TURN_RAD:
         yield wrong(
             "limits.hard_rad",
             "a servo's position is known within one turn alone when it is switched on",
             f"within {-_HALF_TURN_RAD:.2f} and {_HALF_TURN_RAD:.2f} rad",
         )
-    if not (low < e.limits.soft_rad[0] and e.limits.soft_rad[1] < high):
+    if not (low < d.limits.soft_rad[0] and d.limits.soft_rad[1] < high):
         return  # said already
-    is_proven = has_watchdog(servo) and not e.daq.accept_no_watchdog
+    is_proven = has_watchdog(servo) and not d.daq.accept_no_watchdog
     if servo.attached == "joint" and not is_proven and servo.supply_switch is None:
         yield wrong(
             "daq.servo.attached",
@@ -106,27 +106,27 @@ def _travel(e: Experiment, servo: Servo) -> Iterator[Problem]:
         )
     elif servo.attached == "load" and not is_proven:
         yield from full_drive_stays_inside(
-            e, _NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
+            d, _NO_WATCHDOG_S, "and nothing in the servo takes the duty away when the host is silent"
         )
 
 
-def full_drive_stays_inside(e: Experiment, for_s: float, why: str) -> Iterator[Problem]:
+def full_drive_stays_inside(d: DeviceSetup, for_s: float, why: str) -> Iterator[Problem]:
     """A shaft at the speed of full drive stays inside the hard limits for so long, from a soft limit on.
 
     Up to there full drive may be outward. Without ``motor`` its speed is the largest one to expect.
     """
-    (low, high), (soft_low, soft_high) = e.limits.hard_rad, e.limits.soft_rad
-    room, top_rad_s = min(high - soft_high, soft_low - low), e.limits.max_speed_rad_s
-    if e.motor is not None:
-        top_rad_s = e.motor.no_load_speed_rad_s * e.drive.max_V / e.drive.supply_V
+    (low, high), (soft_low, soft_high) = d.limits.hard_rad, d.limits.soft_rad
+    room, top_rad_s = min(high - soft_high, soft_low - low), d.limits.max_speed_rad_s
+    if d.motor is not None:
+        top_rad_s = d.motor.no_load_speed_rad_s * d.drive.max_V / d.drive.supply_V
     if top_rad_s * for_s > room:
-        most_V = e.drive.max_V * room / (top_rad_s * for_s)
+        most_V = d.drive.max_V * room / (top_rad_s * for_s)
         yield wrong(
             "drive.max_V",
-            f"at {e.drive.max_V:g} V the shaft could leave limits.hard_rad within {for_s:.3g} s of a soft limit, {why}",
+            f"at {d.drive.max_V:g} V the shaft could leave limits.hard_rad within {for_s:.3g} s of a soft limit, {why}",
             f"at most {most_V * 0.995:.3g} volts, or more room between limits.soft_rad and limits.hard_rad",
         )
 
 
-def _fits(e: Experiment, servo: Servo, baud: int) -> bool:
-    return tick_budget(e.daq, servo, baud).fits(e.period_s)
+def _fits(d: DeviceSetup, servo: Servo, baud: int) -> bool:
+    return tick_budget(d.daq, servo, baud).fits(d.period_s)

@@ -13,7 +13,7 @@ from rig.backends.backend import Backend, Unopened, Watchdog, emulated_of
 from rig.backends.clock import VirtualClock
 from rig.backends.emulated.shaft import ShaftPath
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.results import JsonObject
@@ -28,12 +28,12 @@ class SimulatedBackend(Backend):
     shared_keys = frozenset()
 
     @override
-    def rules(self, e: Experiment) -> Iterator[Problem]:
-        if e.emulated is None:
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
+        if d.emulated is None:
             yield wrong(
                 "emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml"
             )
-        if e.relay.where == "device":
+        if d.runs_relay:
             yield wrong(
                 "relay.where",
                 "`driver: simulated` has no device",
@@ -41,52 +41,52 @@ class SimulatedBackend(Backend):
             )
 
     @override
-    def watchdog(self, e: Experiment) -> Watchdog:
-        return Watchdog(e.daq.watchdog_s)
+    def watchdog(self, d: DeviceSetup) -> Watchdog:
+        return Watchdog(d.daq.watchdog_s)
 
     @override
-    def writes_first(self, e: Experiment) -> bool:
+    def writes_first(self, d: DeviceSetup) -> bool:
         return False
 
     @override
-    def times_error_s(self, e: Experiment) -> float:
+    def times_error_s(self, d: DeviceSetup) -> float:
         """Exact, but for the digits in samples.csv."""
         return _ROUNDED_S
 
     @override
-    def words(self, e: Experiment) -> str:
+    def words(self, d: DeviceSetup) -> str:
         return "a simulation in virtual time, no device, nothing moves"
 
     @override
-    def is_emulated(self, e: Experiment) -> bool:
+    def is_emulated(self, d: DeviceSetup) -> bool:
         return True
 
     @override
-    def in_virtual_time(self, e: Experiment) -> bool:
+    def in_virtual_time(self, d: DeviceSetup) -> bool:
         return True
 
     @override
-    def rehearsed(self, e: Experiment) -> dict[str, JsonObject]:
+    def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:
         """As it is."""
         return {"daq": {}, "emulated": {}}
 
     @override
     @contextmanager
-    def unopened(self, e: Experiment) -> Iterator[Unopened]:
+    def unopened(self, d: DeviceSetup) -> Iterator[Unopened]:
         """Raises ValueError without section ``emulated``."""
         from rig.backends.emulated.bench import bench_parameters
         from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 
-        emulated = emulated_of(e)
-        truth = bench_parameters(emulated, e.tachometer)
+        emulated = emulated_of(d)
+        truth = bench_parameters(emulated, d.tachometer)
         clock = VirtualClock()
-        as_it_says = replace(e.drive.map, full_units=truth.drive_counts)  # as a real device says of itself
+        as_it_says = replace(d.drive.map, full_units=truth.drive_counts)  # as a real device says of itself
         driver = SimulatedDriver(
             clock,
             truth,
-            replace(e.scaling, drive_map=as_it_says),
+            replace(d.scaling, drive_map=as_it_says),
             SimulatedLatency(emulated.latency_s, emulated.latency_jitter_s),
-            e.seed,
+            d.seed,
         )
         yield Unopened(driver, clock, truth, lambda: ShaftPath(*driver.shaft()))
 

@@ -13,7 +13,6 @@ from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import NotMovedError, Refusal
 from rig.calibrate.steps.questions import Steps, angle_error, angle_rad, refused, standing
 from rig.calibrate.sums.angles import Angle, Belief, SensorFit, objection, sensor_fit
-from rig.config.sensor import count_rad
 
 
 def angles_step(draft: Draft) -> Steps[Draft]:
@@ -26,7 +25,7 @@ def angles_step(draft: Draft) -> Steps[Draft]:
         f"limits, {low:.0f}° and {high:.0f}° so far. Positive is the side that you call so."
     )
     error_rad = yield from angle_error(e.sensor.calibration_error_rad)
-    belief = Belief(count_rad(e), e.sensor.counts_max or 0, error_rad, 0.0)
+    belief = Belief(e.sensor.curve.lsb_rad, e.sensor.counts_max or 0, error_rad, 0.0)
     angles: list[Angle] = []
     doubted_rad = math.nan
     while True:

@@ -56,8 +56,9 @@ def travel_step(draft: Draft) -> Steps[Draft]:
 def _with_room_to_stop(draft: Draft) -> Steps[Draft]:
     """With a largest speed from which the shaft stops inside the limits, if somebody says yes to that."""
     e = draft.experiment
-    distance_rad, room = sum(rad for _, rad in stopping_terms(e)), room_rad(e)
-    if not limits_are_ordered(e) or distance_rad <= room:
+    d = e.device
+    distance_rad, room = sum(rad for _, rad in stopping_terms(d)), room_rad(d)
+    if not limits_are_ordered(d) or distance_rad <= room:
         return draft
     speed_rad_s = math.floor(100.0 * e.limits.max_speed_rad_s * room / distance_rad) / 100.0
     answer = yield from choice(

@@ -11,6 +11,7 @@ from rig.identify.departures.drag import Drag
 from rig.identify.departures.drift import Drift
 from rig.identify.departures.force_over_position import ForceOverPosition
 from rig.identify.departures.friction_over_position import FrictionOverPosition
+from rig.identify.departures.friction_wave import FrictionWave
 from rig.identify.departures.gain_by_sign import GainBySign
 from rig.identify.departures.lag import Lag
 from rig.identify.departures.linearity import Linearity
@@ -39,5 +40,5 @@ DEPARTURES: list[Departure] = [
     Drift(),
 ]
 
-OUTSIDE: list[Departure] = [SagByCurrent(), SoftCoupling()]
+OUTSIDE: list[Departure] = [SagByCurrent(), SoftCoupling(), FrictionWave()]
 """Laws that a bench may have and the motor's model has not: lines of the budget only."""

@@ -15,7 +15,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,8 @@ Array = NDArray[np.float64]
 
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
 PRESENT = 0.1  # probability of a law before the record is looked at
-MOST_TOGETHER = 3  # laws that are looked at together
+MOST_TOGETHER = 3  # laws that are looked at together,
+MOST_SETS = 2000  # but where they have more starts than that together
 BY_ROUNDING = 1e-3  # of 1, which each nuisance has beforehand
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
@@ -277,9 +278,13 @@ def instead_of(instead: Sequence[InPlace]) -> Iterator[Entry]:
 
 def _sets(nuisances: Sequence[Nuisance]) -> Iterator[list[tuple[Nuisance, ...]]]:
     """All sets of one, two and three laws, those with as many columns together."""
+    starts: dict[str, list[Nuisance]] = defaultdict(list)
+    for one in nuisances:
+        starts[one.law.name].append(one)
     alike: dict[int, list[tuple[Nuisance, ...]]] = defaultdict(list)
     for count in range(1, MOST_TOGETHER + 1):
-        for chosen in combinations(nuisances, count):
-            if len({one.law.name for one in chosen}) == count:
-                alike[sum(one.count for one in chosen)].append(chosen)
+        for laws in combinations(starts.values(), count):
+            if count == 1 or math.prod(map(len, laws)) <= MOST_SETS:
+                for chosen in product(*laws):
+                    alike[sum(one.count for one in chosen)].append(chosen)
     yield from alike.values()

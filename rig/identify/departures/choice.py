@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.blocks import Blocks, share_cut
 from rig.identify.departures.departure import NOTHING, Bench, Departure
-from rig.identify.departures.drift import Drift, DriftEach
+from rig.identify.departures.drift import Drift, DriftEach, LevelEach
 from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
@@ -156,19 +156,22 @@ class Chooser:
             )
         return Choice(laws, fit, tuple(growth))
 
-    def with_drift_each(self) -> Chooser:
-        """The same, but friction drifts in the course of each recording: of records whose frames say so."""
-        return replace(self, candidates=[DriftEach() if one.name == Drift.name else one for one in self.candidates])
+    def with_drift(self, law: Drift) -> Chooser:
+        """The same, but friction drifts as ``law`` says: of records whose frames say so."""
+        return replace(self, candidates=[law if one.name == Drift.name else one for one in self.candidates])
 
-    def better_each(self, choice: Choice, each: Cut) -> bool:
-        """Whether a drift in each recording alone explains the pieces of ``choice`` as well as all its laws do."""
-        fit, drift = choice.fit, DriftEach()
+    def better_each(self, choice: Choice, each: Cut, drift: DriftEach | LevelEach) -> bool:
+        """Whether this drift alone explains the pieces of ``choice`` as well as all its laws do.
+
+        each   the records with the course of friction that ``drift`` goes by
+        """
+        fit = choice.fit
         cut = replace(fit.problem.cut, frames=each.frames)
         problem = replace(self.problem(cut, (drift,), math.inf), noise=fit.problem.noise)
         motor = RealMotor(*fit.motor[:4], delay_s=fit.motor.delay_s)
         alone = solve(start(problem, motor))
         prices = sum(self.price(law, fit, 0.0) for law in choice.laws)
-        return (alone.cost - fit.cost) / unit(fit) + self.price(drift, fit, 0.0) < prices
+        return (alone.cost - fit.cost) / unit(fit) + self.price(drift, fit, drift.beyond) < prices
 
     def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
         """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
@@ -383,7 +386,7 @@ class Chooser:
     def price(self, law: Departure, fit: Fit, beyond: float) -> float:
         """Gain in twice the log likelihood that a law must reach: Schwarz's criterion and ``beyond``."""
         count = fit.residual_rad.size - 2 * fit.starts.shape[0]
-        return len(law.numbers + law.shape) * math.log(max(count, 2)) + beyond
+        return law.costs * math.log(max(count, 2)) + beyond
 
     def promises(self, fit: Fit, laws: Sequence[Departure]) -> list[Promise]:
         """What each absent law would gain, the best first."""
@@ -401,8 +404,7 @@ class Chooser:
         """What each start of an absent law would gain, as a fall of the whitened sum of squares, the best first."""
         found = []
         trials = law.trials(self.bench)
-        for trial, (added, scale) in zip(trials, columns.of_all(law, trials), strict=True):
-            gain, sizes = columns.gain(added)
+        for trial, (gain, sizes, scale) in zip(trials, columns.gains(law, trials), strict=True):
             if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
                 continue
             most = FIRST_STEP * law.range_of(self.bench)
@@ -425,6 +427,29 @@ class Chooser:
             return solve(bare, LEAP_ITERATIONS).cost - fit.cost
 
         return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+
+
+def levels(fit: Fit, of: Sequence[str]) -> dict[str, float]:
+    """By recording how much more friction it has than all together, relative: one step of least squares.
+
+    fit   by least squares, with its noise; ``of``: for each window the name of its recording
+    """
+    problem, cut = fit.problem, fit.problem.cut
+    rows = problem.rows(fit.motor, fit.starts)
+    names = list(dict.fromkeys(of))
+    beside = rows.residual.size - cut.t_s.size  # what is known from beside the tests is of all of them
+    own = np.repeat([names.index(name) for name in of], [window.t_s.size for window in cut.windows])
+    every_s = [sum(w.duration_s for w, one in zip(cut.windows, of, strict=True) if one == name) for name in names]
+    weight = np.array(every_s) / sum(every_s)
+    shares = np.concatenate((np.eye(len(names))[own], np.tile(weight, (beside, 1))))
+    at = problem.free.index("fc_V")
+    by_number = np.column_stack((np.delete(rows.by_number, at, axis=1), rows.by_number[:, [at]] * shares))
+    normal = Normal.of(replace(rows, by_number=by_number), cut)
+    nothing_held = np.zeros(by_number.shape[1], dtype=bool)
+    step_V = normal.step(nothing_held, 0.0)[0][-len(names) :]
+    level_V = np.maximum(fit.motor.fc_V + step_V, 0.0)
+    mean_V = max(float(weight @ level_V), 1e-12)
+    return dict(zip(names, (level_V / mean_V - 1.0).tolist(), strict=True))
 
 
 def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[float, float]]:
@@ -513,6 +538,18 @@ class Columns:
             found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
             self._smooth = dict(zip(names, self._white(found.by_number, names).T, strict=True))
 
+    def gains(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[float, Array, float]]:
+        """``gain`` for each of the trials, and the second value of ``of``; waves over the angle in one go."""
+        found = list(self.of_all(law, trials))
+        if law.shape != (ORDER,):
+            yield from ((*self.gain(added), scale) for added, scale in found)
+            return
+        added = np.column_stack([column for column, _ in found])
+        normal = self.normal(np.nan_to_num(added, posinf=0.0, neginf=0.0))
+        for k, (column, scale) in enumerate(found):
+            is_number = bool(np.isfinite(column).all())
+            yield *(self._gain(normal, np.array([2 * k, 2 * k + 1])) if is_number else (math.nan, np.zeros(2))), scale
+
     def of_all(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[Array, float]]:
         """``of`` for each of the trials; those of a wave over the angle in one go."""
         if law.shape != (ORDER,):
@@ -553,10 +590,14 @@ class Columns:
         """
         if not np.isfinite(added).all():
             return math.nan, np.zeros(added.shape[1])
-        rows, normal = self._rows, self.normal(added)
-        scale = np.sqrt(np.maximum(np.diag(normal.raw), 1e-300))
-        matrix, gradient = normal.matrix / np.outer(scale, scale), normal.gradient / scale
-        m = rows.by_number.shape[1]
+        return self._gain(self.normal(added), np.arange(added.shape[1]))
+
+    def _gain(self, normal: Normal, of: NDArray[np.int64]) -> tuple[float, Array]:
+        """``gain`` of some of the columns behind the fit's own: ``of`` says which."""
+        m = self._rows.by_number.shape[1]
+        at = np.concatenate((np.arange(m), m + of))
+        scale = np.sqrt(np.maximum(np.diag(normal.raw)[at], 1e-300))
+        matrix, gradient = normal.matrix[np.ix_(at, at)] / np.outer(scale, scale), normal.gradient[at] / scale
         with_it = np.linalg.lstsq(matrix, gradient, rcond=1e-11)[0]
         alone = np.linalg.lstsq(matrix[:m, :m], gradient[:m], rcond=1e-11)[0]
         return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]

@@ -10,7 +10,7 @@ from rig.identify.departures.departure import Bench, Departure
 MOST_PER_RAD = 30.0
 OF_POLES = 3.0  # per radian: from there on it is the poles, or teeth; below it is a shaft behind a gear, a cam, a cable
 ROW_RAD = 1.5  # of a wave, from one row to the next at the mean speed: at twice that speed, more is beyond the samples
-MOST_SLOW = 24  # starts below it: over a longer travel they would be too many
+MOST_SLOW = 90  # starts below it: over a longer travel they would be too many
 
 
 class Cogging(Departure):

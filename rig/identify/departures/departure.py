@@ -75,6 +75,11 @@ class Departure(ABC):
     both_ways: bool = False
     told_by: str = "a relay test of another amplitude"
 
+    @property
+    def costs(self) -> int:
+        """How many numbers it has in a fit, for Schwarz's criterion."""
+        return len(self.numbers + self.shape)
+
     @abstractmethod
     def range_of(self, bench: Bench) -> float:
         """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""

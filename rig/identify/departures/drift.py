@@ -27,3 +27,22 @@ class DriftEach(Drift):
     title = "drift of the friction in the course of each recording"
     cause = "a bench that warms up, and cools down between them?"
     told_by = "one long recording after the bench has warmed up"
+    beyond = 0.0  # gain that it must bring, beyond Schwarz's criterion
+
+
+class LevelEach(Drift):
+    """A level of friction of its own in each recording: the drift of frames that ``Cut.with_levels`` makes."""
+
+    name = "level_each"
+    title = "level of friction in each recording of its own, at most"
+    cause = "recordings of different days?"
+    told_by = "all of it in one recording"
+    beyond = 10.0  # something else that differs between recordings may look like it: a dead band, another amplitude
+
+    def __init__(self, recordings: int = 2) -> None:
+        self.recordings = recordings
+
+    @property
+    def costs(self) -> int:
+        """A level of each, and the mean is f_c."""
+        return self.recordings - 1

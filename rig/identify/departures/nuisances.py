@@ -57,11 +57,12 @@ class Nuisances:
         laws: Sequence[Departure],
         candidates: Sequence[Departure],
         bench: Bench,
-        outside: Sequence[tuple[Departure, Array]] = (),
+        outside: Sequence[tuple[Departure, Array, int]] = (),
     ) -> Nuisances:
         """Of all ``candidates`` that are not among the ``laws`` of the fit.
 
-        outside   laws that the motor's model has not, each with the change of the readings, (n, 1), for 1 of its size
+        outside   laws that the motor's model has not, each start with the change of the readings, (n, k), for 1 of its
+                  sizes, and how many starts the law has
         """
         fit = with_own_noise(fit)
         absent = [law for law in candidates if law not in laws]
@@ -76,10 +77,10 @@ class Nuisances:
                 each.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
                 added.append(column)
                 spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
-        for law, change in outside:
-            each.append(Nuisance(law, len(spreads), 1, 1))
+        for law, change, starts in outside:
+            each.append(Nuisance(law, len(spreads), change.shape[1], starts))
             added.append(columns.of_change(change))
-            spreads.append(law.range_of(bench) / UNIFORM)
+            spreads += [law.range_of(bench) / UNIFORM] * change.shape[1]
         normal = columns.normal(np.column_stack(added)) if added else columns.base
         variance = unit(fit)
         return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads))

@@ -7,44 +7,77 @@ it turns. Where the records hold few sizes of drive, a sag by the drive alone ex
 friction are too large by about the share that the largest drives lose. So it is tried in the place of a sag: the drive
 less what the fitted motion's current takes, and the other numbers fitted to that.
 
-Behind a soft coupling the reading is, to first order, behind the shaft of a stiff bench by its acceleration over the
-square of the coupling's frequency. A fit takes that for a shorter tau and a longer delay.
+Behind a soft coupling the load swings: the reading is behind the shaft of a stiff bench by a swing that its
+acceleration drives, d'' + 2 z w d' + w^2 d = a, whatever share of the mass is the load. A fit takes that for a shorter
+tau and a longer delay. So each of some frequencies w is a start of that law.
+
+Friction that changes along the way with any period is a voltage against the motion. What it does to the readings is, to
+first order, what that voltage does to a motor that turns: no stick, and no jump at a reversal. Where a fit leaves white
+noise, there is none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.choice import TRIAL_ITERATIONS, Chooser, without
+from rig.identify.departures.cogging import Cogging
 from rig.identify.departures.departure import Bench, Departure
 from rig.identify.departures.fit import Fit, refitted, solve
+from rig.identify.departures.friction_wave import FrictionWave
 from rig.identify.departures.in_place import InPlace, gained
 from rig.identify.departures.nuisances import OF
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.sag import Sag
 from rig.identify.departures.sag_by_current import SagByCurrent
-from rig.identify.departures.soft_coupling import SoftCoupling
+from rig.identify.departures.soft_coupling import FREQUENCIES_RAD_S, SoftCoupling
+from rig.model.compiled.row_filter import filtered
 from rig.recording.series import Steps
 
 Array = NDArray[np.float64]
 
 SIZES = (0.5, 1.0, 1.5)  # of the sag that was found
+AT_REST = 0.02  # of the largest speed
 FIRST = 1.0 / 3.0  # of the range: the size of a sag by the current whose effect stands for all
 
 
-def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[tuple[Departure, Array]]:
-    """Each such law with the change of the fit's readings, (n, 1), rad for 1 of its size.
+class Outside(NamedTuple):
+    """One start of such a law.
+
+    change   (n, k) of the fit's readings, rad, for 1 of each of its sizes
+    starts   how many of them the law has
+    """
+
+    law: Departure
+    change: Array
+    starts: int = 1
+
+
+def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
+    """Each start of each such law.
 
     laws   those of the fit: a sag has its own in its place
     """
-    found: list[tuple[Departure, Array]] = [(SoftCoupling(), _by_coupling(fit))]
+    coupling, found = SoftCoupling(), list[Outside]()
+    if not fit.problem.cut.coupling_rad_s:
+        found = [
+            Outside(coupling, _by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
+            for rad_s in FREQUENCIES_RAD_S
+        ]
     if not any(isinstance(law, Sag) for law in laws):
-        found.append((SagByCurrent(), _by_sag(fit, bench)))
+        found.append(Outside(SagByCurrent(), _by_sag(fit, bench)))
+    if not fit.problem.noise.white and Cogging().fits(bench):
+        orders = [trial["cogging_per_rad"] for trial in Cogging().trials(bench)]
+        orders = [order for order in orders if order <= FrictionWave.most_per_rad] or orders[:1]
+        by_waves = by_friction_waves(fit, orders)
+        found += [Outside(FrictionWave(), by_waves[:, 2 * k : 2 * k + 2], len(orders)) for k in range(len(orders))]
     return found
 
 
@@ -78,15 +111,38 @@ def _by_sag(fit: Fit, bench: Bench) -> Array:
     return np.asarray(change / size)[:, None]
 
 
-def _by_coupling(fit: Fit) -> Array:
+def _by_coupling(fit: Fit, rad_s: float) -> Array:
+    """(n, 1) change of the readings behind a coupling of that frequency, rad."""
+    cut = fit.problem.cut
+    stiff_rad = (cut.y_rad + fit.residual_rad)[:, None]
+    return -cut.swing(rad_s, stiff_rad, fit.starts[:, None, :])
+
+
+def by_friction_waves(fit: Fit, orders: Sequence[float]) -> Array:
+    """(n, 2 m) change of the readings, rad, for 1 V of friction over the angle, sine and cosine of each of m orders."""
+    change = np.zeros((fit.residual_rad.size, 2 * len(orders)))
+    pieces = list(_pieces(fit))
+    speeds = [np.gradient(y_rad, t_s) if t_s.size > 2 else np.zeros(t_s.size) for _, t_s, y_rad in pieces]
+    at_rest = AT_REST * max(float(np.abs(speed).max()) for speed in speeds)
+    tau_s, gain = fit.motor.tau_s, fit.motor.K_rad_s_V
+    for (rows, t_s, y_rad), speed in zip(pieces, speeds, strict=True):
+        if t_s.size > 2:
+            period_s = float(np.median(np.diff(t_s)))
+            stays = math.exp(-period_s / tau_s)
+            way = np.where(np.abs(speed) > at_rest, np.sign(speed), 0.0)[:, None]
+            phase = np.outer(y_rad, orders)
+            against = way * np.stack((np.sin(phase), np.cos(phase)), axis=2).reshape(t_s.size, -1)
+            slower = filtered((0.0, -gain * (1.0 - stays)), (-stays,), against)
+            change[rows] = period_s * (np.cumsum(slower, axis=0) - 0.5 * slower)
+    return change
+
+
+def _pieces(fit: Fit) -> Iterator[tuple[slice, Array, Array]]:
+    """Rows, times, s, and fitted readings, rad, of each piece."""
     cut = fit.problem.cut
     y_rad = cut.y_rad + fit.residual_rad
-    change = np.zeros(y_rad.size)
     for first, stop in pairwise([*cut.begins.tolist(), y_rad.size]):
-        if stop - first > 2:
-            t_s = cut.t_s[first:stop]
-            change[first:stop] = -np.gradient(np.gradient(y_rad[first:stop], t_s), t_s)
-    return change[:, None]
+        yield slice(first, stop), cut.t_s[first:stop], y_rad[first:stop]
 
 
 def by_current(fit: Fit, K_rad_s_V: float, size_per_V: float) -> Cut:

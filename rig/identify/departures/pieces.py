@@ -8,7 +8,7 @@ pieces that a motor bears say how random it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.departure import Bench
+from rig.identify.departures.soft_coupling import DAMPING
 from rig.identify.motions import Motion, fitted_rows
 from rig.model.compiled.real_motion import Windows
+from rig.model.compiled.row_filter import filtered
 from rig.model.real_motor import Frame, Readings, RealMotor, readings_of, windows_of
 from rig.recording.series import TimeSeries, Window
 
@@ -29,6 +31,7 @@ FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
 SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
+STILL = 1e6  # times the longest window: in so long a course a window is an instant
 TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
 
@@ -44,6 +47,7 @@ class Cut:
     resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
     weight    (n,) of each row, 0 or 1; None: every row counts
     of        for each window the name of its recording; empty: nobody said
+    coupling_rad_s   frequency of a soft coupling between the shaft and what the sensor shows, rad/s; 0: it is stiff
     """
 
     windows: tuple[Window, ...]
@@ -53,6 +57,7 @@ class Cut:
     resting: NDArray[np.bool_] | None = None
     weight: Array | None = None
     of: tuple[str, ...] = ()
+    coupling_rad_s: float = 0.0
 
     @classmethod
     def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float, of: Sequence[str] = ()) -> Cut:
@@ -89,6 +94,20 @@ class Cut:
             for frame, name in zip(self.frames, of, strict=True)
         )
         return replace(self, frames=frames)
+
+    def with_levels(self, level: Mapping[str, float], of: Sequence[str]) -> Cut:
+        """The same, with a friction that stays as it is in each recording: a drift of 1 is the largest of the levels.
+
+        level   by recording how much more friction it has than all together, relative
+        of      for each window its recording
+        """
+        largest = max(max(map(abs, level.values())), 1e-9)
+        long_s = STILL * max(window.duration_s for window in self.windows)
+        frames = []
+        for frame, window, name in zip(self.frames, self.windows, of, strict=True):
+            middle_s = 0.5 * float(window.t_s[0] + window.t_s[-1])
+            frames.append(frame._replace(start_s=middle_s - (0.5 + level[name] / largest) * long_s, duration_s=long_s))
+        return replace(self, frames=tuple(frames))
 
     def beside(self, further: Sequence[tuple[TimeSeries, int]], longest_delay_s: float, most_s: float) -> Cut:
         """The same tests, and behind them further records in pieces of at most ``most_s``.
@@ -141,7 +160,8 @@ class Cut:
             else:
                 windows[-1] = Window(one, last.first, len(one))
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        return Cut(tuple(windows), tuple(frames), ones, tuple(math.inf for _ in windows))
+        endless = tuple(math.inf for _ in windows)
+        return Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
@@ -163,6 +183,7 @@ class Cut:
             most_s,
             None if self.resting is None else self.resting[chosen],
             None if self.weight is None else self.weight[chosen[self.piece]],
+            coupling_rad_s=self.coupling_rad_s,
         )
 
     @cached_property
@@ -247,7 +268,12 @@ class Cut:
 
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
-        return readings_of(motor, self._records, self._begins(starts)).y_rad
+        y_rad = readings_of(motor, self._records, self._begins(starts)).y_rad
+        return (
+            y_rad - self.swing(self.coupling_rad_s, y_rad[:, None], starts[:, None, :])[:, 0]
+            if self.coupling_rad_s
+            else y_rad
+        )
 
     def derivatives(
         self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
@@ -256,7 +282,29 @@ class Cut:
 
         waves_per_rad   as ``response_and_jacobian``
         """
-        return readings_of(motor, self._records, self._begins(starts), free, waves_per_rad)
+        found = readings_of(motor, self._records, self._begins(starts), free, waves_per_rad)
+        if not self.coupling_rad_s:
+            return found
+        every = np.column_stack(found)
+        begin = np.zeros((starts.shape[0], every.shape[1], 2))  # velocity and position at the start, by column
+        begin[:, 0], begin[:, -2, 0], begin[:, -1, 1] = starts, 1.0, 1.0
+        every = every - self.swing(self.coupling_rad_s, every, begin)
+        return Readings(every[:, 0], np.ascontiguousarray(every[:, 1:-2]), np.ascontiguousarray(every[:, -2:]))
+
+    def swing(self, rad_s: float, columns: Array, begin: Array) -> Array:
+        """(n, k) by how much a load behind the coupling is ahead of what follows it stiffly, for (n, k) ``columns``.
+
+        rad_s   frequency of the coupling
+        begin   (p, k, 2) velocity and position of each column at the start of each piece
+        """
+        since_s = self.t_s - self.t_s[self.begins][self.piece]
+        accelerated = columns - begin[self.piece, :, 1] - begin[self.piece, :, 0] * since_s[:, None]
+        swing, at = [], 0
+        for window, rows in zip(self.windows, self.rows, strict=True):
+            own = accelerated[at : at + window.t_s.size]
+            swing.append(filtered(*_swings(rad_s, window.period_s), own, rows))
+            at += window.t_s.size
+        return np.concatenate(swing)
 
     @cached_property
     def _records(self) -> Windows:
@@ -304,6 +352,14 @@ def _goes_along(window: Window) -> bool:
     pushes = np.flatnonzero(u_V)
     back_rad = float(np.max(np.maximum.accumulate(y_rad) - y_rad))
     return bool(pushes.size and np.all(u_V[pushes[0] :] > 0.0) and back_rad < TURNED_BACK * float(np.ptp(y_rad)))
+
+
+def _swings(rad_s: float, period_s: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The filter d'' + 2 z w d' + w^2 d = x'' from rows of x, taken as straight between them: forward and back."""
+    fast = rad_s * math.sqrt(1.0 - DAMPING**2)
+    decay = math.exp(-DAMPING * rad_s * period_s)
+    gain = decay * math.sin(fast * period_s) / (fast * period_s)
+    return (gain, -2.0 * gain, gain), (-2.0 * decay * math.cos(fast * period_s), decay**2)
 
 
 def _first_rows(window: Window, length_s: float) -> Rows:

@@ -6,7 +6,8 @@ import math
 
 from rig.identify.departures.departure import Bench, Departure
 
-SLOWEST_RAD_S = 2.0 * math.pi * 8.0  # of a coupling that nobody sees by eye
+FREQUENCIES_RAD_S = tuple(2.0 * math.pi * hertz for hertz in (6.0, 9.0, 13.0, 19.0))  # slower ones are seen by eye
+DAMPING = 0.1  # of a belt
 
 
 class SoftCoupling(Departure):
@@ -21,5 +22,5 @@ class SoftCoupling(Departure):
     told_by = "quick reversals, with rows of a few milliseconds"
 
     def range_of(self, bench: Bench) -> float:
-        """Of a coupling of 8 Hz."""
-        return SLOWEST_RAD_S**-2
+        """Of the slowest coupling."""
+        return float(FREQUENCIES_RAD_S[0] ** -2)

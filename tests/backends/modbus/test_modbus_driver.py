@@ -16,9 +16,9 @@ import pytest
 from evidence import evidence
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
+from rig.backends.emulated.line_faults import Corruption
 from rig.backends.modbus.client import ModbusClient, ModbusLine
 from rig.backends.modbus.driver import ModbusDriver
-from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import Direction, check_sum
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
@@ -51,8 +51,8 @@ class Rig:
 
     def __init__(self, experiment: Experiment, *, armed: bool = True) -> None:
         self.experiment = experiment
-        self.block: VirtualIoBlock = emulated_io_block(experiment)
-        self.driver: ModbusDriver = modbus_driver(experiment, self.block)
+        self.block: VirtualIoBlock = emulated_io_block(experiment.device)
+        self.driver: ModbusDriver = modbus_driver(experiment.device, self.block)
         self.commanded: set[int] = {0}
         self.driver.open()
         self._due_s = self.block.now_s()
@@ -60,7 +60,7 @@ class Rig:
             self.arm()
 
     def arm(self) -> None:
-        self.driver.arm(self.experiment.device_limits)
+        self.driver.arm(self.experiment.device.arming)
         self._due_s = self.block.now_s()
 
     def tick(self, u_V: float) -> Sample:
@@ -132,7 +132,7 @@ def test_a_reply_that_was_held_up_does_not_move_the_instant(rig: Rig, held_up_s:
 def round_trip_while_opening(style: str, spoil: Callable[[VirtualIoBlock, int], None]) -> float:
     """What the driver takes for the exchange's time, s; ``spoil`` gets the block and the number of each request."""
     experiment = experiment_with(style)
-    block = emulated_io_block(experiment)
+    block = emulated_io_block(experiment.device)
     write, sent = block.write, itertools.count()
 
     def writing(data: bytes) -> None:
@@ -140,7 +140,7 @@ def round_trip_while_opening(style: str, spoil: Callable[[VirtualIoBlock, int], 
         spoil(block, next(sent))
 
     block.write = writing  # type: ignore[method-assign]
-    return modbus_driver(experiment, block).open().round_trip_s
+    return modbus_driver(experiment.device, block).open().round_trip_s
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -216,8 +216,8 @@ def test_a_position_that_no_sensor_gives_is_refused_by_name_before_anything_is_a
     """What 5.03 is with its words swapped; a negative reading; one beyond the converter."""
     absent = dict.fromkeys(("sequence", "applied", "status", "limits", "rails"))
     experiment = experiment_with(registers={"position": {"address": 16, "type": kind}} | absent)
-    block = emulated_io_block(experiment)
-    driver = modbus_driver(experiment, block)
+    block = emulated_io_block(experiment.device)
+    driver = modbus_driver(experiment.device, block)
     data = struct.pack({"float32": ">f", "int32": ">i", "uint16": ">H"}[kind], told)
 
     def telling(direction: Direction, frame: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
@@ -692,7 +692,7 @@ def test_armed_again_only_other_limits_are_written() -> None:
     rig.arm()
     assert set(written) == {"control", "drive", "sequence"}
     assert rig.driver.safe_stop()
-    limits = rig.experiment.device_limits
+    limits = rig.experiment.device.arming
     rig.driver.arm(replace(limits, max_u_V=0.5 * limits.max_u_V))
     assert "max_drive" in written
     assert rig.driver.safe_stop()

@@ -33,7 +33,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.backends.modbus.emulated.line_faults import Corruption
+from rig.backends.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes, check_sum, frame
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock

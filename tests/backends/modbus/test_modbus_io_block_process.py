@@ -37,7 +37,7 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.pdu.mei_message import ReadDeviceInformationResponse
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.modbus.emulated.line_faults import CorruptionRate
+from rig.backends.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream

@@ -41,8 +41,8 @@ def experiment_at(port: str, registers: dict[str, Any] | None = None, **modbus: 
 
 @contextmanager
 def opened(experiment: Experiment) -> Iterator[Driver]:
-    with connect(experiment) as bench:
-        bench.driver.arm(experiment.device_limits)
+    with connect(experiment.device) as bench:
+        bench.driver.arm(experiment.device.arming)
         yield bench.driver
 
 
@@ -142,7 +142,7 @@ def test_a_device_that_is_deaf_after_an_unknown_question_is_met_all_the_same() -
     with LibmodbusSlave("tcp", *EXAMPLE_MAP) as slave:
         daq = experiment.daq.model_copy(update={"port": slave.port})
         assert daq.timeout_s < 0.1
-        with connect(experiment.model_copy(update={"daq": daq})) as bench:
+        with connect(experiment.model_copy(update={"daq": daq}).device) as bench:
             assert (bench.info.board, bench.info.emulated) == ("Modbus device", False)
             assert bench.driver.link_statistics["timeouts"] >= 1
 
@@ -167,9 +167,9 @@ def test_without_any_optional_register() -> None:
     plain = modbus.model_copy(update={"registers": type(modbus.registers).model_validate(data)})
     with LibmodbusSlave("rtu", "drive=0:int16", "position=16", "centre=345") as slave:
         daq = experiment.daq.model_copy(update={"port": slave.port, "modbus": plain, "accept_no_watchdog": True})
-        with connect(experiment.model_copy(update={"daq": daq})) as bench:
+        with connect(experiment.model_copy(update={"daq": daq}).device) as bench:
             assert bench.driver.failsafe is None
-            bench.driver.arm(experiment.device_limits)
+            bench.driver.arm(experiment.device.arming)
             assert bench.driver.read().y_counts == 345
             assert bench.driver.safe_stop()
 

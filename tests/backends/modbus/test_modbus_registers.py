@@ -153,10 +153,10 @@ def test_driver_and_device_agree_on_every_type_and_word_order(
     }
     data["daq"]["modbus"] = modbus
     experiment = Experiment.model_validate(data)
-    block = emulated_io_block(experiment)
-    driver = modbus_driver(experiment, block)
+    block = emulated_io_block(experiment.device)
+    driver = modbus_driver(experiment.device, block)
     driver.open()
-    driver.arm(experiment.device_limits)
+    driver.arm(experiment.device.arming)
     for u_V, y_rad in ((0.6, 0.0), (-0.7, 1.0), (2.999, -1.0), (-2.999, 0.4), (0.0, -0.4)):
         for _ in range(3):
             block.place(y_rad)

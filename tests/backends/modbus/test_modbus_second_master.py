@@ -51,7 +51,7 @@ class OtherMachine:
     def __init__(self, block: VirtualIoBlock, e: Experiment) -> None:
         self._block, self._e = block, e
         self._due_s, self._waited_s, self._answer = math.inf, 0.0, b""
-        self._driver = modbus_driver(e, self)
+        self._driver = modbus_driver(e.device, self)
         run_to = block._run_to
 
         def both(t_s: float) -> None:
@@ -64,7 +64,7 @@ class OtherMachine:
         block._run_to = both  # type: ignore[method-assign]  # of this block alone
 
     def begin(self, watchdog_s: float = 0.1) -> None:
-        self._driver.arm(replace(self._e.device_limits, watchdog_s=watchdog_s))
+        self._driver.arm(replace(self._e.device.arming, watchdog_s=watchdog_s))
         self._drive()
         self._drive()
         self._due_s = self._block.now_s() + PERIOD_S
@@ -97,9 +97,9 @@ class Rig:
     """The driver of this machine, and another machine at the same block."""
 
     def __init__(self, e: Experiment) -> None:
-        self.e, self.block = e, emulated_io_block(e)
+        self.e, self.block = e, emulated_io_block(e.device)
         self.other = OtherMachine(self.block, e)
-        self.driver: ModbusDriver = modbus_driver(e, self.block)
+        self.driver: ModbusDriver = modbus_driver(e.device, self.block)
 
     def ticks(self, number: int) -> None:
         for _ in range(number):
@@ -145,7 +145,7 @@ def test_what_a_killed_master_has_left_armed_is_opened(name: str) -> None:
     rig.block.sleep_until(rig.block.now_s() + 0.03)
     rig.other.end()
     rig.driver.open()
-    rig.driver.arm(rig.e.device_limits)
+    rig.driver.arm(rig.e.device.arming)
     rig.ticks(5)
 
 
@@ -154,7 +154,7 @@ def test_another_machine_that_comes_in_a_pause_ends_the_run(style: str) -> None:
     for name in ("whole", "no echo", "echo alone"):
         rig = Rig(experiment(style, **MAPS[name]))
         rig.driver.open()
-        rig.driver.arm(rig.e.device_limits)
+        rig.driver.arm(rig.e.device.arming)
         rig.ticks(20)
         assert rig.driver.safe_stop()
         rig.driver.read()
@@ -171,7 +171,7 @@ def test_another_machine_that_comes_in_a_pause_ends_the_run(style: str) -> None:
 def test_drives_of_another_machine_between_ones_own_are_told_from_a_late_reply() -> None:
     rig = Rig(experiment("separate"))
     rig.driver.open()
-    rig.driver.arm(rig.e.device_limits)
+    rig.driver.arm(rig.e.device.arming)
     rig.ticks(20)
     rig.other.begin()
     assert fault_of(rig.ticks, 3).code == "SECOND_MASTER"
@@ -184,7 +184,7 @@ def test_drives_of_another_machine_between_ones_own_are_told_from_a_late_reply()
 @pytest.fixture(scope="module")
 def block() -> Iterator[int]:
     """The port number of an emulated block on Modbus TCP."""
-    with emulated_board(load(CONFIGS / "modbus-tcp.yaml")) as board:
+    with emulated_board(load(CONFIGS / "modbus-tcp.yaml").device) as board:
         yield int(board.port.rpartition(":")[2])
 
 
@@ -227,13 +227,13 @@ def test_a_device_elsewhere_is_one_by_each_way_to_write_its_address() -> None:
 
 
 def test_a_second_driver_on_this_machine_is_refused_and_the_first_goes_on(block: int) -> None:
-    with unopened(at("127.0.0.1", block)) as (driver, *_):
+    with unopened(at("127.0.0.1", block).device) as (driver, *_):
         driver.open()
-        fault = fault_of(unopened(at("localhost", block)).__enter__)
+        fault = fault_of(unopened(at("localhost", block).device).__enter__)
         assert fault.code == "SECOND_MASTER"
         driver.read()
         driver.close()
-    with unopened(at("localhost", block)) as (driver, *_):
+    with unopened(at("localhost", block).device) as (driver, *_):
         driver.open()
         driver.close()
 

@@ -62,9 +62,9 @@ def line() -> TcpBlock:
 @pytest.fixture
 def driver(line: TcpBlock) -> ModbusDriver:
     transport: Transport = line
-    driver = modbus_driver(EXPERIMENT, transport)
+    driver = modbus_driver(EXPERIMENT.device, transport)
     assert driver.open().emulated
-    driver.arm(EXPERIMENT.device_limits)
+    driver.arm(EXPERIMENT.device.arming)
     for _ in range(3):
         tick(line, driver)
     assert line.block.output_V == pytest.approx(0.6, abs=0.001)
@@ -141,7 +141,7 @@ def test_a_device_that_starts_late_and_does_not_know_who_it_is_can_be_opened(lin
         return [(0.0, header + pdu)]
 
     line.answer = answer
-    assert modbus_driver(EXPERIMENT, line).open().board == "Modbus device"
+    assert modbus_driver(EXPERIMENT.device, line).open().board == "Modbus device"
     assert 0x2B in asked
 
 

@@ -33,9 +33,9 @@ def connected() -> VirtualTcpBlock:
 def driven() -> tuple[VirtualTcpBlock, ModbusDriver]:
     """Armed, and at 0.4 V for a while, a tick of 10 ms each."""
     block = connected()
-    driver = modbus_driver(EXPERIMENT, block)
+    driver = modbus_driver(EXPERIMENT.device, block)
     driver.open()
-    driver.arm(EXPERIMENT.device_limits)
+    driver.arm(EXPERIMENT.device.arming)
     run_for(block, driver, 0.1)
     assert block.truth().output_V == pytest.approx(0.4, abs=2e-3)
     return block, driver
@@ -136,7 +136,7 @@ def test_connections_end_and_a_new_one_is_made() -> None:
 def test_drives_that_were_kept_back_drive_nothing_after_the_watchdog() -> None:
     """The network stands still for 0.3 s, then hands over what the host had said, drives and stop."""
     block, driver = driven()
-    watchdog_s = EXPERIMENT.device_limits.watchdog_s
+    watchdog_s = EXPERIMENT.device.arming.watchdog_s
     block.block_way("device", 0.3)
     stood_s = block.now_s()
     assert fault_of(block, driver).code == "LINK_TIMEOUT"
@@ -157,5 +157,5 @@ def test_a_device_that_forgot_the_connection_and_one_that_never_answers() -> Non
     block.lose_packet("host")
     assert fault_of(block, driver).code == "LINK_TIMEOUT"
     driver.safe_stop()
-    block.sleep_until(block.now_s() + EXPERIMENT.device_limits.watchdog_s)
+    block.sleep_until(block.now_s() + EXPERIMENT.device.arming.watchdog_s)
     assert block.truth().output_V == 0.0

@@ -302,7 +302,7 @@ AT = "rig flash --port /dev/ttyACM0 --bridge"
 )
 def test_a_board_of_before_gets_the_whole_line_that_flashes_it(changed: dict[str, object], line: str) -> None:
     device = on_device(ScriptedPort(version=1), MonotonicClock(), emulated=False)
-    with device, unopened(Experiment.model_validate(UNO | changed)) as (driver, *_):
+    with device, unopened(Experiment.model_validate(UNO | changed).device) as (driver, *_):
         fault = fault_of(driver.open)
     assert fault.code == "LINK_VERSION"
     assert line in fault.detail

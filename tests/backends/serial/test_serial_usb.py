@@ -193,12 +193,12 @@ EACH_ADAPTER = [
 def test_the_sums_of_rig_check_bound_what_the_link_shows(adapter: Adapter, baud: int) -> None:
     """At the shortest period that the sum allows: its phases to the chip's timer and to the frames are all met."""
     e = Experiment.model_validate(config(adapter=adapter, baud=baud))
-    reading_s = reading_budget(e).total_s
-    seen = seen_behind(adapter, baud, 1.00123 * tick_budget(e).total_s / 0.8)
+    reading_s = reading_budget(e.device).total_s
+    seen = seen_behind(adapter, baud, 1.00123 * tick_budget(e.device).total_s / 0.8)
     assert seen.reading_s <= reading_s
     unmet_s = 0.001 + (0.0 if adapter == "none" else 2.0 * FRAME_S)  # the device's tick and the frames, by their phase
     assert seen.reading_s > reading_s - unmet_s - 1e-4
-    assert seen.delay_s <= sample_to_drive_s(e)
+    assert seen.delay_s <= sample_to_drive_s(e.device)
     counts = seen.statistics
     assert not any(counts[name] for name in ("timeouts", "asked_again", "stale_replies", "bad_frames", "drives_lost"))
 
@@ -291,14 +291,14 @@ def test_an_emulated_port_delays_as_the_config_says(tmp_path: Path) -> None:
     longest = {}
     for adapter in ("none", "16u2"):
         experiment = Experiment.model_validate(config(port="emulated-chip", adapter=adapter, baud=1_000_000))
-        with connect(experiment) as bench:
+        with connect(experiment.device) as bench:
             times = []
             for _ in range(20):
                 began_s = bench.clock.now_s()
                 bench.driver.read()
                 times.append(bench.clock.now_s() - began_s)
             longest[adapter] = max(times)
-        assert longest[adapter] <= reading_budget(experiment).total_s
+        assert longest[adapter] <= reading_budget(experiment.device).total_s
     assert longest["16u2"] > longest["none"] + 0.002
 
 
@@ -307,10 +307,10 @@ def test_in_real_time_the_adapter_is_a_process_before_the_device(tmp_path: Path)
     """It passes everything on, its link leads to it, the reset button is the device's, and it ends with the device."""
     experiment = Experiment.model_validate(config(adapter="16u2"))
     link = tmp_path / "device"
-    with emulated_board(experiment, link) as board:
+    with emulated_board(experiment.device, link) as board:
         assert str(link.readlink()) == board.port
         behind = Experiment.model_validate(config(port=str(link), adapter="16u2", timeout_s=0.5, watchdog_s=1.0))
-        with connect(behind) as bench:
+        with connect(behind.device) as bench:
             assert "emulated host board" in bench.driver.backend
             assert -2.0 < bench.driver.read().y_rad < 2.0
             assert bench.driver.link_statistics["bad_frames"] == 0

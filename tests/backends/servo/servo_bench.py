@@ -45,11 +45,11 @@ class Bench:
         **options: Any,
     ) -> None:
         self.e: Experiment = load(CONFIGS[protocol])
-        self.own: ServoOptions = dataclasses.replace(emulated_servo(self.e), **options)
+        self.own: ServoOptions = dataclasses.replace(emulated_servo(self.e.device), **options)
         beside = [dataclasses.replace(self.own, id=id, registers=others or {}) for id in BYSTANDERS]
         self.bus = VirtualServoBus([self.own, *beside])
         self.store = BeforeStore() if store is None else store
-        self.setup = dataclasses.replace(setup_of(self.e), **(setup or {}))
+        self.setup = dataclasses.replace(setup_of(self.e.device), **(setup or {}))
         self.driver = self.another()
 
     def another(self) -> ServoDriver:
@@ -57,7 +57,7 @@ class Bench:
         daq = self.e.daq
         timeouts = Timeouts(daq.timeout_s, 0.2)
         self.bus._is_plugged = True  # the command before has closed its port
-        self.driver = ServoDriver(self.bus, self.setup, daq.baud, self.e.scaling, timeouts, self.store)
+        self.driver = ServoDriver(self.bus, self.setup, daq.baud, self.e.device.scaling, timeouts, self.store)
         return self.driver
 
     @property
@@ -70,7 +70,7 @@ class Bench:
 
     @property
     def limits(self) -> Limits:
-        return self.e.device_limits
+        return self.e.device.arming
 
     def opened(self) -> DeviceInfo:
         return self.driver.open()

@@ -233,7 +233,13 @@ def test_who_only_stops_writes_nothing_but_torque_off(protocol: str) -> None:
     bench.tick(0.4)
     daq, before = bench.e.daq, len(bench.bus.bus.log)
     stopper = ServoDriver(
-        bench.bus, bench.setup, daq.baud, bench.e.scaling, Timeouts(daq.timeout_s, 0.2), BeforeStore(), answered=True
+        bench.bus,
+        bench.setup,
+        daq.baud,
+        bench.e.device.scaling,
+        Timeouts(daq.timeout_s, 0.2),
+        BeforeStore(),
+        answered=True,
     )
     assert stopper.safe_stop() and not bench.servo.is_on
     torque = bench.setup.model.role("torque")

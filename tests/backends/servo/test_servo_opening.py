@@ -148,8 +148,8 @@ def test_a_duty_that_does_not_act_proves_no_watchdog() -> None:
 
 def opened_by_config(bench: Bench, change: Callable[[Experiment], Experiment] = lambda e: e) -> None:
     e = change(bench.e)
-    assert backend_of(e).name == "servo"
-    with on_device(bench.bus), connect(e):
+    assert backend_of(e.device).name == "servo"
+    with on_device(bench.bus), connect(e.device):
         pass
 
 

@@ -116,7 +116,7 @@ def test_what_the_keeper_would_put_back_is_known_before_anything_is_written() ->
 def test_a_return_delay_that_the_tick_has_no_room_for_is_set_to_0() -> None:
     """2 x 0.5 ms beside the exchange of 0.9 ms fit 80 % of 10 ms, not of 2 ms."""
     e = Bench().e
-    servo = servo_of(e)
+    servo = servo_of(e.device)
     assert longest_return_delay_s(e.daq, servo, 0.010) > 0.5e-3 > longest_return_delay_s(e.daq, servo, 0.002)
     assert longest_return_delay_s(e.daq, servo, 0.0005) == 0.0
 

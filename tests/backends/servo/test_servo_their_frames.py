@@ -125,7 +125,7 @@ def test_our_driver_opens_arms_drives_and_stops_a_servo_of_their_packets() -> No
     before = bytes(servo.registers[:64])
     servo.registers[100:102] = (885).to_bytes(2, "little")
     driver = ServoDriver(
-        servo, bench.setup, 1_000_000, bench.e.scaling, Timeouts(0.01, 0.2), BeforeStore(), emulated=True
+        servo, bench.setup, 1_000_000, bench.e.device.scaling, Timeouts(0.01, 0.2), BeforeStore(), emulated=True
     )
     info = driver.open()
     assert info.board == "xl330-m288" and driver.failsafe is not None and info.drive_units == 885
@@ -148,7 +148,7 @@ def test_positions_whose_bytes_need_stuffing_are_read_as_they_are() -> None:
     """FF FF FD in the data of an answer."""
     servo = TheirServo()
     bench = Bench(setup={"zero_counts": 2048})
-    driver = ServoDriver(servo, bench.setup, 1_000_000, bench.e.scaling, Timeouts(0.01, 0.2), BeforeStore())
+    driver = ServoDriver(servo, bench.setup, 1_000_000, bench.e.device.scaling, Timeouts(0.01, 0.2), BeforeStore())
     driver.open()
     servo.put(124, 0, 2)
     for counts in (-0x0201, -0x020001, -3, -0x0300):  # the second: FF FF FD FF

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import statistics
 
@@ -60,3 +61,19 @@ def test_a_position_was_sampled_when_the_sample_says_in_the_mean(protocol: str, 
         sample = bench.tick(0.0)
         errors_s.append((sample.y_rad + 1.0) / speed + began_s - sample.t_s)
     assert abs(statistics.mean(errors_s[5:])) < 2.0 * LARGEST_MEAN_S
+
+
+@pytest.mark.parametrize(
+    ("protocol", "period_s", "ticks", "fastest"),
+    [("dynamixel", 0.002, 5, True), ("dynamixel", 0.003, 4, False), ("feetech", 0.0015, 1, True)],
+)
+def test_a_ramp_longer_than_a_period_is_no_fault_and_no_step_back_in_time(
+    protocol: str, period_s: float, ticks: int, fastest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Full drive to and fro, and once for a single tick alone: the ramp to it is ended early."""
+    monkeypatch.setattr("servo_bench.PERIOD_S", period_s)
+    bench = Bench(protocol, setup={"fastest_slope": fastest})
+    bench.armed()
+    drives = [1.6 * (-1.0) ** (k // ticks + (k == 70)) for k in range(120)]
+    times = [bench.tick(u_V).t_u_s for u_V in drives][2:]
+    assert all(after >= before for before, after in itertools.pairwise(times))

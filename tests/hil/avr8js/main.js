@@ -1,6 +1,7 @@
 "use strict";
 
-// One chip for a parent process: a line of JSON with its parameters, then a line for each stretch of virtual time
+// One chip for a parent process, or one after the other: a line of JSON with its parameters, those with a program, makes
+// a new one; then a line for each stretch of virtual time
 //     {until_ns, until_byte, send: hex, happens: [name of a method of the chip]}
 // answered by a line {received: hex, ...what there is to look at}. Ends with its standard input.
 const fs = require("fs");
@@ -17,7 +18,7 @@ function* lines() {
 
 let chip = null;
 for (const asked of lines()) {
-  if (chip === null) {
+  if (asked.hex !== undefined) {
     chip = new Chip(asked);
     continue;
   }

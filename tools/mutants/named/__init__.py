@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from pydantic import Field
@@ -69,6 +70,13 @@ def _mutants(room: Room) -> tuple[Mutant, ...]:
     return tuple(mutant for file in room.files for mutant in file.all())
 
 
-_ROOMS = tuple(load(Path(__file__).with_name(f"{name}.yaml"), Room) for name in _ORDER)
-ROOMS: dict[str, tuple[Mutant, ...]] = {room.room: _mutants(room) for room in _ROOMS}
-NAMED: tuple[Mutant, ...] = tuple(mutant for mutants in ROOMS.values() for mutant in mutants)
+@cache
+def rooms() -> dict[str, tuple[Mutant, ...]]:
+    """What the table calls each room, and its mutants. To read the files takes a second."""
+    read = (load(Path(__file__).with_name(f"{name}.yaml"), Room) for name in _ORDER)
+    return {room.room: _mutants(room) for room in read}
+
+
+def all_named() -> tuple[Mutant, ...]:
+    """The mutants of all rooms."""
+    return tuple(mutant for mutants in rooms().values() for mutant in mutants)

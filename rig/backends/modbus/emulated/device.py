@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import pickle
 from dataclasses import dataclass
 
+from rig.backends.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
-from rig.backends.modbus.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes
 from rig.model.bench import BenchParameters
@@ -34,15 +32,3 @@ class Device:
     tcp_port: int | None = None
     reply_fault: ReplyFault | None = None
     corruption: CorruptionRate | None = None
-
-    def packed(self) -> str:
-        """As one argument of a command."""
-        return base64.b64encode(pickle.dumps(self)).decode("ascii")
-
-
-def unpacked(text: str) -> Device:
-    """What ``packed`` gave, from the process that started this one. Raises ValueError for anything else."""
-    device = pickle.loads(base64.b64decode(text))
-    if not isinstance(device, Device):
-        raise ValueError("no device")
-    return device

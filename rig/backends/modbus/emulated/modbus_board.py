@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
-from rig.backends.modbus.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes
 from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
@@ -74,5 +73,4 @@ class ModbusBoard(BoardProcess):
             reply_fault,
             corruption,
         )
-        command = (sys.executable, "-m", "rig.backends.modbus.emulated.modbus_process")
-        return self._launch(command, {"device": device.packed()}, link, trace)
+        return self._launch_module("rig.backends.modbus.emulated.modbus_process", device, link, trace)

@@ -1,101 +1,63 @@
 """The emulated Modbus I/O block in real time: a process behind a pseudo-terminal (RTU) or on loopback (TCP).
 
-``modbus_board`` starts it. It prints ``port NAME`` when it is ready. It sleeps between requests, for 20 ms at most, and
-then catches up with the block's milliseconds. From outside that looks the same as doing them in time.
+``modbus_board`` starts it.
 """
 
 from __future__ import annotations
 
-import argparse
-import contextlib
 import errno
-import gc
-import math
-import os
-import select
-import signal
 import socket
 import struct
-import sys
-import time
-from pathlib import Path
-from typing import Protocol, TextIO
+from collections.abc import Callable
 
-from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.modbus.emulated.device import Device, unpacked
+from rig.backends.emulated.line_faults import Corruption
+from rig.backends.emulated.real_time import BehindPty, Look, Served, parser, run, unpacked
+from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.rtu_slave import RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.model.bench import BenchModel
 from rig.package import VERSION
 
 LOOPBACK = "127.0.0.1"
-_TRACE_S = 0.01
-_CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
 _MOST_CONNECTIONS = 8
 
 
-class _Port(Protocol):
-    """Where the host comes in. All times are the block's, s."""
+class _Block:
+    """The block, whatever its port."""
 
-    name: str
+    def __init__(self, block: IoBlock) -> None:
+        self._block = block
 
-    def files(self) -> list[int]:
-        """What to wait for."""
-        ...
+    def watch(self, changed: Callable[[], None]) -> None:
+        self._block.on_output = lambda t_s, u_V: changed()
 
-    def serve(self, ready: set[int], t_s: float) -> None:
-        """Take what has come in, without waiting."""
-        ...
+    def look(self) -> Look:
+        truth = self._block.truth()
+        fault = 0 if truth.fault is None else self._block.registers.status_of[truth.fault]
+        return Look(truth.t_s, truth.output_V, truth.y_rad, truth.v_rad_per_s, fault)
 
-    def forget(self) -> None:
-        """The device was reset: it knows of no connection."""
-        ...
+    def power_cycle(self) -> None:
+        self._block.power_cycle()
 
-    def next_event_s(self) -> float:
-        """When it has something to do next; inf for never."""
-        ...
-
-    def advance_to(self, t_s: float) -> None:
-        """Let time pass for line and block, and send what is due."""
-        ...
+    def power_off(self) -> None:
+        self._block.power_off()
 
 
-class _Pty:
-    """RTU behind a pseudo-terminal, whose other end is held open: it lives on while no host has it open."""
+class _Rtu(_Block, BehindPty):
+    """RTU behind a pseudo-terminal."""
 
     def __init__(self, slave: RtuSlave) -> None:
-        self._slave = slave
-        self._pty, self.name = open_pty()
-
-    def files(self) -> list[int]:
-        return [self._pty]
-
-    def serve(self, ready: set[int], t_s: float) -> None:
-        if self._pty in ready:
-            with contextlib.suppress(BlockingIOError):
-                self._slave.send(os.read(self._pty, 4096), t_s)
-
-    def forget(self) -> None:
-        """A line has none."""
-
-    def next_event_s(self) -> float:
-        return self._slave.next_event_s()
-
-    def advance_to(self, t_s: float) -> None:
-        self._slave.advance_to(t_s)
-        reply = self._slave.receive(t_s)
-        if reply:
-            with contextlib.suppress(BlockingIOError):  # nobody reads
-                os.write(self._pty, reply)
+        _Block.__init__(self, slave.block)
+        BehindPty.__init__(self, slave)
 
 
-class _Tcp:
+class _Tcp(_Block):
     """A server on loopback, for a few hosts at a time."""
 
     def __init__(self, slave: TcpSlave, number: int) -> None:
+        super().__init__(slave.block)
         self._slave = slave
         self._open: dict[int, tuple[socket.socket, Stream]] = {}
         try:
@@ -139,8 +101,9 @@ class _Tcp:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._open[connection.fileno()] = connection, Stream()
 
-    def forget(self) -> None:
+    def power_cycle(self) -> None:
         """Each connection ends with a reset, as where a segment comes that the device knows nothing of."""
+        super().power_cycle()
         for number, (connection, _) in list(self._open.items()):
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             self._drop(number)
@@ -162,90 +125,19 @@ class _Tcp:
                     self._drop(number)
 
 
-class _Trace:
-    """The truth over time as CSV; nothing without a file."""
-
-    def __init__(self, file: TextIO | None, start_s: float) -> None:
-        self._file = file
-        self._start_s = start_s
-        self.next_s = math.inf if file is None else 0.0
-        if file is not None:
-            file.write("t_s,drive_V,y_rad,v_rad_per_s,fault\n")
-
-    def row(self, block: IoBlock) -> None:
-        if self._file is None:
-            return
-        truth = block.truth()
-        fault = 0 if truth.fault is None else block.registers.status_of[truth.fault]
-        self._file.write(
-            f"{self._start_s + truth.t_s:.6f},{truth.output_V:.6f},{truth.y_rad:.6f},{truth.v_rad_per_s:.6f},{fault}\n"
-        )
-        self._file.flush()
-
-    def rows_to(self, t_s: float, block: IoBlock, port: _Port) -> None:
-        """One row every 10 ms."""
-        while self.next_s <= t_s:
-            port.advance_to(self.next_s)
-            self.row(block)
-            self.next_s += _TRACE_S
+def _served(device: Device) -> Served:
+    bench = BenchModel(device.bench, device.seed)
+    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=VERSION)
+    if device.tcp_port is not None:
+        return _Tcp(TcpSlave(block, device.line.turnaround_s, device.reply_fault), device.tcp_port)
+    corruption = None if device.corruption is None else Corruption(*device.corruption)
+    return _Rtu(RtuSlave(block, device.line, device.reply_fault, corruption))
 
 
 def main() -> None:
-    """Run until a signal, or until standard input ends where that was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", required=True, help="as rig.backends.modbus.emulated.modbus_board packs it")
-    parser.add_argument("--link", type=Path)
-    parser.add_argument("--trace", type=Path)
-    parser.add_argument("--exit-with-stdin", action="store_true")
-    asked = parser.parse_args()
-    ends = signals()
-    try:
-        with contextlib.ExitStack() as stack:
-            file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="utf-8"))
-            start_s = time.monotonic()
-            trace = _Trace(file, start_s)
-            block, port = _device(unpacked(asked.device), trace)
-            if asked.link is not None:
-                stack.enter_context(linked(asked.link, port.name))
-            sys.stdout.write(f"port {port.name}\n")
-            sys.stdout.flush()
-            take_priority()
-            gc.freeze()
-            _run(block, port, trace, start_s, ends, watches_stdin=asked.exit_with_stdin)
-            block.power_off()
-    except (OSError, EmulationError) as error:
-        fail(str(error))
-
-
-def _device(device: Device, trace: _Trace) -> tuple[IoBlock, _Port]:
-    bench = BenchModel(device.bench, device.seed)
-    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=VERSION)
-    block.on_output = lambda t_s, u_V: trace.row(block)
-    if device.tcp_port is not None:
-        return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.reply_fault), device.tcp_port)
-    corruption = None if device.corruption is None else Corruption(*device.corruption)
-    return block, _Pty(RtuSlave(block, device.line, device.reply_fault, corruption))
-
-
-def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:
-    end_s, stdin = math.inf, sys.stdin.fileno()
-    now_s = time.monotonic() - start_s
-    while now_s < end_s:
-        files = [ends, *port.files(), *([stdin] if watches_stdin else [])]
-        until_s = min(port.next_event_s(), trace.next_s, end_s, now_s + _CATCH_UP_S)
-        ready = set(select.select(files, [], [], max(until_s - now_s, 0.0))[0])
-        now_s = time.monotonic() - start_s
-        if ends in ready:
-            if os.read(ends, 1)[0] != signal.SIGUSR1:
-                return
-            block.advance_to(now_s)
-            block.power_cycle()
-            port.forget()
-        if stdin in ready and not os.read(stdin, 64):
-            watches_stdin, end_s = False, now_s + ORPHAN_S
-        trace.rows_to(now_s, block, port)
-        port.serve(ready, now_s)
-        port.advance_to(now_s)
+    """As ``rig.backends.emulated.real_time``."""
+    asked = parser(__doc__).parse_args()
+    run(asked, lambda _: _served(unpacked(asked.device, Device)))
 
 
 if __name__ == "__main__":

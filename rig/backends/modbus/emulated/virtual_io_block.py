@@ -1,11 +1,11 @@
-"""The emulated Modbus I/O block in virtual time: line and clock in one, so that waiting for a byte makes time pass."""
+"""The emulated Modbus I/O block in virtual time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 
-from rig.backends.emulated.plug import Plug
+from rig.backends.emulated.virtual_time import InVirtualTime, WireInVirtualTime
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock, IoBlockTruth
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import Disturbance, LineTimes, RtuSlave
@@ -14,7 +14,7 @@ from rig.config.schema import Emulated
 from rig.model.bench import DriveWiring, SensorWiring
 
 
-class BlockInVirtualTime:
+class BlockInVirtualTime(InVirtualTime):
     """The block of a config, powered on at virtual time 0, and its clock; what leads to it passes the time.
 
     modbus, emulated  sections of the config
@@ -25,9 +25,8 @@ class BlockInVirtualTime:
     Raises EmulationError where a register cannot hold what it is for.
     """
 
-    absolute = True  # of the clock: it sleeps until an instant, not for a while
-
     def __init__(self, modbus: Modbus, emulated: Emulated, seed: int, polarity: int) -> None:
+        InVirtualTime.__init__(self)
         self.executed: list[ExecutedDrive] = []
         self.outputs: list[tuple[float, float]] = [(0.0, 0.0)]
         self.block = IoBlock.of(
@@ -38,24 +37,6 @@ class BlockInVirtualTime:
             on_drive=self.executed.append,
             on_output=lambda t_s, u_V: self.outputs.append((t_s, u_V)),
         )
-        self._now_s = 0.0
-
-    def now_s(self) -> float:
-        """Virtual time, s."""
-        return self._now_s
-
-    def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s``; none if that is past. Returns the time then."""
-        self._run_to(t_s)
-        return self._now_s
-
-    def _run_to(self, t_s: float) -> None:
-        self._now_s = max(self._now_s, t_s)
-        self._advance()
-
-    def _advance(self) -> None:
-        """Let block and link do what is due by now."""
-        raise NotImplementedError
 
     def rewire(self, drive: DriveWiring = "ok", sensor: SensorWiring = "ok") -> None:
         """Change the wiring from now on."""
@@ -74,7 +55,7 @@ class BlockInVirtualTime:
         return self.block.truth()
 
 
-class VirtualIoBlock(BlockInVirtualTime, Plug):
+class VirtualIoBlock(WireInVirtualTime, BlockInVirtualTime):
     """The block behind an RTU line, as a ``Transport`` that is a ``Clock`` too.
 
     modbus, emulated, seed, polarity   as of ``BlockInVirtualTime``
@@ -94,33 +75,9 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
         disturbance: Disturbance | None = None,
     ) -> None:
         BlockInVirtualTime.__init__(self, modbus, emulated, seed, polarity)
-        Plug.__init__(self, "virtual I/O block")
         self.line = LineTimes.of(modbus, baud)
         self._slave = RtuSlave(self.block, self.line, reply_fault, disturbance)
-
-    # ------------------------------------------------------------------ port
-
-    def write(self, data: bytes) -> None:
-        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged."""
-        self._check_plug()
-        self._slave.send(data, self._now_s)
-
-    def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
-
-        A reply arrives whole, when its last bit does. Raises Fault LINK_LOST when unplugged.
-        """
-        self._check_plug()
-        until_s = self._now_s + max(timeout_s, 0.0)
-        while self._slave.next_reply_s() > self._now_s and self._now_s < until_s:
-            self._run_to(min(self._slave.next_event_s(), until_s))
-        self._run_to(self._now_s)
-        return self._slave.receive(self._now_s)
-
-    def _advance(self) -> None:
-        self._slave.advance_to(self._now_s)
-
-    # ------------------------------------------------------------------ fault injection, and counts
+        WireInVirtualTime.__init__(self, self._slave, "virtual I/O block")
 
     def inject(self, reply_fault: ReplyFault | None) -> None:
         """From now on the replies have this fault; None: no fault."""

@@ -71,14 +71,17 @@ class VirtualPico(Plug):
     """One emulated Pico, powered on at virtual time 0: wire, clock and bench in one. Any number may live side by side.
 
     parameters  as ``pico_parameters`` gives them
+    emulator    a process that another one has left; None: one of its own, which takes some 0.2 s to get going
     Raises EmulationError if a parameter is out of range.
     """
 
     absolute = True  # of the clock: it sleeps until an instant, not for a while
 
-    def __init__(self, parameters: Mapping[str, Any]) -> None:
+    def __init__(self, parameters: Mapping[str, Any], emulator: subprocess.Popen[bytes] | None = None) -> None:
         super().__init__("virtual Pico")
-        self._process = subprocess.Popen(parameters["command"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = emulator or subprocess.Popen(
+            parameters["command"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
         self._finalizer = weakref.finalize(self, _end, self._process)
         self._to_send = b""
         self._received = b""
@@ -166,6 +169,11 @@ class VirtualPico(Plug):
     def end(self) -> None:
         """End the process. May be called twice."""
         self._finalizer()
+
+    def leave(self) -> subprocess.Popen[bytes]:
+        """Power the chip off for good; its process, for the next one: ``emulator``."""
+        self._finalizer.detach()
+        return self._process
 
     def _run(self, until_ns: float, *, until_byte: bool) -> None:
         self._ask({"until_ns": until_ns, "until_byte": until_byte, "calls": []})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import pickle
 from dataclasses import dataclass
 
 from rig.backends.emulated.line_faults import CorruptionRate
@@ -21,15 +19,3 @@ class Device:
     follows_baud: bool = True
     reply_fault: ReplyFault | None = None
     corruption: CorruptionRate | None = None
-
-    def packed(self) -> str:
-        """As one argument of a command."""
-        return base64.b64encode(pickle.dumps(self)).decode("ascii")
-
-
-def unpacked(text: str) -> Device:
-    """What ``packed`` gave, from the process that started this one. Raises ValueError for anything else."""
-    device = pickle.loads(base64.b64decode(text))
-    if not isinstance(device, Device):
-        raise ValueError("no device")
-    return device

@@ -57,7 +57,6 @@ class DynamixelServo(EmulatedServo):
         violated: Callable[[Violation], None],
         on_output: Callable[[float, float], None] | None = None,
     ) -> None:
-        self._registered: tuple[int, bytes] | None = None
         self._heard_s = 0.0
         self._is_shut_down = False
         self._turn_counts = 0
@@ -65,7 +64,6 @@ class DynamixelServo(EmulatedServo):
 
     def _begin(self, t_s: float) -> None:
         super()._begin(t_s)
-        self._registered = None
         self._is_shut_down = False
         self._reset_goals()
         self._counts = self.bench.read_counts()
@@ -207,7 +205,7 @@ class DynamixelServo(EmulatedServo):
         if name == "operating_mode":
             self._reset_goals()
             for gain in _RESET:
-                self.put(gain, self.model[gain].unpack(self._shipped_bytes(gain)))
+                self.put(gain, self.model[gain].unpack(self._shipped[self.model[gain].address : self.model[gain].end]))
             self._fall_into_turn()
         elif name == "pwm_limit":
             self.put("goal_pwm", int(self._clipped(self.value("goal_pwm"), value)))
@@ -219,10 +217,6 @@ class DynamixelServo(EmulatedServo):
                     self.put("goal_pwm", 0)
         elif name in _GOALS and not self.is_on and self.value("drive_mode") & TORQUE_ON_BY_GOAL:
             self._switch(1)
-
-    def _shipped_bytes(self, name: str) -> bytes:
-        register = self.model[name]
-        return self._shipped[register.address : register.end]
 
     def _reset_goals(self) -> None:
         self.put("goal_pwm", self.value("pwm_limit"))
@@ -236,12 +230,7 @@ class DynamixelServo(EmulatedServo):
         if value and self._is_shut_down:
             return  # only a reboot brings it back; its answer has the alert
         if value and not self.is_on:
-            mode, goal = self.value("operating_mode"), self.value("goal_pwm")
-            if mode != self.model.pwm_mode:
-                self._violate(f"torque on in mode {mode}")
-            elif goal != 0:
-                self._violate(f"torque on with goal {goal}")
-            self.bench.arm()
+            self._arm("goal_pwm")
             self._heard_s = self.t_s
             self.put("goal_position", self._position())
         self.put("torque_enable", value)
@@ -303,10 +292,8 @@ class DynamixelServo(EmulatedServo):
         return self._status(NO_INSTRUCTION)
 
     def _act_registered(self) -> int:
-        if self._registered is None:
-            return NO_INSTRUCTION
-        registered, self._registered = self._registered, None
-        return self.write(*registered)
+        registered = self._taken()
+        return NO_INSTRUCTION if registered is None else self.write(*registered)
 
     def _clear(self, parameters: bytes) -> int:
         wanted = _CLEAR_TURNS[0]
@@ -321,15 +308,6 @@ class DynamixelServo(EmulatedServo):
             return FAILED if kept is not None else RANGE
         if is_for_all and not kept:
             return FAILED  # all servos with one id would never be told apart again
-        before = {name: self.value(name) for name in kept}
-        for register in self.model.registers.values():
-            if self.model.is_eeprom(register) and register.access == "rw":
-                value = (
-                    register.shipped
-                    if register.shipped is not None
-                    else register.unpack(self._shipped_bytes(register.name))
-                )
-                self.put(register.name, before.get(register.name, value))
-                self._keep(register)
+        self._ship(keeps=kept)
         self.power_cycle()
         return 0

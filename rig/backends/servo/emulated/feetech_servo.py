@@ -43,7 +43,6 @@ class FeetechServo(EmulatedServo):
         violated: Callable[[Violation], None],
         on_output: Callable[[float, float], None] | None = None,
     ) -> None:
-        self._registered: tuple[int, bytes] | None = None
         self._failed = 0
         self._loaded_s = 0.0
         self._is_overloaded = False
@@ -51,7 +50,6 @@ class FeetechServo(EmulatedServo):
 
     def _begin(self, t_s: float) -> None:
         super()._begin(t_s)
-        self._registered = None
         self._failed = 0
         self._unload()
         self.put("torque_limit", self.value("max_torque"))
@@ -168,12 +166,7 @@ class FeetechServo(EmulatedServo):
         if value not in (0, 1, _DAMPED):
             return
         if value == 1 and not self.is_on:
-            mode, goal = self.value("mode"), self.value("goal_duty")
-            if mode != self.model.pwm_mode:
-                self._violate(f"torque on in mode {mode}")
-            elif goal != 0:
-                self._violate(f"torque on with goal {goal}")
-            self.bench.arm()
+            self._arm("goal_duty")
         self._unload()
         self.put("torque_enable", value)
 
@@ -200,22 +193,13 @@ class FeetechServo(EmulatedServo):
         elif code == Instruction.REG_WRITE and len(parameters) > 1:
             self._registered = parameters[0], parameters[1:]
         elif code == Instruction.ACTION:
-            if self._registered is not None:
-                registered, self._registered = self._registered, None
+            if (registered := self._taken()) is not None:
                 self.write(*registered)
         elif code == Instruction.RESET:
-            self._reset()
+            self._ship(keeps=("id",))
         elif code == Instruction.REBOOT:
             self.power_cycle()
             return None
         else:
             return None
         return self.status() if answers_all else None
-
-    def _reset(self) -> None:
-        for register in self.model.registers.values():
-            if self.model.is_eeprom(register) and register.access == "rw" and register.name != "id":
-                shipped = register.shipped
-                bytes_then = self._shipped[register.address : register.end]
-                self.put(register.name, register.unpack(bytes_then) if shipped is None else shipped)
-                self._keep(register)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -151,6 +151,7 @@ class EmulatedServo:
         self._motor_V = 0.0
         self._duty = 0.0
         self._is_stopped = False  # by itself: it does not drive, whatever its goals are
+        self._registered: tuple[int, bytes] | None = None  # address and data that wait for an action
         self._fill()
         self._active = bytearray(self._saved)
         self._values: dict[str, int] = {}  # what is in those bytes
@@ -366,12 +367,39 @@ class EmulatedServo:
         self._values = self.model.unpack(bytes(self._active), 0)
         self._duty = 0.0
         self._is_stopped = False
+        self._registered = None
         self._awake_s = t_s + _BOOT_S
         self._act(0.0, is_braking=False)
 
     def power_cycle(self) -> None:
         """Its supply fails for a moment."""
         self._begin(self.t_s)
+
+    def _taken(self) -> tuple[int, bytes] | None:
+        """What was registered, which is done now; None: nothing."""
+        registered, self._registered = self._registered, None
+        return registered
+
+    def _factory(self, register: Register) -> int:
+        """What a register held when the servo was shipped."""
+        if register.shipped is not None:
+            return register.shipped
+        return register.unpack(self._shipped[register.address : register.end])
+
+    def _ship(self, *, keeps: Collection[str]) -> None:
+        """The EEPROM as it was shipped, but for these registers."""
+        for register in self.model.registers.values():
+            if self.model.is_eeprom(register) and register.access == "rw" and register.name not in keeps:
+                self.put(register.name, self._factory(register))
+                self._keep(register)
+
+    def _arm(self, goal: str) -> None:
+        """The torque comes on, with that goal of its duty."""
+        if self.of("mode") != self.model.pwm_mode:
+            self._violate(f"torque on in mode {self.of('mode')}")
+        elif self.value(goal) != 0:
+            self._violate(f"torque on with goal {self.value(goal)}")
+        self.bench.arm()
 
     def _violate(self, what: str) -> None:
         self._violated(Violation(self.t_s, self.id, what))

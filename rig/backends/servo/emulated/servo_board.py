@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -44,8 +43,8 @@ class ServoBoard(BoardProcess):
         line = LineTimes() if line is None else line
         ServoBus(servos, line)  # what it cannot be is said here
         device = Device(tuple(servos), line, follows_baud, reply_fault, corruption)
-        options = {"device": device.packed()} | ({} if violations is None else {"violations": str(violations)})
-        return self._launch((sys.executable, "-m", "rig.backends.servo.emulated.servo_process"), options, link, trace)
+        options = {} if violations is None else {"violations": str(violations)}
+        return self._launch_module("rig.backends.servo.emulated.servo_process", device, link, trace, **options)
 
 
 def violations_in(file: Path) -> list[Violation]:

@@ -1,4 +1,4 @@
-"""The emulated servo bus in virtual time: line and clock in one, so that waiting for a byte makes time pass."""
+"""The emulated servo bus in virtual time."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rig.backends.emulated.line_faults import Disturbance
-from rig.backends.emulated.plug import Plug
+from rig.backends.emulated.virtual_time import WireInVirtualTime
 from rig.backends.servo.emulated.bus import LineTimes, ServoBus
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.servo import ServoOptions, ServoTruth
 
 
-class VirtualServoBus(Plug):
+class VirtualServoBus(WireInVirtualTime):
     """Servos of one protocol, powered on at virtual time 0: a ``Transport`` that is a ``Clock`` too.
 
     servos       what is on the bus
@@ -22,8 +22,6 @@ class VirtualServoBus(Plug):
     Raises EmulationError as ``ServoBus``.
     """
 
-    absolute = True  # of the clock: it sleeps until an instant, not for a while
-
     def __init__(
         self,
         servos: Sequence[ServoOptions],
@@ -32,7 +30,6 @@ class VirtualServoBus(Plug):
         disturbance: Disturbance | None = None,
         reply_fault: ReplyFault | None = None,
     ) -> None:
-        Plug.__init__(self, "virtual servo bus")
         self.outputs: list[list[tuple[float, float]]] = [[(0.0, 0.0)] for _ in servos]
         self.bus = ServoBus(
             servos,
@@ -41,47 +38,11 @@ class VirtualServoBus(Plug):
             reply_fault,
             on_output=lambda place, t_s, volts: self.outputs[place].append((t_s, volts)),
         )
-        self._now_s = 0.0
-
-    # ------------------------------------------------------------------ clock
-
-    def now_s(self) -> float:
-        """Virtual time, s."""
-        return self._now_s
-
-    def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s``; none if that is past. Returns the time then."""
-        self._run_to(t_s)
-        return self._now_s
-
-    def _run_to(self, t_s: float) -> None:
-        self._now_s = max(self._now_s, t_s)
-        self.bus.advance_to(self._now_s)
-
-    # ------------------------------------------------------------------ port
+        super().__init__(self.bus, "virtual servo bus")
 
     def set_baud(self, baud: int) -> None:
         """The host's port has another baud from now on."""
         self.bus.line = replace(self.bus.line, baud=baud)
-
-    def write(self, data: bytes) -> None:
-        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged."""
-        self._check_plug()
-        self.bus.send(data, self._now_s)
-
-    def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
-
-        An answer arrives whole, when its last bit does. Raises Fault LINK_LOST when unplugged.
-        """
-        self._check_plug()
-        until_s = self._now_s + max(timeout_s, 0.0)
-        self._run_to(self._now_s)
-        while self.bus.next_reply_s() > self._now_s and self._now_s < until_s:
-            self._run_to(min(self.bus.next_event_s(), until_s))
-        return self.bus.receive(self._now_s)
-
-    # ------------------------------------------------------------------ the truth, and what may happen
 
     def truth(self, id: int = 1) -> ServoTruth:
         """What is really the case now with a servo. Raises KeyError where none has this id."""

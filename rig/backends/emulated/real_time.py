@@ -1,0 +1,197 @@
+"""An emulated device in real time, as its own process runs it. It prints ``port NAME`` when it is ready.
+
+It sleeps between requests, for 20 ms at most, and then catches up with the device's milliseconds. From outside that
+looks the same as doing them in time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import contextlib
+import gc
+import math
+import os
+import pickle
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, Protocol, TextIO, TypeVar
+
+from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.virtual_time import Wire
+
+_TRACE_S = 0.01
+_CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
+
+D = TypeVar("D")
+
+
+class Look(NamedTuple):
+    """A row of the trace: time, s, voltage at the motor, V, its shaft, and the number of its fault."""
+
+    t_s: float
+    drive_V: float
+    y_rad: float
+    v_rad_per_s: float
+    fault: int
+
+
+class Served(Protocol):
+    """A device with its port. All times are the device's, s."""
+
+    name: str
+
+    def watch(self, changed: Callable[[], None]) -> None:
+        """Call that at each change of the voltage at the motor."""
+        ...
+
+    def look(self) -> Look:
+        """What is really the case now."""
+        ...
+
+    def files(self) -> list[int]:
+        """What to wait for."""
+        ...
+
+    def serve(self, ready: set[int], t_s: float) -> None:
+        """Take what has come in, without waiting."""
+        ...
+
+    def next_event_s(self) -> float:
+        """When it has something to do next; inf for never."""
+        ...
+
+    def advance_to(self, t_s: float) -> None:
+        """Let time pass, and send what is due."""
+        ...
+
+    def power_cycle(self) -> None:
+        """Its supply fails for a moment."""
+        ...
+
+    def power_off(self) -> None:
+        """Its supply fails for good."""
+        ...
+
+
+class BehindPty:
+    """The port of a wire behind a pseudo-terminal, whose other end is held open: it lives on while no host has it."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire = wire
+        self._pty, self.name = open_pty()
+
+    def files(self) -> list[int]:
+        """As of ``Served``."""
+        return [self._pty]
+
+    def serve(self, ready: set[int], t_s: float) -> None:
+        """As of ``Served``."""
+        if self._pty in ready:
+            with contextlib.suppress(BlockingIOError):
+                self._wire.send(os.read(self._pty, 4096), t_s)
+
+    def next_event_s(self) -> float:
+        """As of ``Served``."""
+        return self._wire.next_event_s()
+
+    def advance_to(self, t_s: float) -> None:
+        """As of ``Served``."""
+        self._wire.advance_to(t_s)
+        reply = self._wire.receive(t_s)
+        if reply:
+            with contextlib.suppress(BlockingIOError):  # nobody reads
+                os.write(self._pty, reply)
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """The options that every such process has; ``--device`` is as ``BoardProcess`` packs it."""
+    options = argparse.ArgumentParser(description=description)
+    options.add_argument("--device", required=True)
+    options.add_argument("--link", type=Path)
+    options.add_argument("--trace", type=Path)
+    options.add_argument("--exit-with-stdin", action="store_true")
+    return options
+
+
+def unpacked(text: str, kind: type[D]) -> D:
+    """What ``BoardProcess`` packed, from the process that started this one. Raises ValueError for anything else."""
+    device = pickle.loads(base64.b64decode(text))
+    if not isinstance(device, kind):
+        raise ValueError(f"no {kind.__name__}")
+    return device
+
+
+def run(asked: argparse.Namespace, opened: Callable[[contextlib.ExitStack], Served]) -> None:
+    """Run until a signal, or until standard input ends where that was asked for.
+
+    asked   what ``parser`` found
+    opened  the device at time 0; what it opens besides may go into the stack
+    """
+    ends = signals()
+    try:
+        with contextlib.ExitStack() as stack:
+            file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="ascii"))
+            start_s = time.monotonic()
+            device = opened(stack)
+            trace = _Trace(device, file, start_s)
+            if asked.link is not None:
+                stack.enter_context(linked(asked.link, device.name))
+            sys.stdout.write(f"port {device.name}\n")
+            sys.stdout.flush()
+            take_priority()
+            gc.freeze()
+            _run(device, trace, start_s, ends, watches_stdin=asked.exit_with_stdin)
+            device.power_off()
+    except (OSError, EmulationError) as error:
+        fail(str(error))
+
+
+class _Trace:
+    """The truth over time as CSV; nothing without a file."""
+
+    def __init__(self, device: Served, file: TextIO | None, start_s: float) -> None:
+        self._device, self._file, self._start_s = device, file, start_s
+        self.next_s = math.inf if file is None else 0.0
+        if file is not None:
+            file.write("t_s,drive_V,y_rad,v_rad_per_s,fault\n")
+            device.watch(self.row)
+
+    def row(self) -> None:
+        if self._file is None:
+            return
+        t_s, drive_V, y_rad, v_rad_per_s, fault = self._device.look()
+        self._file.write(f"{self._start_s + t_s:.6f},{drive_V:.6f},{y_rad:.6f},{v_rad_per_s:.6f},{fault}\n")
+        self._file.flush()
+
+    def rows_to(self, t_s: float) -> None:
+        """One row every 10 ms."""
+        while self.next_s <= t_s:
+            self._device.advance_to(self.next_s)
+            self.row()
+            self.next_s += _TRACE_S
+
+
+def _run(device: Served, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:
+    end_s, stdin = math.inf, sys.stdin.fileno()
+    now_s = time.monotonic() - start_s
+    while now_s < end_s:
+        files = [ends, *device.files(), *([stdin] if watches_stdin else [])]
+        until_s = min(device.next_event_s(), trace.next_s, end_s, now_s + _CATCH_UP_S)
+        ready = set(select.select(files, [], [], max(until_s - now_s, 0.0))[0])
+        now_s = time.monotonic() - start_s
+        if ends in ready:
+            if os.read(ends, 1)[0] != signal.SIGUSR1:
+                return
+            device.advance_to(now_s)
+            device.power_cycle()
+        if stdin in ready and not os.read(stdin, 64):
+            watches_stdin, end_s = False, now_s + ORPHAN_S
+        trace.rows_to(now_s)
+        device.serve(ready, now_s)
+        device.advance_to(now_s)
