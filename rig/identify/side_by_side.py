@@ -15,7 +15,7 @@ from typing import TypeVar
 _Item = TypeVar("_Item")
 _Found = TypeVar("_Found")
 
-FEWEST_ROWS = 1500  # of shorter records the interpreter's own part is the larger one, and only one thread has it
+FEWEST_ROWS = 4000  # of shorter records the interpreter's own part is the larger one, and only one thread has it
 
 _cores = ContextVar("_cores", default=1)  # a thread of a pool has a context of its own: it spreads nothing
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.fit import Fit, Problem, begun, solve
+from rig.identify.departures.fit import COMPARED, Fit, Problem, begun, solve
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.noise import WHITE
@@ -81,7 +81,7 @@ class Blocks:
         weight = None if starts_known else self.shown.astype(float)
         cut = replace(self.cut, weight=weight)
         near = cut.guessed() if starts is None else starts
-        starts = solve(begun(_of_starts(problem, cut), motor, near), 8).starts
+        starts = solve(begun(_of_starts(problem, cut), motor, near), 8, COMPARED).starts
         off = self.cut.readings(motor, starts) - self.cut.y_rad
         off = np.where(np.isfinite(off), off, np.inf)
         return off if starts_known else np.where(self.shown, 0.0, off)
@@ -124,14 +124,14 @@ class Blocks:
         starts_known   as ``off_rad``
         """
         given = replace(problem, cut=self.cut, robust_rad=math.inf, noise=WHITE)
-        whole = solve(begin(given, motor), FOLD_ITERATIONS)  # what all say is near what most of them say
+        whole = solve(begin(given, motor), FOLD_ITERATIONS, COMPARED)  # what all say is near what most of them say
         folds = self.folds()
 
         def left(held: NDArray[np.bool_]) -> Array:
             trained = motor
             if not held.all():
                 others = replace(given, cut=self.cut.only(~held))
-                trained = solve(begun(others, whole.motor, whole.starts[~held]), FOLD_ITERATIONS).motor
+                trained = solve(begun(others, whole.motor, whole.starts[~held]), FOLD_ITERATIONS, COMPARED).motor
             unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
             off = unseen.off_rad(trained, problem, starts_known=starts_known, starts=whole.starts[held])
             return unseen.squares(off)

@@ -18,7 +18,19 @@ from numpy.typing import NDArray
 from rig.identify.departures.blocks import Blocks, share_cut
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach, LevelEach
-from rig.identify.departures.fit import Fit, Known, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
+from rig.identify.departures.fit import (
+    COMPARED,
+    Fit,
+    Known,
+    Normal,
+    Problem,
+    Rows,
+    limits_of,
+    refitted,
+    solve,
+    start,
+    unit,
+)
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
@@ -182,9 +194,11 @@ class Chooser:
             if not law.shape or len(trials) == 1:
                 continue
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS, COMPARED)
             for promise in self._starts(law, Columns(bare, bare.problem.rows(bare.motor, bare.starts)))[:RESHAPED]:
-                trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
+                trial = solve(
+                    self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS, COMPARED
+                )
                 if trial.cost < fit.cost:
                     fit = solve(trial)
         return fit
@@ -269,7 +283,7 @@ class Chooser:
         length_s = PREDICTED * cycle_s
         if cut.longest_s > length_s:
             cut = whole.every(length_s)
-        return solve(start(replace(fit.problem, cut=cut, noise=WHITE), fit.motor), TRIAL_ITERATIONS)
+        return solve(start(replace(fit.problem, cut=cut, noise=WHITE), fit.motor), TRIAL_ITERATIONS, COMPARED)
 
     def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
         """The problem of these laws on this cut."""
@@ -338,7 +352,7 @@ class Chooser:
         def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
             law = promise.law
             motor = fit.motor._replace(**promise.first)
-            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS, COMPARED)
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
@@ -424,7 +438,7 @@ class Chooser:
                 return loss(normal, fit, law)
             others = [one for one in laws if one is not law]
             bare = self.with_laws(fit, others, without(fit.motor, law))
-            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
+            return solve(bare, LEAP_ITERATIONS, COMPARED).cost - fit.cost
 
         return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
@@ -488,7 +502,7 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
 
     def fitted(other: float) -> tuple[float, Fit]:
-        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS)
+        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS, COMPARED)
         return other, replace(one, problem=fit.problem)
 
     sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
