@@ -307,7 +307,7 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
     const double b1 = c * k.b1;
     const double b2 = c * k.b2;
     const double b4 = c * k.b4;
-    const double rest = 1.0 - k.half;
+    const double gone = 1.0 - k.half;
     /* those of the bristles; how they change shows only in what the step leaves off */
     const bool bristles = m->bristle_V_rad > 0.0;
     const double slide = s->slide;
@@ -376,11 +376,11 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
             const double y = y_of[i];
             const double along = y + tau * v; /* of p = y + tau v */
             const double a1 = d1.av * v + d1.ay * y + a1_of[i];
-            const double v2 = k.half * v + rest * a1;
+            const double v2 = k.half * v + gone * a1;
             const double a2 = d2.av * v2 + d2.ay * (along + 0.5 * h * a1 - tau * v2) + a2_of[i];
-            const double v3 = k.half * v + rest * a2;
+            const double v3 = k.half * v + gone * a2;
             const double a3 = d3.av * v3 + d3.ay * (along + 0.5 * h * a2 - tau * v3) + a3_of[i];
-            const double v4 = k.half * v2 + rest * (2.0 * a3 - a1);
+            const double v4 = k.half * v2 + gone * (2.0 * a3 - a1);
             const double a4 = d4.av * v4 + d4.ay * (along + h * a3 - tau * v4) + a4_of[i];
             const double v_end = k.keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
             v_of[i] = v_end;
@@ -393,19 +393,19 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
             const double f = d->f[i];
             const double along = y + tau * v;
             const double a1 = d1.av * v + d1.ay * y - gain * f + a1_of[i];
-            const double v2 = k.half * v + rest * a1;
+            const double v2 = k.half * v + gone * a1;
             const double y2 = along + 0.5 * h * a1 - tau * v2;
             const double r1 = d1.rv * v + d1.ry * y + (d1.rf + slide) * f + d->by_stage[1][i];
             const double f2 = g.half * f + near * r1;
             const double r2 = d2.rv * v2 + d2.ry * y2 + (d2.rf + slide) * f2 + d->by_stage[3][i];
             const double f3 = g.half * f + near * r2;
             const double a2 = d2.av * v2 + d2.ay * y2 - gain * f2 + a2_of[i];
-            const double v3 = k.half * v + rest * a2;
+            const double v3 = k.half * v + gone * a2;
             const double y3 = along + 0.5 * h * a2 - tau * v3;
             const double r3 = d3.rv * v3 + d3.ry * y3 + (d3.rf + slide) * f3 + d->by_stage[5][i];
             const double f4 = g.half * f2 + near * (2.0 * r3 - r1);
             const double a3 = d3.av * v3 + d3.ay * y3 - gain * f3 + a3_of[i];
-            const double v4 = k.half * v2 + rest * (2.0 * a3 - a1);
+            const double v4 = k.half * v2 + gone * (2.0 * a3 - a1);
             const double y4 = along + h * a3 - tau * v4;
             const double r4 = d4.rv * v4 + d4.ry * y4 + (d4.rf + slide) * f4 + d->by_stage[7][i];
             const double a4 = d4.av * v4 + d4.ay * y4 - gain * f4 + a4_of[i];

@@ -24,12 +24,12 @@ _erfc = np.frompyfunc(math.erfc, 1, 1)
 
 
 def normal_below(x: Array) -> Array:
-    """Probability that a normal variable of mean 0 and variance 1 is below ``x``, any shape."""
+    """Probability that a normal variable of mean 0 and variance 1 is below ``x``, any shape, a pure number."""
     return np.asarray(0.5 * _erfc(np.asarray(x) / -math.sqrt(2.0)), dtype=np.float64)
 
 
 def log_normal_below(x: Array) -> Array:
-    """Logarithm of ``normal_below``, also where that is too small for a number."""
+    """Logarithm of ``normal_below`` of ``x``, any shape, a pure number, also where that is too small for one."""
     far = np.minimum(x, FAR_BELOW)
     square = far**-2.0
     series = 1.0 - square * (1.0 - 3.0 * square * (1.0 - 5.0 * square * (1.0 - 7.0 * square)))

@@ -271,6 +271,7 @@ def readings_of(
 
     starts   (p, 4), a row for each piece: velocity, rad/s, position, rad, side and bent of ``Pieces``
     A motor without parts, none of which is free, is followed by its closed form, which is ten times faster.
+    Raises ValueError as ``response_and_jacobian``, and on starts of another number of pieces.
     """
     plain = not waves_per_rad and is_plain(motor) and set(free or ()) <= set(real_motion.PLAIN)
     if free is not None and not plain:
