@@ -46,8 +46,7 @@ INDEX = {name: k for k, name in enumerate((*CORE, DELAY))}  # in the order of ``
 LENGTHS_S = (0.15, 0.5, 2.0)
 TAUS = 4
 FRICTIONS = (0.05, 0.35)  # of the largest drive
-FIRST_ITERATIONS, NEXT_ITERATIONS, PIECE_ITERATIONS = 4, 4, 8
-FOLLOWED = 5  # of the starts, after the first iterations
+FIRST_ITERATIONS, PIECE_ITERATIONS = 7, 8
 ROUGHLY = Enough(0.01, 1e-3)  # of a fit that is only compared
 MOST_ROWS = 4000
 SMALLEST_NOISE = 1e-6  # of half the travel: a record without noise
@@ -115,17 +114,10 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
     for tau in taus.tolist():
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
-    starts = cut.guessed()
-
-    def followed(fit: Fit, iterations: int) -> Fit:
-        return solve(fit, iterations, ROUGHLY)
-
+    starts, rows = cut.guessed(), cut.t_s.size
     fresh = [begun(problem, motor, starts) for motor in motors]
-    rows = cut.t_s.size
-    tried = side_by_side(lambda fit: followed(fit, FIRST_ITERATIONS), fresh, rows)
+    tried = side_by_side(lambda fit: solve(fit, FIRST_ITERATIONS), fresh, rows)
     ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
-    ranked = side_by_side(lambda fit: followed(fit, NEXT_ITERATIONS), ranked[:FOLLOWED], rows)
-    ranked.sort(key=lambda fit: fit.cost)
     return min(side_by_side(solve, ranked[:2], rows), key=lambda fit: fit.cost)
 
 
