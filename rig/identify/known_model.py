@@ -16,6 +16,7 @@ from rig.results import Answer, EstimateResult, IdentificationResult, known
 from rig.results.identification import Answered
 from rig.results.reading import salvaged
 
+_NO_MOTOR = "holds a model that no motor has"
 OF_PLACE = ("centre_rad", "half_travel_rad")  # the part of a frame that another run shares
 
 
@@ -98,10 +99,6 @@ def kept_models(folder: Path) -> Answered | None:
         no_motor = _no_motor(folder, error)
         raise no_motor from error
     return result
-
-
-def _no_motor(folder: Path, error: ValueError) -> RecordingError:
-    return RecordingError(folder / RESULT, f"holds a model that no motor has: {error}", "give another run")
 
 
 def model_of(answer: Answer | None, *, in_its_time: bool = False) -> FramedMotor | None:
