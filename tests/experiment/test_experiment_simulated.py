@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -214,7 +215,7 @@ def test_track_alone_uses_the_models_that_an_earlier_run_kept(
 ) -> None:
     """Nothing is identified anew; a number that no motor has is refused before anything drives."""
     _, outcome = demo_run
-    monkeypatch.setattr("rig.identify.identify", lambda *_: pytest.fail("identified anew"))
+    monkeypatch.setattr(import_module("rig.identify"), "identify", lambda *_: pytest.fail("identified anew"))
     result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
     assert result.exit_code == 0, result.output
     tracked = json.loads(result.stdout)
