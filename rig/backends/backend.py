@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # these load slowly
     from rig.backends.links.usb_adapters import Adapter
     from rig.calibration import DriveMap
     from rig.model.bench import BenchParameters
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 OwnSection = TypeVar("OwnSection", bound=Section)
 

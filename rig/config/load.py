@@ -18,7 +18,7 @@ from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
 from rig.plain_file import UnfitError, read_plain
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 Given = str | PathLike[str] | Mapping[str, Any] | Document  # a file, its keys with their values, or what was read of it
 IN_PYTHON = "config"  # what a config is called that is in no file
