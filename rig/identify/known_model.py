@@ -40,8 +40,7 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     try:
         motor = model_of(result.answer)
     except ValueError as error:
-        no_motor = _no_motor(folder, error)
-        raise no_motor from error
+        raise RecordingError(folder / RESULT, f"{_NO_MOTOR}: {error}", "give another run") from error
     if motor is None:
         raise RecordingError(
             folder / RESULT,
@@ -96,8 +95,7 @@ def kept_models(folder: Path) -> Answered | None:
             if not estimate.is_refused and estimate.tau_s is not None:
                 plain_motor(estimate)
     except ValueError as error:
-        no_motor = _no_motor(folder, error)
-        raise no_motor from error
+        raise RecordingError(folder / RESULT, f"{_NO_MOTOR}: {error}", "give another run") from error
     return result
 
 
