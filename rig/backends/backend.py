@@ -100,7 +100,7 @@ class Backend(ABC):
     # ------------------------------------------------------------------ what may be run
 
     def rules(self, d: DeviceSetup) -> Iterator[Problem]:
-        """The problems that keep this experiment from running on this device; none if it may run.
+        """The problems that keep an experiment from running on this device; none if it may run.
 
         If there is a ``section``, ``daq.options`` already fits it.
         """
