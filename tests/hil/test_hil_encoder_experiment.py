@@ -208,11 +208,11 @@ def with_end_switches(tmp_path: Path) -> Experiment:
     ("at_rad", "act", "code", "words"),
     [
         (0.0, partial(_opens, "end_high", 0.003), "NOT_HOME", "two places"),  # a glitch
+        (0.0, lambda chip: chip.rewire(sensor="stuck"), "NO_MOTION", "did not move the shaft"),
         (0.0, lambda chip: chip.rewire(drive="reversed"), "POLARITY", ""),
         (0.0, lambda _: os.kill(os.getpid(), signal.SIGTERM), "INTERRUPTED", ""),
         (0.0, lambda chip: chip.sleep_until(chip.now_s() + 0.3), "DEVICE_WATCHDOG", ""),  # as after kill -9
         *evidence(
-            (0.0, lambda chip: chip.rewire(sensor="stuck"), "NO_MOTION", "did not move the shaft"),
             (0.0, partial(_opens, "end_low", math.inf), "NOT_HOME", "that of the low end"),  # a broken wire
             (0.0, partial(_opens, "e_stop", 0.05), "DEVICE_ESTOP", ""),
             (0.0, lambda chip: chip.reset(2), "DEVICE_RESET", ""),
