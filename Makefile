@@ -23,18 +23,18 @@ setup: .venv/.ready  ## all that tests, checks, documents and panel need, Debian
 PYTEST := OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
 SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 # to collect the others would take longer than many of these tests
-CLOCKED = $$(grep -lrE 'mark\.(realtime|alone)' tests --include='test_*.py')
+MARKED = $$(grep -lrE 'mark\.($(1))' tests --include='test_*.py')
 
 # some wait for processes of theirs; what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
 test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
 	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
 	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$((3 * $$(nproc) / 2)) $(SHARED)
-	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(CLOCKED)
-	$(PYTEST) -m "alone and not evidence" $(CLOCKED)
+	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(call MARKED,realtime)
+	$(PYTEST) -m "alone and not evidence" $(call MARKED,alone)
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
 	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)
-	$(PYTEST) -m "evidence and (realtime or alone)" $(CLOCKED)
+	$(PYTEST) -m "evidence and (realtime or alone)" $(call MARKED,realtime|alone)
 
 search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; $(PYTEST) \

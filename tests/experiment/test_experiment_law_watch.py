@@ -18,7 +18,7 @@ import pytest
 import yaml
 from command_line import rig as command
 from evidence import evidence
-from processes import alive, wait_until
+from processes import PLAIN_RIG, alive, wait_until
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
 import rig
@@ -401,7 +401,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
     with hanging_laws.offered(folder):
         places = [str(ROOT), str(ROOT / "tools"), str(folder)]
         host = subprocess.Popen(
-            [sys.executable, "-m", "rig", "run", str(path), "--out", str(folder / "runs")],
+            [sys.executable, "-c", PLAIN_RIG, "run", str(path), "--out", str(folder / "runs")],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
