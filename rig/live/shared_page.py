@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import mmap
 import os
 import secrets
@@ -67,7 +68,12 @@ class MappedPage:
         os.write(self._descriptor, data)
 
     def move(self, path: Path) -> None:
-        """Put the file at another path on the same disk; who has it open sees on. Raises OSError."""
+        """Put the file at another path on the same disk; who has it open sees on.
+
+        Raises OSError, also where it is not at its path any more: what stands there instead is not moved.
+        """
+        if not self._is_at_its_path(os.fstat(self._descriptor)):
+            raise OSError(errno.ENOENT, "somebody has put something else in its place", str(self._path))
         os.rename(self._path, path, src_dir_fd=self._folder)
         self._leave_folder()
         self._path, self._folder = path, None
@@ -87,8 +93,11 @@ class MappedPage:
     def _delete(self, mine: os.stat_result) -> None:
         """Delete the file, but not what somebody has put in its place."""
         with contextlib.suppress(OSError):  # a read-only disk: nobody holds the lock any more, and that says the same
-            if os.path.samestat(os.stat(self._path, dir_fd=self._folder, follow_symlinks=False), mine):
+            if self._is_at_its_path(mine):
                 os.unlink(self._path, dir_fd=self._folder)
+
+    def _is_at_its_path(self, mine: os.stat_result) -> bool:
+        return os.path.samestat(os.stat(self._path, dir_fd=self._folder, follow_symlinks=False), mine)
 
     def _leave_folder(self) -> None:
         if self._folder is not None:

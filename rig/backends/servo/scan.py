@@ -12,7 +12,7 @@ from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
-from rig.backends.servo.opening import check_alone, objections
+from rig.backends.servo.opening import check_free, objections
 from rig.backends.servo.packets import LAST_ID
 from rig.faults import Fault
 
@@ -149,11 +149,14 @@ def set_baud(opened: Opened, link: ServoLink, baud: int) -> None:
 
 
 def restore(link: ServoLink, store: BeforeStore) -> dict[str, int] | None:
-    """Put back what a run has left changed; what it was, or None. Raises Fault SERVO_CHANGED, SECOND_MASTER, LINK_*."""
+    """Put back what a run has left changed; what it was, or None.
+
+    Raises Fault SERVO_CHANGED, SERVO_IN_USE, SECOND_MASTER, LINK_*.
+    """
     values = store.load(link.model)
     if values is None:
         return None
-    check_alone(link)  # it takes the torque away: not from somebody who drives it
+    check_free(link)  # it takes the torque away: not from somebody who drives it
     put_back(link, values)
     store.clear()
     return values
