@@ -64,7 +64,9 @@ def test_the_port_is_held_exclusively_by_each_link_to_it(terminal: tuple[dict[st
     """And who holds it is named: not this process, which stands for the device, and has both ends open."""
     _, name = terminal
     (link := tmp_path / "usb-Arduino_board-if00").symlink_to(name)
-    with subprocess.Popen([sys.executable, "-c", _HOLDS, link], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+    with subprocess.Popen(
+        [sys.executable, "-c", _HOLDS, link], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
         assert holder.stdout is not None and holder.stdout.readline()
         for other in (name, str(link)):
             fault = fault_of(SerialPort, other)

@@ -35,6 +35,7 @@ from rig.keeper.process import LOOK_EVERY_S, Charge
 from rig.keeper.terms import LawTimes, asks
 from rig.live.law_lease import LawLease
 from rig.live.stop_flag import request_stop
+from rig.recording.errors import RecordingError
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -605,6 +606,35 @@ def test_a_law_that_changes_the_folder_leaves_the_run_in_its_own(
     assert run.failure == "" and Path.cwd() == tmp_path
     [folder] = (tmp_path / "runs").glob("2*")
     assert (folder / "report.html").exists() and not (folder / "stop.flag").exists()
+
+
+class PutsALink:
+    """A law during which somebody moves the run's folder away, and puts a link in its place."""
+
+    def __init__(self, runs: Path, victim: Path) -> None:
+        self._runs, self._victim, self._steps = runs, victim, 0
+
+    def step(self, sample: Sample) -> float:
+        self._steps += 1
+        if self._steps == 10:
+            [folder] = self._runs.glob("2*")
+            folder.rename(folder.with_name("moved"))
+            folder.symlink_to(self._victim)
+        return 0.3
+
+
+def test_a_link_in_the_place_of_the_runs_folder_leads_nothing_elsewhere(tmp_path: Path) -> None:
+    """Rows and events go on in the folder that rig has made."""
+    (victim := tmp_path / "victim").mkdir()
+    for name in ("result.json", "report.html", "stop.flag"):
+        (victim / name).write_text("precious")
+    law = PutsALink(tmp_path / "runs", victim)
+    with pytest.raises(RecordingError, match="a folder without a run"):
+        rig.run(rig.ready("simulated"), law=law, duration_s=1.0, out=tmp_path / "runs")
+    assert {path.read_text() for path in victim.iterdir()} == {"precious"} and len(list(victim.iterdir())) == 3
+    moved = tmp_path / "runs" / "moved"
+    assert not (moved / "stop.flag").exists() and "loop_died" not in (moved / "events.jsonl").read_text()
+    assert len((moved / "samples.csv").read_text().splitlines()) > 100
 
 
 class Forks:
