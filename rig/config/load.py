@@ -102,7 +102,7 @@ def read(path: Given, *, follows_links: bool = True, takes_pipe: bool = False) -
         problem = Problem((), f"not UTF-8: byte 0x{raw[error.start]:02X}", "save the file as UTF-8")
         raise ConfigError([problem.at(file, line, column)]) from error
     document = parse(text, file)
-    document.digest = hashlib.sha256(raw).hexdigest()
+    document.digest, document.text = hashlib.sha256(raw).hexdigest(), raw.decode()
     return document
 
 
