@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -64,3 +65,16 @@ def test_a_feetech_forgets_its_mode_with_its_supply() -> None:
     told = found(bench, powered)
     assert told["lock_keeps_mode"].found is False
     assert told["least_duty"].found is not None
+
+
+@pytest.mark.parametrize("divisor", [128.0, 256.0])
+@pytest.mark.parametrize("at", [2048, 10])  # in the middle of its turn; so near the end that goals lie on one side
+def test_what_a_step_of_p_means_is_measured(divisor: float, at: int) -> None:
+    bench = Bench(p_divisor=divisor, zero_counts=at)
+    scale = found(bench)["p_scale_1_rad"].found
+    assert scale == pytest.approx(4096 / (2.0 * math.pi) / 885 / divisor, rel=0.06)
+
+
+def test_a_position_mode_that_gives_no_duty_is_told() -> None:
+    told = found(Bench(p_divisor=1e6))["p_scale_1_rad"]
+    assert told.found is None and "gave no duty" in told.words
