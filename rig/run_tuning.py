@@ -21,6 +21,7 @@ from rig.recording.folder import CONFIG, RESULT, write_result
 from rig.recording.path_kind import require_run
 from rig.recording.reader import read_meta, read_result, read_run
 from rig.recording.recording import Recording
+from rig.recording.servo_law import scale_of
 from rig.recording.stage import StageKind
 from rig.report import write_report
 from rig.results import HoldsResult, JsonObject, RunResult
@@ -31,7 +32,7 @@ from rig.tune.margins import Margins
 from rig.tune.prediction import Prediction, predict
 from rig.tune.program import Room, Trial, whole_trial
 from rig.tune.result import result_of
-from rig.tune.servo_loop import PositionMode, Scale, ServoLoop, servo_loop
+from rig.tune.servo_loop import PositionMode, ServoLoop, servo_loop
 from rig.tune.trial import Record, Sensing
 from rig.tune.tuning import Tuned, TuneError, Wish, tune
 from rig.tune.uncertain import UncertainMotor
@@ -178,13 +179,7 @@ def position_mode_of(model: ServoModel, p_scale: float | None = None) -> Positio
     """The position mode of a servo: what a step of P means by manuals, or as ``p_scale`` says, 1/rad."""
     P = model["position_p_gain"]
     known_P = {} if P.shipped is None else {"as shipped": P.shipped}
-    of_manual = model.counts_per_turn / (2.0 * math.pi) / (128.0 * model.full_drive)
-    if p_scale is not None:
-        scale = Scale(p_scale, p_scale, "stated")
-    elif model.protocol == "feetech":
-        scale = Scale(0.083, 0.332, "BAM saw 0.166 on an STS3215 with an oscilloscope; nobody else, so a factor of 2")
-    else:
-        scale = Scale(0.5 * of_manual, of_manual, "the manual says 1/128 of a step a count, BAM saw 1/256 on an XL330")
+    scale = scale_of(model.protocol, p_scale)
     if model.protocol == "feetech":
         known_P["LeRobot"] = 16
     addresses = {register.name: register.address for register in model.registers.values()}

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from rig.recording.servo_law import Scale
 from rig.results import JsonObject
 from rig.tune.margins import Margins, Matrices, margins, motor_matrices, worst
 from rig.tune.tuning import TuneError
@@ -20,14 +21,6 @@ from rig.tune.uncertain import LinearMotor, UncertainMotor
 
 PERIOD_S: Final = 1e-3  # of a servo's loop; design assumption, as in the emulated one
 _LATE_S: Final = 2e-3  # at worst: a position is a step old, and a duty acts a step later
-
-
-class Scale(NamedTuple):
-    """What a gain of 1 makes of 1 rad of error: a share of full duty; lowest and highest, and who says so."""
-
-    low: float
-    high: float
-    source: str
 
 
 @dataclass(frozen=True)
