@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,51 +15,72 @@ from rig.newton_metres import Load, NewtonMetres, Quantity, newton_metres
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 
-_POSITIVE = click.FloatRange(min=0.0, min_open=True)
-_FROM_ZERO = click.FloatRange(min=0.0)
-_MASS_PERCENT, _ARM_M, _R_PERCENT = 1.0, 0.001, 2.0  # half widths at 95 % where nobody says better
+_PERCENT, _ARM_M, _R_PERCENT = 1.0, 0.001, 2.0  # half widths at 95 % where nobody says better
+
+
+class Measured(click.ParamType):  # type: ignore[type-arg]
+    """``VALUE`` or ``VALUE,ERROR``: a number above 0, and how far it may be off at 95 %.
+
+    percent, error   without ERROR: %, of the value, and a part in its own unit beside that
+    """
+
+    name = "measured"
+
+    def __init__(self, percent: float = 0.0, error: float = 0.0) -> None:
+        self.percent, self.error = percent, error
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Quantity:
+        """Both."""
+        number, comma, error = str(value).partition(",")
+        try:
+            of = float(number)
+            half = float(error) if comma else 0.01 * self.percent * of + self.error
+        except ValueError:
+            of = half = math.nan
+        if not (0.0 < of < math.inf and 0.0 <= half < of):
+            self.fail(f"{value!r} must be a number above 0, or with its error at 95 %: 0.1,0.001", param, ctx)
+        return Quantity(of, half)
 
 
 @click.command("newton-metres")
 @click.argument("loaded", metavar="LOADED", type=click.Path(path_type=Path))
-@click.option("--mass-kg", type=_POSITIVE, required=True, help="Of the mass at the end of the arm.")
-@click.option("--arm-m", type=_POSITIVE, required=True, help="From the shaft's axis to the middle of the mass.")
-@click.option("--rod-kg", type=_FROM_ZERO, default=0.0, help="Of the arm itself, an even rod. Default: 0.")
 @click.option(
-    "--bare", type=click.Path(path_type=Path), metavar="FOUND",
+    "--mass-kg", type=Measured(percent=_PERCENT), metavar="KG[,ERROR]", required=True,
+    help="Of the mass at the end of the arm, and how far it may be off at 95 %. Default of that: 1 %.",
+)  # fmt: skip
+@click.option(
+    "--arm-m", type=Measured(error=_ARM_M), metavar="M[,ERROR]", required=True,
+    help="From the shaft's axis to the middle of the mass; default of its error: 1 mm.",
+)  # fmt: skip
+@click.option("--rod-kg", type=click.FloatRange(min=0.0), default=0.0, help="Of the arm itself, an even rod.")
+@click.option(
+    "--bare", type=click.Path(path_type=Path), metavar="FREE",
     help="The same motor without the load: then inertia tells, too, and both ways are compared.",
 )  # fmt: skip
-@click.option("--R-ohm", "R_ohm", type=_POSITIVE, help="Of the winding, measured: for kt.")
-@click.option("--mass-u95-kg", type=_FROM_ZERO, help="How far the mass may be off, at 95 %. Default: 1 % of it.")
-@click.option("--arm-u95-m", type=_FROM_ZERO, default=_ARM_M, show_default=True, help="The same of the arm.")
-@click.option("--R-u95-ohm", "R_u95_ohm", type=_FROM_ZERO, help="The same of the winding. Default: 2 % of it.")
+@click.option(
+    "--R-ohm", "R_ohm", type=Measured(percent=_R_PERCENT), metavar="OHM[,ERROR]",
+    help="Of the winding, measured, for kt; default of its error: 2 %.",
+)  # fmt: skip
 @JSON
 def newton_metres_command(
     loaded: Path,
-    mass_kg: float,
-    arm_m: float,
+    mass_kg: Quantity,
+    arm_m: Quantity,
     rod_kg: float,
     bare: Path | None,
-    R_ohm: float | None,
-    mass_u95_kg: float | None,
-    arm_u95_m: float,
-    R_u95_ohm: float | None,
+    R_ohm: Quantity | None,
     as_json: bool,
 ) -> None:
     """Tell a motor's torque, inertia and friction in newton metres, by a mass on an arm.
 
     LOADED is a run with that mass on the shaft, which lies level: a run folder, or what `rig identify --json` printed
-    into a file.
+    into a file; FREE is one without it.
     """
     from rig.identify.known_model import answer_in
 
-    mass = Quantity(mass_kg, 0.01 * _MASS_PERCENT * mass_kg if mass_u95_kg is None else mass_u95_kg)
-    winding = None
-    if R_ohm is not None:
-        winding = Quantity(R_ohm, 0.01 * _R_PERCENT * R_ohm if R_u95_ohm is None else R_u95_ohm)
     try:
-        load = Load(mass, Quantity(arm_m, arm_u95_m), rod_kg)
-        found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), winding)
+        load = Load(mass_kg, arm_m, rod_kg)
+        found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), R_ohm)
     except RecordingError as error:
         fail_input(error)
     except ValueError as error:

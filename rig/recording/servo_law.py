@@ -66,6 +66,7 @@ class ServoLaw:
     ) -> tuple[Floats, Floats, Floats]:
         """Edges, s, and drives, V, from each edge on, (m,), and the drive at each of the n rows, V, (n,).
 
+        P                      of its register, 1
         t_s, y_rad, goal_rad   (n,) of the rows, t_s rising, n >= 2
         supply_V               at full duty
         Between rows the position is interpolated; each step has the mean of its ramp.

@@ -140,5 +140,8 @@ def test_the_command_says_it_and_its_status(tmp_path: Path) -> None:
     assert shown.exit_code == 0 and "both ways agree" in shown.output and "0.09626" in shown.output
     longer = rig("newton-metres", files["loaded"], *options[:2], "--arm-m", 0.12, *options[4:])
     assert longer.exit_code == 1 and "refused" in longer.output
-    assert rig("newton-metres", files["loaded"], *options[:2], "--arm-m", 0.0005).exit_code == 2
+    stated = ("--mass-kg", f"{MASS},0", "--arm-m", f"{ARM},0", "--bare", files["bare"], "--json")
+    assert json.loads(rig("newton-metres", files["loaded"], *stated).stdout)["torque_N_m_V"]["u95"] == 0.0
+    for wrong in (0.0005, "0.1,0.2", "-1", "nan", "0.1,", "much"):
+        assert rig("newton-metres", files["loaded"], *options[:2], "--arm-m", wrong).exit_code == 2, wrong
     assert rig("newton-metres", tmp_path / "none.json", *options[:4]).exit_code == 2

@@ -161,11 +161,14 @@ def test_a_motor_comes_back_from_its_servos_own_loop_and_its_volts_are_as_uncert
 
 
 def test_the_options_of_the_command(tmp_path: Path) -> None:
-    file = tmp_path / "log.csv"
+    file = written(tmp_path / "log.csv", [(0.01 * k, 2048, 2048, 5.0) for k in range(30)])
+    servo = ("--servo", "xl330-m288", "--gain", "400")
     for options, words in (
-        (("--gain", 400), "add --servo MODEL"),
-        (("--servo", "ax12", "--gain", 400), "no servo that rig knows"),
-        (("--servo", "xl330-m288", "--gain", 400, "--drive", "V"), "--drive and --servo are both given"),
+        (("--gain", "400"), "add --servo MODEL"),
+        (("--servo", "ax12", "--gain", "400"), "no servo that rig knows"),
+        ((*servo, "--drive", "V"), "--drive and --servo are both given"),
+        # 4096 counts a turn need not be said
+        ((*servo, "--time", "s", "--position", "counts", "--goal", "counts"), "the position never changes"),
     ):
         said = rig("identify", file, *options)
-        assert said.exit_code == 2 and words in said.output
+        assert said.exit_code == 2 and words in said.output, said.output
