@@ -224,8 +224,9 @@ def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(
     store.save(bench.setup.model, bench.own.id, values_of(link))
     one = ServoKeeper(link, store, port.descriptor, SILENCE_S)
     one.beat()
-    assert wait_for(lambda: one.has_acted) and one.has_acted  # it stays said
+    assert wait_for(lambda: one.has_acted)
+    told = [one.has_acted]  # it stays said
     one.rest()
-    assert not one.has_acted
+    assert [*told, one.has_acted] == [True, False]
     one.end(restored=True)
     port.close()
