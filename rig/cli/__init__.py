@@ -29,6 +29,7 @@ from rig.cli import (
     init,
     jog,
     list,
+    newton_metres,
     panel,
     predict,
     predict_run,
@@ -87,6 +88,7 @@ _GROUPS = {
         list.list_runs,
         compare.compare,
         tune.tune,
+        newton_metres.newton_metres_command,
         export.export,
     ),
     "A bench of your own": (

@@ -169,6 +169,7 @@ class IdentifiedMotor:
     delay_s   from a sample to the effect of its drive, s, >= 0
     correlation   of the estimates of tau and K, -1 to 1; None: not known
     lacks     laws that the tool cannot express, each with what follows; an exporter sets it
+    torque_N_m_V, R_ohm   of a volt and of the winding, as the user states them; None: not stated
     """
 
     framed: FramedMotor
@@ -178,6 +179,8 @@ class IdentifiedMotor:
     provenance: Provenance
     correlation: float | None
     lacks: Mapping[str, str]
+    torque_N_m_V: float | None = None
+    R_ohm: float | None = None
 
     def lacking(self, parts: Mapping[str, str]) -> IdentifiedMotor:
         """The same for a tool that cannot express ``parts`` (name: what follows), as far as the motor has them."""

@@ -8,6 +8,7 @@ from typing import Final
 
 import jinja2
 
+from rig.errors import RigError
 from rig.export.motor import IdentifiedMotor
 from rig.export.whole_run import ExportedRun
 from rig.package import FOLDER
@@ -29,11 +30,21 @@ class Tool:
     title   for people
     files   of a motor and its run: content by name of file
     lacks   parts of a motor that its files cannot express, each with what follows
+    in_N_m  whether its files can be in newton metres
     """
 
     title: str
     files: Callable[[IdentifiedMotor, ExportedRun], dict[str, bytes]]
     lacks: Mapping[str, str]
+    in_N_m: bool = False
+
+
+class ExportError(RigError):
+    """A motor that a tool has no words for: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(f"{cause}\n{cure}")
 
 
 def rendered(template: str, **values: object) -> bytes:
