@@ -15,6 +15,7 @@ SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and 
 STILL_SHARE = 0.03  # of tau: within it a shaft that has broken away leaves the static level behind
 ROUNDS = 40  # of the search for a position, which needs about ten
 CLOSE_RAD = 1e-9
+SOURCE_ROUNDS = 8  # each leaves a tenth of the error, or less
 
 
 def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
@@ -32,6 +33,23 @@ def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
     soft_V = SOFT_SHARE * m.fc_V
     crossed = 1.0 if size >= soft_V else size / soft_V
     return sign * (before_sag / (1.0 + sign * m.gain_by_sign) + crossed * m.dead_band_V)
+
+
+def drive_for_torque(m: RealMotor, torque_V: float, v: float, outside_V: float, direction: float) -> float:
+    """Drive behind the stage, V, whose torque is ``torque_V`` beyond the friction that grows with it.
+
+    v           speed, rad/s
+    outside_V   force over position, V
+    direction   in which friction acts against it; 0: no friction
+    """
+    seen_V = torque_V + m.load_outside * outside_V
+    against = math.copysign(m.load_friction, direction * seen_V) if direction != 0.0 else 0.0
+    passed_V = torque_V + against * seen_V / (1.0 - against)
+    back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
+    drive_V = passed_V + back_V
+    for _ in range(SOURCE_ROUNDS if m.source_per_V2 > 0.0 else 0):
+        drive_V = passed_V * (1.0 + m.source_per_V2 * drive_V**2) + back_V
+    return drive_V
 
 
 def still_share(m: RealMotor, speed_rad_s: float) -> float:
@@ -59,7 +77,11 @@ def drive_for(
         height_V = level(m, frame, speed, y) + still_share(m, speed) * m.static_V
         friction = math.copysign(height_V, direction)
     viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
-    wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + force(m, frame, y) + friction + viscous - m.bias_V
+    outside_V = force(m, frame, y)
+    wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + outside_V + friction + viscous - m.bias_V
+    if m.load_friction > 0.0 or m.source_per_V2 > 0.0:
+        back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
+        wanted_V = drive_for_torque(m, wanted_V - back_V, v, outside_V, direction)
     return drive_before_stage(m, wanted_V)
 
 
