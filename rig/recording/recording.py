@@ -45,6 +45,7 @@ class Recording:
     first_row    number of the first row in the file; not 0 in a selection of rows
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
+    slew_V_s     by which the device ramps its drive from one row's to the next, V/s; None: at once
     """
 
     t_s: Floats
@@ -70,6 +71,7 @@ class Recording:
     first_row: int = 0
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
+    slew_V_s: float | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)

@@ -14,6 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from rig.identify import identify
 from rig.identify.identification import Identification
 from rig.model.real_motor import FramedMotor, Pieces, response
 from rig.recording.recording import Recording, from_columns
+from rig.recording.series import Steps
 from shared.table import markdown
 
 FREE = Load()
@@ -62,18 +64,21 @@ class Row(NamedTuple):
 
 
 def recordings(case: Case, records: Sequence[Record]) -> list[Recording]:
-    """As rig reads them."""
-    return [
+    """As rig reads them; of a duty that is ramped, with its slope told."""
+    found = [
         from_columns(Path(f"{case.record}-{k}.csv"), one.t_s, one.u_V, one.y_rad, one.t_u_s)
         for k, one in enumerate(records, 1)
     ]
+    return [replace(one, slew_V_s=KINDS[case.servo].slope_V_s) for one in found] if case.ramped else found
 
 
-def held_out(motor: FramedMotor, records: Sequence[Record]) -> float:
+def held_out(case: Case, motor: FramedMotor, records: Sequence[Record]) -> float:
     """RMS error over the spread of the positions, all records together; each starts at rest at 0 rad."""
     squares = spread = 0.0
     for one in records:
-        found = response(motor.motor, motor.frame, (one.t_u_s, one.u_V), one.t_s, Pieces.one(0.0, 0.0))
+        drive = Steps(one.t_u_s, one.u_V)
+        drive = drive.ramped(KINDS[case.servo].slope_V_s) if case.ramped else drive
+        found = response(motor.motor, motor.frame, drive, one.t_s, Pieces.one(0.0, 0.0))
         squares += float(np.sum((found - one.true_rad) ** 2))
         spread += float(np.sum((one.true_rad - one.true_rad.mean()) ** 2))
     return math.sqrt(squares / spread)
@@ -95,7 +100,7 @@ def tried(case: Case, folder: Path, seed: int) -> tuple[Row, Identification]:
     half = [(answer.grade or {})[name].u95 for name in NUMBERS]
     u95 = tuple((math.inf if h is None else h) / value for h, value in zip(half, true, strict=True))
     laws = tuple(f"{law.name} {law.value:.3g}" for law in answer.law or ())
-    return Row(case, answer.verdict, errors, u95, held_out(motor, unseen), laws, cpu_s), found
+    return Row(case, answer.verdict, errors, u95, held_out(case, motor, unseen), laws, cpu_s), found
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
