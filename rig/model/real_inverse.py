@@ -15,7 +15,6 @@ SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and 
 STILL_SHARE = 0.03  # of tau: within it a shaft that has broken away leaves the static level behind
 ROUNDS = 40  # of the search for a position, which needs about ten
 CLOSE_RAD = 1e-9
-SOURCE_ROUNDS = 8  # each leaves a tenth of the error, or less
 
 
 def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
@@ -46,10 +45,9 @@ def drive_for_torque(m: RealMotor, torque_V: float, v: float, outside_V: float, 
     against = math.copysign(m.load_friction, direction * seen_V) if direction != 0.0 else 0.0
     passed_V = torque_V + against * seen_V / (1.0 - against)
     back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
-    drive_V = passed_V + back_V
-    for _ in range(SOURCE_ROUNDS if m.source_per_V2 > 0.0 else 0):
-        drive_V = passed_V * (1.0 + m.source_per_V2 * drive_V**2) + back_V
-    return drive_V
+    wanted_V = passed_V + back_V
+    inside = 1.0 - 4.0 * m.source_per_V2 * passed_V * wanted_V
+    return 2.0 * wanted_V / (1.0 + math.sqrt(max(inside, 0.0)))  # beyond it no drive gives as much
 
 
 def still_share(m: RealMotor, speed_rad_s: float) -> float:

@@ -42,8 +42,9 @@ PARTS: dict[str, tuple[str, ...]] = {
     "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
     "drift": ("drift",),
     "load_friction": ("load_friction", "load_outside", "viscous_share"),
-    "source": ("source_per_V2",),
+    "source": ("source_per_V2", "viscous_share"),
 }
+SHARED = "viscous_share"  # a number of two parts: by itself it is none
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
 TRACE = 1e-12
@@ -95,7 +96,7 @@ class FramedMotor:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the parts that the motor has."""
-        return tuple(name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers))
+        return tuple(name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers if n != SHARED))
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,7 +93,8 @@ def tried(case: Case, folder: Path, seed: int) -> tuple[Row, Identification]:
     answer, motor, truth = found.answer, found.real_motor, Truth(friction, case.load)
     if answer is None or motor is None:
         return Row(case, "none" if answer is None else answer.verdict, (), (), math.nan, (), cpu_s), found
-    true = [getattr(truth, name) for name in NUMBERS]
+    volt = float(np.mean([one.volt for one in given]))  # u95 is in the record's own
+    true = [truth.tau_s, truth.K_rad_s_V * volt, truth.fc_V / volt]
     errors = tuple(
         (getattr(motor.motor, name) - value) / value for name, value in zip(NUMBERS, true, strict=True)
     )

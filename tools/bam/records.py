@@ -18,7 +18,9 @@ PERIOD_S = 0.010
 STEP_RAD = 2.0 * math.pi / 4096
 RIPPLE_S = 1e-3  # the ripple is another one after it
 STROKE_LEVELS = (0.45, 0.8, 0.3, 1.0, 0.6, 0.35, 0.9, 0.5)  # of the largest drive
-STROKES_S, RELAY_S, OPEN_S, OPEN_RECORDS = 15.0, 11.0, 1.0, 12
+STROKES_S, OPEN_S, OPEN_RECORDS = 15.0, 1.0, 12
+CYCLES = 13  # of each relay test, settling included
+LOADED_S = 0.8  # period of a relay test with a load, which a slower one would not swing
 STROKE_RAD, REST_S = 0.5, 0.2
 AT_REST_ROWS = 8
 
@@ -36,10 +38,10 @@ class Kind:
 
 
 KINDS = {
-    "XL330": Kind("xl330", 5.0, 885, 3.2, 276.8, (0.4, 0.8)),
-    "STS3215": Kind("feetech_sts3215_7_4V", 7.4, 1000, 4.5, math.inf, (0.25, 1.0)),
+    "XL330": Kind("xl330", 5.0, 885, 3.2, 276.8, (0.4, 0.9)),
+    "STS3215": Kind("feetech_sts3215_7_4V", 7.4, 1000, 4.5, math.inf, (0.25, 1.3)),
 }
-"""cycle: amplitude of its relay test, rad, and period, s."""
+"""cycle: amplitude of its relay test, rad, and period, s, as in config/servo.yaml and config/servo-sts3215.yaml."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +65,21 @@ class Case:
 
 @dataclass(frozen=True)
 class Record:
-    """Times of samples and of drives, s; readings and true positions, rad; drives, V."""
+    """Times of samples and of drives, s; readings and true positions, rad; drives, V.
+
+    volt   true volts without current for one of these
+    """
 
     t_s: Array
     t_u_s: Array
     y_rad: Array
     true_rad: Array
     u_V: Array
+    volt: float
 
 
 class Truth:
-    """What rig should say: tau, K and f_c in the volts of the register; of load friction f_c without load."""
+    """What rig should say: tau, K and f_c; f_c without load and at speed."""
 
     def __init__(self, friction: Friction, load: Load) -> None:
         a = friction.kt / friction.R
@@ -107,7 +113,8 @@ def driven(case: Case, friction: Friction, law: Law, rows: int, rng: np.random.G
             servo.advance(duty, reads_ripple * rng.standard_normal(), RIPPLE_S)
         out[k] = seen, true, duty
     t_s = PERIOD_S * np.arange(rows)
-    return Record(t_s, t_s + ACTS_S, out[:, 0], out[:, 1], out[:, 2] * float(np.mean(registers)))
+    seen_V = float(np.mean(registers))
+    return Record(t_s, t_s + ACTS_S, out[:, 0], out[:, 1], out[:, 2] * seen_V, kind.supply_V / seen_V)
 
 
 def relay_law(case: Case, truth: Truth, amplitude_rad: float, period_s: float) -> Law:
@@ -166,8 +173,10 @@ def records_of(case: Case, folder: Path, seed: int) -> tuple[list[Record], list[
     truth, rng = Truth(friction, case.load), np.random.default_rng(seed)
     if case.record == "relay":
         amplitude, period_s = kind.cycle
+        period_s = min(period_s, LOADED_S) if case.load.mass_kg else period_s
+        rows = round(CYCLES * period_s / PERIOD_S)
         found = [
-            driven(case, friction, relay_law(case, truth, share * amplitude, period_s), round(RELAY_S / PERIOD_S), rng)
+            driven(case, friction, relay_law(case, truth, share * amplitude, period_s), rows, rng)
             for share in (1.0, 0.7)
         ]
     else:

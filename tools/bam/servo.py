@@ -103,7 +103,7 @@ class Servo:
         for _ in range(count):
             most = self.slope * h
             before, self.duty = self.duty, self.duty + max(-most, min(most, duty - self.duty))
-            self._step(0.5 * (before + self.duty), ripple_V, h)
+            self._step(0.5 * (before + self.duty) if math.isfinite(most) else duty, ripple_V, h)
 
     def _torques(self, duty: float, ripple_V: float, v: float, y: float) -> tuple[float, float]:
         f = self.friction
@@ -113,27 +113,32 @@ class Servo:
         return f.kt * current, -self.weight_N_m * math.sin(y)
 
     def _step(self, duty: float, ripple_V: float, h: float) -> None:
-        f, left = self.friction, h
+        left = h
+        while left > 0.0:
+            left -= self._stretch(duty, ripple_V, left)
+
+    def _stretch(self, duty: float, ripple_V: float, left: float) -> float:
+        """Go on for at most ``left`` s, to where the shaft comes to rest; returns how long that was."""
         if self.v == 0.0:
             t_m, t_e = self._torques(duty, ripple_V, 0.0, self.y)
-            if abs(t_m + t_e) <= f.limit_N_m(0.0, t_m, t_e):
-                return
+            if abs(t_m + t_e) <= self.friction.limit_N_m(0.0, t_m, t_e):
+                return left
             sign = math.copysign(1.0, t_m + t_e)
         else:
             sign = math.copysign(1.0, self.v)
         first = self._acceleration(sign, duty, ripple_V, self.v, self.y)
         middle = self.v + 0.5 * left * first
-        middle = middle if middle * sign > 0.0 else 0.0
-        a = self._acceleration(sign, duty, ripple_V, middle, self.y + 0.5 * left * self.v)
+        a = self._acceleration(sign, duty, ripple_V, max(middle * sign, 0.0) * sign, self.y + 0.5 * left * self.v)
         end = self.v + left * a
-        if end * sign > 0.0:
-            self.y += left * (self.v + 0.5 * left * a)
+        if end * sign > 0.0 or self.v == 0.0:
+            end = end if end * sign > 0.0 else 0.0
+            self.y += 0.5 * left * (self.v + end)
             self.v = end
-            return
-        if self.v != 0.0 and a != 0.0:  # it comes to rest within the step
-            part = min(max(-self.v / a, 0.0), left)
-            self.y += part * 0.5 * self.v
+            return left
+        part = min(-self.v / a, left)
+        self.y += 0.5 * part * self.v
         self.v = 0.0
+        return part
 
     def _acceleration(self, sign: float, duty: float, ripple_V: float, v: float, y: float) -> float:
         t_m, t_e = self._torques(duty, ripple_V, v, y)
