@@ -27,7 +27,11 @@ enum {
     ORDER = AT(cogging_per_rad),
     BACKLASH = AT(backlash_rad),
     LINEARITY = AT(linearity_sin1_rad),
-    DRIFT = AT(drift)
+    DRIFT = AT(drift),
+    LOAD = AT(load_friction),
+    OUTSIDE = AT(load_outside),
+    SHARE = AT(viscous_share),
+    SOURCE = AT(source_per_V2)
 };
 
 /* No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does. */
@@ -43,7 +47,7 @@ enum { STAGES = REAL_STAGE_ROWS - 3 };
  * v, y, f, x       of the state, by column
  * w, given, level  by number of the motor: of the drive behind the lag and before it, and of a level of friction
  * stage            of the right sides at the four stages of a step: target velocity and bristles' rate in turn
- * position, cogging, stribeck   which of the derivatives cost a function of their own
+ * position, cogging, stribeck, transmits   which of the derivatives cost a function of their own
  */
 typedef struct {
     const int64_t *which;
@@ -51,12 +55,12 @@ typedef struct {
     int columns, waves, width;
     double *v, *y, *f, *x;
     double *w, *given, *level, *stage[STAGES];
-    bool position, cogging, stribeck;
+    bool position, cogging, stribeck, transmits;
 } slopes;
 
-/* Derivatives of a right side: of the target velocity by v and y, of the bristles' rate by v, y and f. */
+/* Derivatives of a right side: of the target velocity by v, y and w, of the bristles' rate by v, y and f. */
 typedef struct {
-    double av, ay, rv, ry, rf;
+    double av, ay, aw, rv, ry, rf;
 } by_state;
 
 static double mean_cosine(const real_motor *m)
@@ -90,9 +94,35 @@ static void level_slopes(const real_motor *m, const slopes *d, double speed, dou
 static const int OF_LEVEL[] = {FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT};
 enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
 
+static double side_of(const real_motor *m, const real_state *at)
+{
+    return transmitted(m, at->w, at->v, at->y) > 0.0 ? 1.0 : -1.0;
+}
+
+/* Adds to `a` and `by` what load friction and the supply's resistance change, where the torque has the sign `side`; returns
+ * the derivative by the force. */
+static double load_slopes(const real_motor *m, double sign, double side, const real_state *at, double *a, by_state *by)
+{
+    const double gain = m->K_rad_s_V;
+    const double w = at->w;
+    const double back = back_emf(m, at->v);
+    const double share = 1.0 / (1.0 + m->source_per_V2 * w * w);
+    const double seen = transmitted(m, w, at->v, at->y);
+    const double load = side * sign * m->load_friction;
+    const double passed = 1.0 - load; /* of a change of the torque */
+    by->aw = gain * passed * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * share);
+    by->av += (1.0 - m->viscous_share) * (1.0 - passed * share);
+    a[K] += back * (passed * share - 1.0);
+    a[LOAD] = -gain * sign * fabs(seen);
+    a[OUTSIDE] = -gain * load * force(m, at->y);
+    a[SHARE] = at->v * (passed * share - 1.0);
+    a[SOURCE] = -gain * passed * (w - back) * w * w * share * share;
+    return -gain * (1.0 + load * m->load_outside);
+}
+
 /* Fills two rows with the derivatives of the target velocity and of the bristles' rate at a stage, where the target
- * velocity is `aim`. */
-static by_state right_sides(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double aim, int stage)
+ * velocity is `aim`, and the torque has the sign `side`. */
+static by_state right_sides(const real_motor *m, const slopes *d, double sign, double side, const real_state *at, double t, double aim, int stage)
 {
     double *const a = d->stage[2 * stage];
     double *const r = d->stage[2 * stage + 1];
@@ -100,34 +130,38 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, c
     const double v = at->v;
     const double y = at->y;
     const double speed = sign * v;
-    by_state by = {0.0, 0.0, 0.0, 0.0, 0.0};
+    by_state by = {0.0, 0.0, gain, 0.0, 0.0, 0.0};
+    double by_force = -gain;
     a[K] = aim / gain;
     a[BIAS] = gain;
     a[VISCOUS] = -gain * speed;
     a[DRAG] = -gain * v * speed;
     by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
+    if (d->transmits) {
+        by_force = load_slopes(m, sign, side, at, a, &by);
+    }
     if (d->position) {
         const double q = y - m->centre_rad;
         const double sine = sin(q);
         const double cosine = cos(q);
-        a[FORCE] = -gain * sine;
-        a[FORCE + 1] = -gain * (cosine - mean_cosine(m));
-        by.ay -= gain * (m->force_sin_V * cosine - m->force_cos_V * sine);
+        a[FORCE] = by_force * sine;
+        a[FORCE + 1] = by_force * (cosine - mean_cosine(m));
+        by.ay += by_force * (m->force_sin_V * cosine - m->force_cos_V * sine);
     }
     if (d->cogging) {
         const double q = m->cogging_per_rad * y;
         const double sine = sin(q);
         const double cosine = cos(q);
         const double slope = m->cogging_sin_V * cosine - m->cogging_cos_V * sine;
-        a[COGGING] = -gain * sine;
-        a[COGGING + 1] = -gain * cosine;
-        a[ORDER] = -gain * y * slope;
-        by.ay -= gain * m->cogging_per_rad * slope;
+        a[COGGING] = by_force * sine;
+        a[COGGING + 1] = by_force * cosine;
+        a[ORDER] = by_force * y * slope;
+        by.ay += by_force * m->cogging_per_rad * slope;
     }
     for (int k = 0; k < d->waves; k++) {
         const double q = d->orders[k] * y;
-        a[REAL_WAVES + 2 * k] = -gain * sin(q);
-        a[REAL_WAVES + 2 * k + 1] = -gain * cos(q);
+        a[REAL_WAVES + 2 * k] = by_force * sin(q);
+        a[REAL_WAVES + 2 * k + 1] = by_force * cos(q);
     }
     double by_level[2];
     level_slopes(m, d, speed, y, t, r, by_level);
@@ -228,7 +262,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         return at;
     }
     const double top = level_of_bristles(m, fabs(v0), at.y, t);
-    const double pull = w + m->bias_V - force(m, at.y);
+    const double pull = pull_at_rest(m, w, at.y);
     if (bend == 0.0 && fabs(pull) > top) {
         bend = pull > 0.0 ? 1.0 : -1.0;
     }
@@ -237,7 +271,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         return at;
     }
     const double gain = m->K_rad_s_V;
-    const by_state by = right_sides(m, d, 1.0, &at, t, target(m, 1.0, &at, t), 0);
+    const by_state by = right_sides(m, d, 1.0, side_of(m, &at), &at, t, target(m, 1.0, &at, t), 0);
     for (int i = 0; i < d->width; i++) {
         d->level[i] = 0.0;
     }
@@ -250,7 +284,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
             d->f[i] = bend * (d->level[p] + by_v * d->v[i] + by_level[1] * d->y[i]);
         } else {
             const bool known = p == BIAS || p == FORCE || p == FORCE + 1 || (COGGING <= p && p <= ORDER) || p >= REAL_WAVES;
-            d->f[i] = by.ay * d->y[i] / gain + d->w[p] + (known ? d->stage[0][p] / gain : 0.0);
+            d->f[i] = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (known ? d->stage[0][p] / gain : 0.0);
         }
     }
     return at;
@@ -295,10 +329,11 @@ static void through(const real_motor *m, const slopes *d, const real_state *at, 
     const real_state at2 = {s->v2, s->y2, s->f2, middle, 0.0};
     const real_state at3 = {s->v3, s->y3, s->f3, middle, 0.0};
     const real_state at4 = {s->v4, s->y4, s->f4, now->end.w, 0.0};
-    const by_state d1 = right_sides(m, d, now->sign, at, t, s->a1, 0);
-    const by_state d2 = right_sides(m, d, now->sign, &at2, t + 0.5 * h, s->a2, 1);
-    const by_state d3 = right_sides(m, d, now->sign, &at3, t + 0.5 * h, s->a3, 2);
-    const by_state d4 = right_sides(m, d, now->sign, &at4, t + h, s->a4, 3);
+    const double side = side_of(m, &at2); /* of the whole step, which ends where the torque turns */
+    const by_state d1 = right_sides(m, d, now->sign, side, at, t, s->a1, 0);
+    const by_state d2 = right_sides(m, d, now->sign, side, &at2, t + 0.5 * h, s->a2, 1);
+    const by_state d3 = right_sides(m, d, now->sign, side, &at3, t + 0.5 * h, s->a3, 2);
+    const by_state d4 = right_sides(m, d, now->sign, side, &at4, t + h, s->a4, 3);
     const double af = bristles ? -gain : 0.0;
     for (int i = 0; i < d->columns; i++) {
         const int64_t p = d->which[i];
@@ -314,7 +349,7 @@ static void through(const real_motor *m, const slopes *d, const real_state *at, 
             far += faded * keep * h / (lag * lag);
         }
         const double along = y + tau * v + by_tau * at->v; /* of p = y + tau v */
-        const double a1 = d1.av * v + d1.ay * y + af * f + gain * d->w[p] + d->stage[0][p];
+        const double a1 = d1.av * v + d1.ay * y + af * f + d1.aw * d->w[p] + d->stage[0][p];
         const double v2 = k.half * v + (1.0 - k.half) * a1 + by_tau * half_tau * (at->v - s->a1);
         const double y2 = along + 0.5 * h * a1 - tau * v2 - by_tau * s->v2;
         double r1 = 0.0;
@@ -330,20 +365,20 @@ static void through(const real_motor *m, const slopes *d, const real_state *at, 
             r2 = d2.rv * v2 + d2.ry * y2 + (d2.rf + slide) * f2 + d->stage[3][p];
             f3 = g.half * f + near * r2;
         }
-        const double a2 = d2.av * v2 + d2.ay * y2 + af * f2 + gain * mid + d->stage[2][p];
+        const double a2 = d2.av * v2 + d2.ay * y2 + af * f2 + d2.aw * mid + d->stage[2][p];
         const double v3 = k.half * v + (1.0 - k.half) * a2 + by_tau * half_tau * (at->v - s->a2);
         const double y3 = along + 0.5 * h * a2 - tau * v3 - by_tau * s->v3;
         if (bristles) {
             r3 = d3.rv * v3 + d3.ry * y3 + (d3.rf + slide) * f3 + d->stage[5][p];
             f4 = g.half * f2 + near * (2.0 * r3 - r1);
         }
-        const double a3 = d3.av * v3 + d3.ay * y3 + af * f3 + gain * mid + d->stage[4][p];
+        const double a3 = d3.av * v3 + d3.ay * y3 + af * f3 + d3.aw * mid + d->stage[4][p];
         const double v4 = k.half * v2 + (1.0 - k.half) * (2.0 * a3 - a1) + by_tau * half_tau * (s->v2 - 2.0 * s->a3 + s->a1);
         const double y4 = along + h * a3 - tau * v4 - by_tau * s->v4;
         if (bristles) {
             r4 = d4.rv * v4 + d4.ry * y4 + (d4.rf + slide) * f4 + d->stage[7][p];
         }
-        const double a4 = d4.av * v4 + d4.ay * y4 + af * f4 + gain * far + d->stage[6][p];
+        const double a4 = d4.av * v4 + d4.ay * y4 + af * f4 + d4.aw * far + d->stage[6][p];
         double v_end = k.keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
         v_end += by_tau * (keep_tau * at->v + b1_tau * s->a1 + b2_tau * (s->a2 + s->a3) + b4_tau * s->a4);
         d->v[i] = v_end;
@@ -367,14 +402,14 @@ static void release(const real_motor *m, const slopes *d, double sign, const rea
 {
     const double gain = m->K_rad_s_V;
     const double aim = target(m, sign, at, t);
-    double rate = m->lag_s > 0.0 ? (staged_V - at->w) / m->lag_s : 0.0;
+    const by_state by = right_sides(m, d, sign, side_of(m, at), at, t, aim, 0);
+    double rate = m->lag_s > 0.0 ? by.aw / gain * (staged_V - at->w) / m->lag_s : 0.0;
     rate -= sign * m->fc_V * m->drift / m->duration_s; /* of the pull beyond the level */
-    const by_state by = right_sides(m, d, sign, at, t, aim, 0);
     double *const a = d->stage[0];
     a[STATIC] = -gain * sign;
     for (int i = 0; i < d->columns; i++) {
         const int64_t p = d->which[i];
-        const double by_p = by.ay * d->y[i] / gain + d->w[p] + (p != K ? a[p] / gain : 0.0);
+        const double by_p = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (p != K ? a[p] / gain : 0.0);
         d->v[i] += aim / m->tau_s * by_p / rate;
     }
     a[STATIC] = 0.0;
@@ -387,7 +422,8 @@ static void kick(const real_motor *m, const slopes *d, const real_state *before,
     const double later = was - acceleration(m, at, drives_V[1], t);
     double slower = later; /* a short lag acts as a delay, except where it lets go of a motor at rest */
     if (was == 0.0 && at->v == 0.0 && later != 0.0 && m->bristle_V_rad <= 0.0) {
-        const double beyond = fabs(drives_V[1] + m->bias_V - force(m, at->y)) - level_at_rest(m, at->y, t);
+        const double beyond = fabs(pull_at_rest(m, drives_V[1], at->y)) - level_at_rest(m, at->y, t) -
+                              load_at_rest(m, drives_V[1], at->y);
         slower = later * log(fabs(drives_V[1] - drives_V[0]) / beyond);
         slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
     }
@@ -447,6 +483,7 @@ static slopes room_for(const real_motor *m, const real_columns *c)
     d.position = turns(m);
     d.cogging = cogs(m);
     d.stribeck = m->stribeck_V != 0.0;
+    d.transmits = transmits(m);
     return d;
 }
 

@@ -13,13 +13,18 @@ from rig.export.motor import IdentifiedMotor
 from rig.export.whole_run import ExportedRun
 from rig.package import FOLDER
 
-# A model has no first day: what drifts from the start of the tests to their end.
-NO_DRIFT: Final = {"drift": "friction stays at its mean over the tests"}
+# A model has no first day: what drifts from the start of the tests to their end. And no torque that is another than its
+# drive.
+IN_NONE: Final = {
+    "drift": "friction stays at its mean over the tests",
+    "load_friction": "friction is that at no torque: a large drive moves the model farther than the motor",
+    "source": "the supply has no resistance: tau is that of small drives",
+}
 # And what has no state in a model of velocity and position, and no inverse.
 NOT_RIGID: Final = {
     "bristle": "the shaft is rigid where friction holds it: it does not bend",
     "backlash": "the sensor follows the motor without play",
-    **NO_DRIFT,
+    **IN_NONE,
 }
 
 

@@ -47,6 +47,7 @@ class Recording:
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
     p_scale      of the servo whose law gave the drive: u_V is that of its middle; None: volts are volts
+    slew_V_s     by which the device ramps its drive from one row's to the next, V/s; None: at once
     """
 
     t_s: Floats
@@ -73,6 +74,7 @@ class Recording:
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
     p_scale: Scale | None = None
+    slew_V_s: float | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)

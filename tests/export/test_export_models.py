@@ -26,6 +26,7 @@ from wpimath.controller import ArmFeedforward, SimpleMotorFeedforwardRadians
 from rig.control.known_motor import known
 from rig.control.relay import DualChannelRelay
 from rig.export import TOOLS, export_model
+from rig.export.tool import IN_NONE
 from rig.identify import identify
 from rig.model.cycle_detector import CycleDetector
 from rig.model.real_motor import PARTS
@@ -33,7 +34,7 @@ from rig.recording.reader import read_run
 from rig.signals import Sample
 
 IN_VOLTS = [tool for tool in TOOLS if tool != "bam"]  # it takes newton metres: test_export_newton_metres.py
-RIGID = [law for law in LAWS if law not in ("backlash", "bristle", "drift")]
+RIGID = [law for law in LAWS if law not in ("backlash", "bristle", *IN_NONE)]
 YIELDING = ("bristle", "backlash")
 MANY = ("dead_band", "gain_by_sign", "lag", "stribeck", "static", "viscous_by_direction", "force_over_position", "drag")
 OTHERS = ("cogging", "friction_over_position", "sag", "linearity")
@@ -303,7 +304,7 @@ def test_the_page_says_which_laws_each_export_carries() -> None:
     """By the table of docs/export.md; `in kS` is a law that is there in part, and is named as lacking, too."""
     page = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
     (table,) = re.findall(r"^\| law \|.*\n\|---.*\n((?:\|.*\n)+)", page, re.MULTILINE)
-    titles = {"bristles": "bristle", "curvature of the sensor": "linearity"}
+    titles = {"bristles": "bristle", "curvature of the sensor": "linearity", "resistance of the supply": "source"}
     listed: list[str] = []
     for row in table.splitlines():
         laws, *cells = (cell.strip() for cell in row.strip("|").split("|"))
