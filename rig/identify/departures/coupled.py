@@ -54,15 +54,13 @@ def coupling_rad_s(choice: Choice, whole: Cut, chooser: Chooser) -> float:
     return math.exp(float(fine.x)) if fine.fun < needed else 0.0
 
 
-def predicts_more(stiff: Choice, soft: Choice, whole: Cut, chooser: Chooser) -> bool:
-    """Whether the choice behind a coupling takes as much of the error in blocks that it has not seen as a law must."""
+def takes_enough(stiff: Choice, soft: Choice, whole: Cut, chooser: Chooser) -> bool:
+    """Whether the choice behind a coupling takes as much of the error in blocks as a law must."""
     blocks = Blocks.of(whole, stiff.fit.motor.tau_s, LAW_BLOCK)
     noise = np.array(blocks.cut.lengths) * chooser.sigma_rad**2
     left = []
     for one in (soft, stiff):
         cut = replace(blocks.cut, coupling_rad_s=one.fit.problem.cut.coupling_rad_s)
-        problem = chooser.problem(cut, one.laws, math.inf)
-        left.append(
-            np.maximum(Blocks(cut, blocks.shown).held_out(problem, one.fit.motor, starts_known=True) - noise, 0.0)
-        )
+        fit = solve(begin(chooser.problem(cut, one.laws, math.inf), one.fit.motor), FINER)
+        left.append(np.maximum(blocks.squares(fit.residual_rad) - noise, 0.0))
     return share_cut(left[0], left[1], noise) >= chooser.asked.cuts
