@@ -467,6 +467,8 @@ def motor_law(
         return MotorLaw(
             (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )
+    # a frame of levels goes by no time
+    frame = begun.whole.each(names).frames[0] if of_levels else whole.frames[0]
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
@@ -482,7 +484,7 @@ def motor_law(
         records,
         tuple(remarks),
         _alone(parts, of_windows),
-        FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
+        FramedMotor(fit.motor._replace(drift=0.0) if of_levels else fit.motor, frame) if choice.laws else None,
         bounded=bounded,
         predicts=predicts,
         holds=holds,
@@ -599,8 +601,9 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     error = math.sqrt(max(0.0, float(slope @ covariance[np.ix_(at, at)] @ slope)))
     half = float(stdtrit(_freedom(fit), 0.975)) * error
     ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
-    price = len(law.numbers + law.shape) * math.log(_freedom(fit))
-    numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
+    price = law.costs * math.log(_freedom(fit))
+    fields = () if isinstance(law, LevelEach) else (*law.numbers, *law.shape)  # no other record has such a level
+    numbers = {name: float(getattr(fit.motor, name)) for name in fields}
     return FoundLaw(law, size, ci95, gain - price, numbers)
 
 
