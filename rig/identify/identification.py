@@ -14,6 +14,7 @@ from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.departures.blocks import HeldOut
+from rig.identify.departures.drift import LevelEach
 from rig.identify.drive_scale import in_unsure_volts, widest
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
@@ -462,7 +463,9 @@ def _add_motor_law(
     if law.estimate is not None:
         judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
-        odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
+        has_levels = any(one.law.name == LevelEach.name for one in law.found)  # then friction is what differs
+        one_motor = has_levels or are_one_motor(each, law.estimate.rms_rad, numbers)
+        odd = None if one_motor else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law

@@ -68,7 +68,7 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     coupling, found = SoftCoupling(), list[Outside]()
     if not fit.problem.cut.coupling_rad_s:
         found = [
-            Outside(coupling, _by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
+            Outside(coupling, by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
             for rad_s in FREQUENCIES_RAD_S
         ]
     if not any(isinstance(law, Sag) for law in laws):
@@ -111,7 +111,7 @@ def _by_sag(fit: Fit, bench: Bench) -> Array:
     return np.asarray(change / size)[:, None]
 
 
-def _by_coupling(fit: Fit, rad_s: float) -> Array:
+def by_coupling(fit: Fit, rad_s: float) -> Array:
     """(n, 1) change of the readings behind a coupling of that frequency, rad."""
     cut = fit.problem.cut
     behind = replace(cut, coupling_rad_s=rad_s).readings(fit.motor, fit.starts)

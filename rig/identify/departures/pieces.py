@@ -277,7 +277,7 @@ class Cut:
                 response(motor, frame, window.steps, window.t_s, pieces) for window, frame, pieces in self._with(starts)
             ]
         y_rad = np.concatenate(found)
-        return y_rad - self._swing(y_rad[:, None], starts[:, None, :])[:, 0] if self.coupling_rad_s else y_rad
+        return y_rad - self._swing(y_rad[:, None], starts[:, None, :], 1)[:, 0] if self.coupling_rad_s else y_rad
 
     def derivatives(
         self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
@@ -292,13 +292,14 @@ class Cut:
         every = np.column_stack(found)
         begin = np.zeros((starts.shape[0], every.shape[1], 2))  # velocity and position at the start, by column
         begin[:, 0], begin[:, -2, 0], begin[:, -1, 1] = starts, 1.0, 1.0
-        every = every - self._swing(every, begin)
+        every = every - self._swing(every, begin, every.shape[1] - 2)
         return Readings(every[:, 0], np.ascontiguousarray(every[:, 1:-2]), np.ascontiguousarray(every[:, -2:]))
 
-    def _swing(self, columns: Array, begin: Array) -> Array:
+    def _swing(self, columns: Array, begin: Array, goes_on: int) -> Array:
         """(n, k) by how much a load behind the coupling is ahead of what follows it stiffly, for (n, k) ``columns``.
 
-        begin   (p, k, 2) velocity and position of each column at the start of each piece
+        begin     (p, k, 2) velocity and position of each column at the start of each piece
+        goes_on   how many of the columns swing on from piece to piece: not those by the start of the own piece
         """
         swing = np.zeros_like(columns)
         at = 0
@@ -309,6 +310,11 @@ class Cut:
                 since_s = (window.t_s[first:stop] - window.t_s[first])[:, None]
                 own = slice(offset + first, offset + stop)
                 swing[own] = lfilter(forward, back, columns[own] - begin[at, :, 1] - begin[at, :, 0] * since_s, axis=0)
+                if first > 1:
+                    before, last = swing[offset + first - 2, :goes_on], swing[offset + first - 1, :goes_on]
+                    step_s = float(window.t_s[first - 1] - window.t_s[first - 2])
+                    after_s = since_s + float(window.t_s[first] - window.t_s[first - 1])
+                    swing[own, :goes_on] += _dies_away(self.coupling_rad_s, after_s, last, (last - before) / step_s)
                 at += 1
         return swing
 
@@ -374,6 +380,13 @@ def _swings(rad_s: float, period_s: float) -> tuple[Array, Array]:
     swing = np.array([1.0, 0.0, 0.0]), np.array([1.0, 2.0 * DAMPING * rad_s, rad_s**2])
     forward, back, _ = cont2discrete(swing, period_s, "foh")
     return forward.ravel(), back
+
+
+def _dies_away(rad_s: float, t_s: Array, swing: Array, per_s: Array) -> Array:
+    """What is left of a swing, and of its change with time, after ``t_s``, (m, 1)."""
+    damped = rad_s * math.sqrt(1.0 - DAMPING**2)
+    sine = (per_s + DAMPING * rad_s * swing) / damped
+    return np.asarray(np.exp(-DAMPING * rad_s * t_s) * (swing * np.cos(damped * t_s) + sine * np.sin(damped * t_s)))
 
 
 def is_plain(motor: RealMotor) -> bool:
