@@ -71,7 +71,7 @@ def newton_metres_command(
     R_ohm: Quantity | None,
     as_json: bool,
 ) -> None:
-    """Tell a motor's torque, inertia and friction in newton metres, by a mass on an arm.
+    """Tell a motor in newton metres, by a mass on an arm.
 
     LOADED is a run with that mass on the shaft, which lies level: a run folder, or what `rig identify --json` printed
     into a file; FREE is one without it.
