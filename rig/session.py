@@ -152,7 +152,7 @@ def record(
                         fault = _run_script(script, session, on_start)
                     finally:
                         lost = _close(recorder)
-                        if fault is not None and lost is not None:
+                        if fault is not None and lost is not None and lost.detail not in fault.detail:
                             failures.append(f"{lost.code}: {lost.detail}")
                         fault = fault or lost
             except Exception as error:
@@ -230,8 +230,10 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         fault = seen
         if text := traceback_of(seen):
             session.note("traceback", text=text[-2000:])
-    except (IdentifyError, RecordingError) as error:
+    except IdentifyError as error:
         fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
+    except RecordingError as error:
+        fault = Fault("NOT_IDENTIFIED", str(error))
     except KeyboardInterrupt:  # a law has set Python's own handler
         fault = Fault("INTERRUPTED", "SIGINT")
     except BaseException as error:  # noqa: BLE001 - whatever it is, SystemExit too, the run has its record and a result
@@ -363,7 +365,8 @@ def _write_result(session: Session, outcome: Outcome) -> None:
     try:
         write_result(session.folder, outcome.result, follows_links=False)
     except RecordingError as error:
-        outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
+        words = f"{error.path.name} {error.cause}; {error.cure}"
+        outcome.failures += [] if words in outcome.failures else [words]  # it is written twice
 
 
 def _least_result(session: Session, outcome: Outcome) -> RunResult:

@@ -274,7 +274,10 @@ class Writer:
     def _moved(self, path: Path, error: OSError) -> None:
         """Tell the loop to end, and where the rest of the rows is."""
         self._moves.append((path, _in_words(error)))
-        places = "; ".join(f"{why}, so it goes on in {place}" for place, why in self._moves)
+        places = "; ".join(
+            f"{why}, so {'all of it is written anew' if why.startswith(f'{place}:') else f'it goes on in {place}'}"
+            for place, why in self._moves
+        )
         self._shared.fail(layout.MOVED, places)
 
     def serve(self, is_over: EndOfInput, parent: int) -> None:
