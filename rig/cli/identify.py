@@ -50,7 +50,7 @@ Wanted = tuple[Path | None, tuple[str, ...]]
     "slew_V_s",
     metavar="V/S",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="By which the device ramps its drive; an XL330 as shipped: 277. Default: at once. Of a log; a servo's run knows it.",
+    help="By which the device of a log ramps its drive; an XL330 as shipped: 277. Default: at once.",
 )
 @click.option(
     "--picture",

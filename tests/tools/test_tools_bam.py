@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from bam.__main__ import recordings, tried
 from bam.records import Case, Truth, records_of
 from bam.servo import Friction, Load, Servo
-
 from rig.identify import identify
 from rig.model.real_motor import Frame, Pieces, RealMotor, response
 from rig.recording.series import Steps
@@ -65,7 +65,8 @@ def test_the_one_motor_moves_as_the_servo_does(
     for drive_V in u_V.tolist():
         there.append(servo.y)
         servo.advance(drive_V / SUPPLY_V, 0.0, 0.01)
-    drive = Steps(t_s, u_V) if math.isinf(slope_V_s) else Steps(t_s, u_V).ramped(slope_V_s)
+    drive = Steps(t_s.astype(np.float64), u_V.astype(np.float64))
+    drive = drive if math.isinf(slope_V_s) else drive.ramped(slope_V_s)
     y_rad = response(motor, Frame(0.0, 1.0, 0.0, 2.0), drive, t_s, Pieces.one(0.0, 0.0))
     assert np.ptp(y_rad) > 0.5
     assert y_rad == pytest.approx(there, abs=2e-6 if math.isinf(slope_V_s) else 3e-5)
