@@ -195,11 +195,8 @@ def assembled(
         first_row=0,
         units_stated=units_stated,
         drive_steps=drive_steps,
-<<<<<<< HEAD
         p_scale=p_scale,
-=======
         slew_V_s=None,
->>>>>>> 4ad95150 (The docs and the changelog know the new laws, the ramp and make bam; the stale list of real records is a pointer)
     )
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import rig
 
 from bam.__main__ import recordings, tried
 from bam.records import Case, Truth, records_of
@@ -27,6 +29,7 @@ M4 = {
     "load_friction_stribeck": 0.07381180834784251, "dtheta_stribeck": 2.5577016869227474, "alpha": 0.7601158768377835,
     "friction_viscous": 0.004621034970462603, "model": "m4",
 }  # fmt: skip
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
 LOADED = Load(0.1, 0.1)
 SUPPLY_V, SOURCE_OHM = 5.0, 0.15
 
@@ -89,3 +92,23 @@ def test_friction_that_grows_with_the_torque_is_found_and_predicts(folder: Path)
     assert found.best is not None
     assert plain.best is not None
     assert found.best.rms_rad < 0.3 * plain.best.rms_rad
+
+
+def test_a_ramp_that_is_told_is_no_friction(folder: Path) -> None:
+    """As shipped an XL330 takes 18 ms from 0 to 5 V: near a tick and a half of late drive."""
+    case = Case("XL330", "m1", Load(), "strokes", ramped=True)
+    told = recordings(case, records_of(case, folder, 1)[0])
+    at_once = [replace(one, slew_V_s=None) for one in told]
+    truth = Truth(Friction.read(folder / "xl330-m1.json"), Load())
+    with_ramp, without = (identify(given, choose_law=False).leading for given in (told, at_once))
+    assert with_ramp is not None
+    assert without is not None
+    assert with_ramp.fc_V == pytest.approx(truth.fc_V, rel=0.04)
+    assert with_ramp.tau_s == pytest.approx(truth.tau_s, rel=0.02)
+    assert without.rms_rad > 3.0 * with_ramp.rms_rad
+
+
+def test_a_run_has_its_ramp_already() -> None:
+    said = rig("identify", GOLDEN, "--slew", "277")
+    assert said.exit_code == 2
+    assert said.stderr.splitlines()[0].endswith("has the ramp already: a run says when its drives acted")
