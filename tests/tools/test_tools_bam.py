@@ -61,14 +61,14 @@ def test_the_one_motor_moves_as_the_servo_does(
         viscous_share=friction.friction_viscous / a * truth.K_rad_s_V,
         source_per_V2=SOURCE_OHM / friction.R / SUPPLY_V**2,
     )
-    t_s = 0.01 * np.arange(200)
-    u_V = np.repeat(np.random.default_rng(1).uniform(-3.0, 3.0, 20), 10)
+    t_s = np.asarray(0.01 * np.arange(200), dtype=np.float64)
+    u_V = np.asarray(np.repeat(np.random.default_rng(1).uniform(-3.0, 3.0, 20), 10), dtype=np.float64)
     u_V[0] = 0.0
     servo, there = Servo(friction, load, SUPPLY_V, slope_V_s, SOURCE_OHM), []
     for drive_V in u_V.tolist():
         there.append(servo.y)
         servo.advance(drive_V / SUPPLY_V, 0.0, 0.01)
-    drive = Steps(t_s.astype(np.float64), u_V.astype(np.float64))
+    drive = Steps(t_s, u_V)
     drive = drive if math.isinf(slope_V_s) else drive.ramped(slope_V_s)
     y_rad = response(motor, Frame(0.0, 1.0, 0.0, 2.0), drive, t_s, Pieces.one(0.0, 0.0))
     assert np.ptp(y_rad) > 0.5
