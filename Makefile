@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps real-records tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: setup bam evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps real-records tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -95,6 +95,9 @@ compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and 
 
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
 	PYTHONPATH=tools .venv/bin/python -m emps
+
+bam: .venv/.ready  ## what rig identify says of servos with the friction that Rhoban/bam publishes; RIG_SHARED_DATA names the folder with bam
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m bam $(if $(SEED),--seed $(SEED))
 
 real-records: .venv/.ready  ## what rig identify says of records of real motors; RIG_SHARED_DATA names the folder with real, emps and cases
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m real_records real emps --page

@@ -50,7 +50,7 @@ Wanted = tuple[Path | None, tuple[str, ...]]
     "slew_V_s",
     metavar="V/S",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="By which the device ramps its drive; an XL330 as shipped: 277. Default: at once. Of a log; a servo's run knows it.",
+    help="By which the device of a log ramps its drive; an XL330 as shipped: 277. Default: at once.",
 )
 @click.option(
     "--picture",
@@ -107,6 +107,7 @@ def identify(
             if rows is not None:
                 recordings = [recording.only_rows(*rows) for recording in recordings]
             if slew_V_s is not None:
+                _require_commanded(recordings)
                 recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
             found = identify_recordings(recordings, tuple(methods) or None, without=without)
         records = [str(recording.source) for recording in recordings]
@@ -157,6 +158,16 @@ def _require_new(picture: Wanted, report: Wanted, force: bool) -> None:
             fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
         if path.exists() and not force:
             fail(EXIT_BAD_INPUT, f"{path} is there already", "give another name, or --force")
+
+
+def _require_commanded(recordings: Sequence[Recording]) -> None:
+    """Refuse --slew for a recording whose drives are as they acted."""
+    for recording in recordings:
+        if recording.config_text is not None or recording.p_scale is not None:
+            what = "a run says when its drives acted" if recording.p_scale is None else "a servo's law has its ramp"
+            fail(
+                EXIT_BAD_INPUT, f"--slew is given, and {recording.source} has the ramp already: {what}", "leave it out"
+            )
 
 
 def _keep(path: Path, recording: Recording, found: Identification) -> None:

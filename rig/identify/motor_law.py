@@ -444,7 +444,8 @@ def motor_law(
     of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
     of_levels = levels_line(parts, level) if any(isinstance(law, LevelEach) for law in choice.laws) else ()
     bench = begun.chooser.bench
-    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside(parts, choice.laws, bench))
+    hidden = [law for law in begun.chooser.candidates if law.may_hide]
+    nuisances = Nuisances.of(parts, choice.laws, hidden, bench, outside(parts, choice.laws, bench))
     bare = bare_fits(parts, choice.laws, begun.chooser)
     coupled = fit.problem.cut.coupling_rad_s
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()

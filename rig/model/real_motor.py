@@ -96,7 +96,9 @@ class FramedMotor:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the parts that the motor has."""
-        return tuple(name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers if n != SHARED))
+        return tuple(
+            name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers if n != SHARED)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,11 +30,11 @@ class RealMotor(NamedTuple):
     backlash_rad       whole width of the play between motor and sensor, rad, >= 0
     linearity_sin1_rad, linearity_cos1_rad, linearity_sin2_rad, linearity_cos2_rad   the sensor's curvature, rad
     drift              relative change of fc from the frame's start to its end
-    load_friction, load_outside      L, l: friction L |p + l G| beside fc, of the motor's torque p, V, and the force G over
-                       position, V; 0 <= L < 1
-    viscous_share      r: share of 1/K that is viscous friction, and no back-EMF; load friction alone shows it
-    source_per_V2      rho: the supply's resistance over the winding's, times u^2 of the share of time that it carries the
-                       current in: the torque is (w - (1 - r) v/K) / (1 + rho w^2), 1/V2, >= 0
+    load_friction, load_outside      L, l: friction L |p + l G| beside fc, of the motor's torque p, V, and of the force
+                       over position G, V; 0 <= L < 1, l >= 0
+    viscous_share      r: share of 1/K that is viscous friction, and no back-EMF, 0 <= r < 1
+    source_per_V2      rho: the torque is p = (w - (1 - r) v/K) / (1 + rho w^2), 1/V2, >= 0; the supply's resistance
+                       over the winding's, over the square of the supply's voltage
     """
 
     tau_s: float

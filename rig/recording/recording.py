@@ -196,6 +196,7 @@ def assembled(
         units_stated=units_stated,
         drive_steps=drive_steps,
         p_scale=p_scale,
+        slew_V_s=None,
     )
 
 

@@ -1,1 +1,1 @@
-"""`make bam`: what `rig identify` says of servos with the friction that Rhoban/bam publishes, from a simulation apart."""
+"""`make bam`: what `rig identify` says of servos with the friction that Rhoban/bam publishes, simulated apart."""

@@ -95,9 +95,7 @@ def tried(case: Case, folder: Path, seed: int) -> tuple[Row, Identification]:
         return Row(case, "none" if answer is None else answer.verdict, (), (), math.nan, (), cpu_s), found
     volt = float(np.mean([one.volt for one in given]))  # u95 is in the record's own
     true = [truth.tau_s, truth.K_rad_s_V * volt, truth.fc_V / volt]
-    errors = tuple(
-        (getattr(motor.motor, name) - value) / value for name, value in zip(NUMBERS, true, strict=True)
-    )
+    errors = tuple((getattr(motor.motor, name) - value) / value for name, value in zip(NUMBERS, true, strict=True))
     half = [(answer.grade or {})[name].u95 for name in NUMBERS]
     u95 = tuple((math.inf if h is None else h) / value for h, value in zip(half, true, strict=True))
     laws = tuple(f"{law.name} {law.value:.3g}" for law in answer.law or ())

@@ -112,13 +112,14 @@ def driven(case: Case, friction: Friction, law: Law, rows: int, rng: np.random.G
         for _ in range(round((PERIOD_S - ACTS_S) / RIPPLE_S)):
             servo.advance(duty, reads_ripple * rng.standard_normal(), RIPPLE_S)
         out[k] = seen, true, duty
-    t_s = PERIOD_S * np.arange(rows)
+    t_s: Array = PERIOD_S * np.arange(rows, dtype=np.float64)
     seen_V = float(np.mean(registers))
-    return Record(t_s, t_s + ACTS_S, out[:, 0], out[:, 1], out[:, 2] * seen_V, kind.supply_V / seen_V)
+    acts_s: Array = t_s + np.float64(ACTS_S)
+    return Record(t_s, acts_s, out[:, 0], out[:, 1], out[:, 2] * seen_V, kind.supply_V / seen_V)
 
 
 def relay_law(case: Case, truth: Truth, amplitude_rad: float, period_s: float) -> Law:
-    """rig's relay on position and its integral, with gains for this cycle of a plain motor on its load."""
+    """Rig's relay on position and its integral, with gains for this cycle of a plain motor on its load."""
     w = 2.0 * math.pi / period_s
     share = math.pi * amplitude_rad / 4.0
     h1 = share * (w * w * truth.tau_s / truth.K_rad_s_V - truth.weight_V)

@@ -216,8 +216,9 @@ class Chooser:
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
         sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
         so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand: what is left there is
-        what the readings are off. Where a fit leaves white noise, likelihood is right; so it is where whole tests, each
-        from its start on, are told to the sensor's noise. Laws that only together take as much as is asked stay together.
+        what the readings are off. Where a fit leaves white noise, likelihood is right; so it is where it tells whole
+        tests, each from its start on, to the sensor's noise. Laws that only together take as much as is asked stay
+        together.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
         if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad:

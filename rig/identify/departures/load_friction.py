@@ -22,6 +22,7 @@ class LoadFriction(Departure):
     shape = ("viscous_share", "load_outside")
     one_sided = True
     told_by = "strokes of several drives, with coasting at 0 V between them"
+    may_hide = False  # few benches have it: beside a dead band it would make f_c of every relay test unknown to 1 %
 
     def range_of(self, bench: Bench) -> float:
         """A tenth of the torque."""

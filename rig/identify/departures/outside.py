@@ -39,6 +39,7 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.departures.sag import Sag
 from rig.identify.departures.sag_by_current import SagByCurrent
 from rig.identify.departures.soft_coupling import FREQUENCIES_RAD_S, SoftCoupling
+from rig.identify.departures.source import Source
 from rig.recording.series import Steps
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ class Outside(NamedTuple):
 def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     """Each start of each such law.
 
-    laws   those of the fit: a sag has its own in its place
+    laws   those of the fit: a sag has its own in its place, and a supply's resistance is what a sag by the current is
     """
     coupling, found = SoftCoupling(), list[Outside]()
     if not fit.problem.cut.coupling_rad_s:
@@ -71,7 +72,7 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
             Outside(coupling, by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
             for rad_s in FREQUENCIES_RAD_S
         ]
-    if not any(isinstance(law, Sag) for law in laws):
+    if not any(isinstance(law, Sag | Source) for law in laws):
         found.append(Outside(SagByCurrent(), _by_sag(fit, bench)))
     if not fit.problem.noise.white and Cogging().fits(bench):
         orders = [trial["cogging_per_rad"] for trial in Cogging().trials(bench)]

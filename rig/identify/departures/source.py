@@ -19,6 +19,7 @@ class Source(Departure):
     shape = ("viscous_share",)
     one_sided = True
     told_by = "drives of several sizes, with reversals; or the supply's voltage beside them"
+    may_hide = False  # a sag by the current is its line: see ``outside``
 
     def range_of(self, bench: Bench) -> float:
         """5 % of the winding's resistance at the largest drive."""

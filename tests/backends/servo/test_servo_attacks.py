@@ -164,7 +164,7 @@ def test_facts_end_where_the_keeper_had_to_act(protocol: str) -> None:
 def test_a_servo_that_somebody_has_taken_over_since_keeps_its_torque(
     protocol: str, opens: bool, tmp_path: Path
 ) -> None:
-    """rig died, the next program holds an arm up, and its bus is silent: to put back would let the arm fall."""
+    """Rig died, the next program holds an arm up, and its bus is silent: to put back would let the arm fall."""
     bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
     bench.opened()
     bench.servo.put(bench.setup.model.roles["mode"], 3 if protocol == "dynamixel" else 0)  # of positions
