@@ -25,11 +25,10 @@ SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 # to collect the others would take longer than many of these tests
 MARKED = $$(grep -lrE 'mark\.($(1))' tests --include='test_*.py')
 
-# some wait for processes of theirs; what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
+# some wait for processes of theirs, and what runs in real time waits more than it computes: so there are more workers than cores; what measures how late something is runs alone, after the rest
 test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
 	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
-	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$((3 * $$(nproc) / 2)) $(SHARED)
-	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(call MARKED,realtime)
+	$(PYTEST) -m "not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED)
 	$(PYTEST) -m "alone and not evidence" $(call MARKED,alone)
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
