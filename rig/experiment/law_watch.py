@@ -102,7 +102,7 @@ class WatchedLaw(Timed):
     def exits(self, status: int) -> NoReturn:
         """In place of ``os._exit`` while the law is at work: the run ends with a fault, and its result.
 
-        Raises Stopped out of the law, or ends the law's thread that calls it.
+        Raises Stopped out of the law; SystemExit in a thread of the law's, which that ends.
         """
         self._exited = Fault("LAW_FAILED", f"{self.name}: it called os._exit({status}), which would leave no result")
         if is_of_own_law(sys._getframe()):

@@ -245,8 +245,8 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         (
             "t u y_deg\n" + ROWS.replace(",", " "),
             1,
-            "such as --time t:UNIT --drive u:UNIT --position y_deg:deg, with the column's own unit for UNIT: of time s, ms"
-            " or us, of drive V, mV, .* or percent$",
+            "such as --time t:UNIT --drive u:UNIT --position y_deg:deg, with the column's own unit for UNIT: of time s,"
+            " ms or us, of drive V, mV, .* or percent$",
         ),
         (
             "time_ms,voltage_mV,angle_deg\n" + ROWS,
