@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps real-records tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: setup bam evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps real-records tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -23,18 +23,17 @@ setup: .venv/.ready  ## all that tests, checks, documents and panel need, Debian
 PYTEST := OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
 SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 # to collect the others would take longer than many of these tests
-CLOCKED = $$(grep -lrE 'mark\.(realtime|alone)' tests --include='test_*.py')
+MARKED = $$(grep -lrE 'mark\.($(1))' tests --include='test_*.py')
 
-# some wait for processes of theirs; what runs in real time waits more than it computes; what measures how late something is runs alone, after the rest
+# some wait for processes of theirs, and what runs in real time waits more than it computes: so there are more workers than cores; what measures how late something is runs alone, after the rest
 test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
 	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
-	$(PYTEST) -m "not (realtime or alone or evidence)" -n $$((3 * $$(nproc) / 2)) $(SHARED)
-	$(PYTEST) -m "realtime and not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED) $(CLOCKED)
-	$(PYTEST) -m "alone and not evidence" $(CLOCKED)
+	$(PYTEST) -m "not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED)
+	$(PYTEST) -m "alone and not evidence" $(call MARKED,alone)
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
 	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)
-	$(PYTEST) -m "evidence and (realtime or alone)" $(CLOCKED)
+	$(PYTEST) -m "evidence and (realtime or alone)" $(call MARKED,realtime|alone)
 
 search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; $(PYTEST) \
@@ -95,6 +94,9 @@ compare: .venv/.ready  ## how often rig compare is wrong of simulated runs, and 
 
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
 	PYTHONPATH=tools .venv/bin/python -m emps
+
+bam: .venv/.ready  ## what rig identify says of servos with the friction that Rhoban/bam publishes; RIG_SHARED_DATA names the folder with bam
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m bam $(if $(SEED),--seed $(SEED))
 
 real-records: .venv/.ready  ## what rig identify says of records of real motors; RIG_SHARED_DATA names the folder with real, emps and cases
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m real_records real emps --page

@@ -10,6 +10,7 @@ import errno
 import os
 import stat
 from os import PathLike
+from pathlib import Path
 from typing import BinaryIO, Final
 
 _NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
@@ -83,6 +84,21 @@ def open_plain(
     return descriptor
 
 
+def open_folder(path: str | PathLike[str]) -> int | None:
+    """A descriptor of a folder that others may want to swap for a link; None where the system opens no folders.
+
+    Raises NotPlainError for a link, OSError where it cannot be opened.
+    """
+    if os.open not in os.supports_dir_fd:
+        return None
+    try:
+        return os.open(path, os.O_RDONLY | os.O_DIRECTORY | _NO_LINK | _ALWAYS)
+    except OSError as error:
+        if Path(path).is_symlink():
+            raise NotPlainError(path, *_LINK) from error
+        raise
+
+
 def read_plain(
     path: str | PathLike[str], most_bytes: int, *, follows_links: bool = False, takes_pipe: bool = False
 ) -> bytes:
@@ -102,7 +118,7 @@ def read_open(file: BinaryIO, path: str | PathLike[str], most_bytes: int) -> byt
     return content
 
 
-_LINK: Final = ("is a link, and rig follows none here", "put the file itself in its place, or delete the link")
+_LINK: Final = ("is a link, and rig follows none here", "put what it leads to in its place, or delete the link")
 
 
 def _require_plain(status: os.stat_result, path: str | PathLike[str]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import config
+from rig.backends.servo.models import ServoModel
 from rig.config import ConfigError, Experiment
 from rig.config.schema import LawSection
 from rig.control.laws import TUNED
@@ -18,8 +19,9 @@ from rig.control.state_feedback import Loop
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, RESULT, write_result
 from rig.recording.path_kind import require_run
-from rig.recording.reader import read_result, read_run
+from rig.recording.reader import read_meta, read_result, read_run
 from rig.recording.recording import Recording
+from rig.recording.servo_law import scale_of
 from rig.recording.stage import StageKind
 from rig.report import write_report
 from rig.results import HoldsResult, JsonObject, RunResult
@@ -30,6 +32,7 @@ from rig.tune.margins import Margins
 from rig.tune.prediction import Prediction, predict
 from rig.tune.program import Room, Trial, whole_trial
 from rig.tune.result import result_of
+from rig.tune.servo_loop import PositionMode, ServoLoop, servo_loop
 from rig.tune.trial import Record, Sensing
 from rig.tune.tuning import Tuned, TuneError, Wish, tune
 from rig.tune.uncertain import UncertainMotor
@@ -152,6 +155,35 @@ def tune_run(
         _require_inside(bench, prediction)
     holds = None if result.answer is None else result.answer.holds
     return TunedRun(folder, tuned, trial, prediction, latency_s, holds, bool(result.rehearsal))
+
+
+def servo_loop_of(folder: Path, model: ServoModel, least: Margins, p_scale: float | None = None) -> ServoLoop:
+    """The gains of a servo's own position loop for the motor of a run folder.
+
+    least     margins that every motor of its intervals keeps
+    p_scale   share of full duty that a gain of 1 makes of 1 rad, 1/rad; None: as manuals have it
+    Raises RecordingError where the folder has no result, or does not say its supply; TuneError as ``servo_loop``.
+    """
+    result, _ = read_result(folder)
+    if result is None:
+        require_run(folder)
+        raise RecordingError(folder / RESULT, "is missing", "`rig tune` reads the run folder of an identified motor")
+    meta, _ = read_meta(folder)
+    supply_V = None if meta is None or meta.drive is None else meta.drive.supply_V
+    if not supply_V:
+        raise RecordingError(folder, "does not say the supply: a duty is a share of it", "give a run of this servo")
+    return servo_loop(motor_of(result.answer), position_mode_of(model, p_scale), supply_V, least)
+
+
+def position_mode_of(model: ServoModel, p_scale: float | None = None) -> PositionMode:
+    """The position mode of a servo: what a step of P means by manuals, or as ``p_scale`` says, 1/rad."""
+    P = model["position_p_gain"]
+    known_P = {} if P.shipped is None else {"as shipped": P.shipped}
+    scale = scale_of(model.protocol, p_scale)
+    if model.protocol == "feetech":
+        known_P["LeRobot"] = 16
+    addresses = {register.name: register.address for register in model.registers.values()}
+    return PositionMode(model.name, addresses, scale, P.most if P.high is None else P.high, known_P)
 
 
 def _require_inside(bench: Experiment, prediction: Prediction) -> None:

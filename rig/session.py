@@ -152,7 +152,7 @@ def record(
                         fault = _run_script(script, session, on_start)
                     finally:
                         lost = _close(recorder)
-                        if fault is not None and lost is not None:
+                        if fault is not None and lost is not None and lost.detail not in fault.detail:
                             failures.append(f"{lost.code}: {lost.detail}")
                         fault = fault or lost
             except Exception as error:
@@ -187,9 +187,9 @@ def _begin(
     command = "rehearsal" if is_rehearsal(bench, experiment) else what.name
     folder = create_run(parent, f"{command}-{experiment.name}", started)
     no_flag = _set_up_flag(stop, folder)
-    write_config(folder, dump(experiment))
+    write_config(folder, dump(experiment), follows_links=False)
     meta = run_meta(experiment, bench, what, started)
-    write_meta(folder, meta)
+    write_meta(folder, meta, follows_links=False)
     guard = Guard(guard_settings_of(experiment))
     recorder = Recorder(folder, _stages(experiment), waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
@@ -230,8 +230,10 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         fault = seen
         if text := traceback_of(seen):
             session.note("traceback", text=text[-2000:])
-    except (IdentifyError, RecordingError) as error:
+    except IdentifyError as error:
         fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
+    except RecordingError as error:
+        fault = Fault("NOT_IDENTIFIED", str(error))
     except KeyboardInterrupt:  # a law has set Python's own handler
         fault = Fault("INTERRUPTED", "SIGINT")
     except BaseException as error:  # noqa: BLE001 - whatever it is, SystemExit too, the run has its record and a result
@@ -278,7 +280,7 @@ def _told_pace(session: Session) -> str:
         return ""
     session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
     with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
-        write_meta(session.folder, session.meta)
+        write_meta(session.folder, session.meta, follows_links=False)
     stood = "without a stall"
     if clock.stalls:
         times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
@@ -311,6 +313,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             outcome.failures.append(f"the recording was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
+        if session.folder.is_symlink():  # somebody has put it in the folder's place
+            raise OSError(f"{session.folder} is a link now, and rig follows none here")
         write_report(session.folder, session.found.identification, session.recording)
     except RecordingError as error:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
@@ -359,9 +363,10 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
         outcome.result = _least_result(session, outcome)
     try:
-        write_result(session.folder, outcome.result)
+        write_result(session.folder, outcome.result, follows_links=False)
     except RecordingError as error:
-        outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
+        words = f"{error.path.name} {error.cause}; {error.cure}"
+        outcome.failures += [] if words in outcome.failures else [words]  # it is written twice
 
 
 def _least_result(session: Session, outcome: Outcome) -> RunResult:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:  # it loads slowly, and whoever follows a run has no other use for it
     from pydantic import JsonValue
 
+    JsonObject = dict[str, JsonValue]
+
 MOST_LEVELS: Final = 40  # lists and objects within each other; a result has 7
 MOST_VALUES: Final = 50_000  # of one text; a result has some hundreds
 MOST_DIGITS: Final = 40  # characters of a whole number

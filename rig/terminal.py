@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.model.prediction import PredictedCycle
     from rig.replay import Replay
     from rig.session import Outcome
+    from rig.tune.servo_loop import ServoLoop
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 SHORT = ("tau", "K", "f_c")
@@ -236,6 +237,33 @@ def show_tuned(found: TunedResult) -> None:
     heads = ["measure", "predicted", "95 % interval", *(["bench", ""] if tried else [])]
     title = f"a step of {found.step:.3g} {found.curves['step'].unit}, and tracking, on {found.draws} motors"
     click.echo("\n".join(["", title, *plain_table(heads, rows)]))
+
+
+def show_servo_loop(found: ServoLoop) -> None:
+    """Show the gains of a servo's own loop: their margins, and what would be written."""
+    low, high, source = found.scale
+    of = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+    click.echo(
+        f"{found.model}, position mode, {found.supply_V:g} V: a P of 1 makes {of} of full duty of 1 rad ({source})"
+    )
+    rows = [
+        (
+            one.whose,
+            str(one.P),
+            f"{one.margins.phase_deg:.1f} degrees",
+            f"{one.margins.gain_dB:.1f} dB",
+            f"{one.held_rad:.3g} rad",
+        )
+        for one in found.rows
+    ]
+    heads = ("gains", "P", "phase margin", "gain margin", "friction may hold it off by")
+    click.echo("\n".join(plain_table(heads, rows)))
+    for setting in found.settings:
+        value = "as it is" if setting.value is None else setting.value
+        click.echo(f"{setting.address:>3} {setting.name}: {value} ({setting.words})")
+    click.echo(
+        "rig writes none of them. LeRobot writes P 16, I 0, D 32 to a Feetech at each connect: it would undo yours"
+    )
 
 
 def _or_never(value: float) -> str:

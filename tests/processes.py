@@ -41,7 +41,7 @@ from rig.cli import main
 from rig.identify import identification
 from rig.report import page
 
-identification._add_motor_law = identification._add_friction_law = lambda *_: None
+identification._add_motor_law = lambda *_: None
 page.drawn = lambda make: page.Figure(None, "not in this test")
 main()
 """

@@ -28,6 +28,8 @@ EACH = {
         "linearity_cos2_rad": 0.003,
     },
     "drift": {"drift": 0.1},
+    "load_friction": {"load_friction": 0.2, "load_outside": 0.6, "viscous_share": 0.15},
+    "source": {"source_per_V2": 0.02},
 }  # fmt: skip
 MIXED = {
     "a loaded arm on a worn gear": ("force_over_position", "friction_over_position", "backlash", "drift"),
@@ -36,6 +38,7 @@ MIXED = {
     "a stepper as a motor": ("cogging", "drag", "lag", "static"),
     "bristles in a gear": ("bristle", "stribeck", "backlash", "friction_over_position", "lag"),
     "bristles on cogs": ("bristle", "cogging", "viscous_by_direction", "drag", "drift"),
+    "an arm on a servo": ("load_friction", "source", "force_over_position"),
     "everything rigid": tuple(name for name in PARTS if name != "bristle"),
 }
 CASES = {name: (name,) for name in EACH} | MIXED

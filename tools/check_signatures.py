@@ -23,6 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     # click gives each option of a command as a parameter of its own
     "rig/cli/predict.py": {"predict"},
     "rig/cli/campaign.py": {"campaign"},
+    "rig/cli/export.py": {"export"},
     "rig/cli/flash.py": {"flash"},
     "rig/cli/init.py": {"init"},
     "rig/cli/jog.py": {"jog"},

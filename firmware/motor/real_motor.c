@@ -9,6 +9,7 @@ static const double LEAST_BEND_RAD = 1e-4;  /* bristles slide after at least thi
 static const double SLIDING = 1e-8;         /* share of the level that bristles which slide may still lack */
 static const double LEVEL_CHANGES = 60.0;   /* what a level that changes along the way costs, per change within a bend */
 static const double BALANCED = 1e-12;       /* of K times 1 V: bristles that pull less than this rest */
+static const double TURNED_V = 1e-7;        /* a torque beyond it on either side has turned within a step */
 static const double PRESSED_S = 1e-3;       /* a motor pressed against a stop looks this often whether it still is */
 enum { ROUNDS = 60 };                       /* of the search for an event, which needs about five */
 /* Where double has four bytes, as on an AVR, rounding is coarser: an event within its reach, and longer steps, will do. */
@@ -50,6 +51,23 @@ static bool falls(const real_motor *m)
     return m->stribeck_V != 0.0 && m->stribeck_rad_s > 0.0;
 }
 
+static bool transmits(const real_motor *m)
+{
+    return m->load_friction != 0.0 || m->source_per_V2 != 0.0;
+}
+
+/* The part of 1/K that is back-EMF, V; and the motor's torque, V, at the drive `w`, which a supply with a resistance lets
+ * the current lower: the bridge connects it for the share w of the time. */
+static double back_emf(const real_motor *m, double v)
+{
+    return (1.0 - m->viscous_share) * v / m->K_rad_s_V;
+}
+
+static double torque(const real_motor *m, double w, double v)
+{
+    return (w - back_emf(m, v)) / (1.0 + m->source_per_V2 * w * w);
+}
+
 static double staged(const real_motor *m, double u_V)
 {
     const double beyond = fabs(u_V) - m->dead_band_V;
@@ -86,6 +104,12 @@ static double force(const real_motor *m, double y)
     return total;
 }
 
+/* Torque that load friction sees, at the drive `w`. */
+static double transmitted(const real_motor *m, double w, double v, double y)
+{
+    return torque(m, w, v) + m->load_outside * force(m, y);
+}
+
 static double level(const real_motor *m, double speed, double y, double t_s)
 {
     double total = m->fc_V;
@@ -105,6 +129,17 @@ static double level_at_rest(const real_motor *m, double y, double t_s)
     return level(m, 0.0, y, t_s) + m->static_V;
 }
 
+/* Pull on a motor at rest under the drive `w`, and the friction that it must pass, without bristles. */
+static double pull_at_rest(const real_motor *m, double w, double y)
+{
+    return torque(m, w, 0.0) + m->bias_V - force(m, y);
+}
+
+static double load_at_rest(const real_motor *m, double w, double y)
+{
+    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, 0.0, y));
+}
+
 static double level_of_bristles(const real_motor *m, double speed, double y, double t_s)
 {
     return most(level(m, speed, y, t_s), LEAST_LEVEL_V);
@@ -120,7 +155,12 @@ static double target(const real_motor *m, double sign, const real_state *at, dou
     const double speed = sign * at->v;
     const double friction = m->bristle_V_rad > 0.0 ? at->f : sign * level(m, speed, at->y, t_s);
     const double viscous = speed * (m->viscous_by_direction_V_s_rad + m->drag_V_s2_rad2 * at->v);
-    return m->K_rad_s_V * (at->w + m->bias_V - force(m, at->y) - friction - viscous);
+    double drive = at->w;
+    if (transmits(m)) {
+        const double load = m->load_friction * fabs(transmitted(m, at->w, at->v, at->y));
+        drive = torque(m, at->w, at->v) + back_emf(m, at->v) - sign * load;
+    }
+    return m->K_rad_s_V * (drive + m->bias_V - force(m, at->y) - friction - viscous);
 }
 
 static double bending(const real_motor *m, double sign, const real_state *at, double t_s)
@@ -138,10 +178,11 @@ static double direction(const real_motor *m, const real_state *at, double staged
     if (at->v != 0.0) {
         return at->v > 0.0 ? 1.0 : -1.0;
     }
-    double pull = at->w + m->bias_V - force(m, at->y);
+    double pull = pull_at_rest(m, at->w, at->y);
+    const double load = load_at_rest(m, at->w, at->y);
     if (m->bristle_V_rad > 0.0) {
         pull -= at->f;
-        if (fabs(pull) <= BALANCED) {
+        if (fabs(pull) <= BALANCED + load) {
             pull = m->lag_s > 0.0 ? staged_V - at->w : 0.0;
             if (fabs(pull) <= BALANCED) {
                 return 0.0;
@@ -149,7 +190,7 @@ static double direction(const real_motor *m, const real_state *at, double staged
         }
         return pull > 0.0 ? 1.0 : -1.0;
     }
-    const double held = level_at_rest(m, at->y, t_s);
+    const double held = level_at_rest(m, at->y, t_s) + load;
     return pull > held ? 1.0 : pull < -held ? -1.0 : 0.0;
 }
 
@@ -289,7 +330,7 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (falls(m) || turns(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
+    if (falls(m) || turns(m) || transmits(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
         longest = least(longest, STEP_OF_TAU * tau);
     }
     return STRETCH * longest;
@@ -298,8 +339,9 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
 /* By how much the pull in the direction `sign` on a motor at rest is above its level `h` s after `t`. */
 static double margin(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h)
 {
-    const double pull = lagged(m, staged_V, at->w, h) + m->bias_V - force(m, at->y);
-    return sign * pull - level_at_rest(m, at->y, t + h);
+    const double w = lagged(m, staged_V, at->w, h);
+    const double held = level_at_rest(m, at->y, t + h) + load_at_rest(m, w, at->y); /* as in `direction`, to the last bit */
+    return sign * pull_at_rest(m, w, at->y) - held;
 }
 
 /* Motion in one direction, or rest.
@@ -354,6 +396,37 @@ static void rest(const real_motor *m, const real_state *at, double staged_V, dou
     s->end.w = lagged(m, staged_V, at->w, h);
 }
 
+/* Ends a step of `h` s, which load friction sees, where the torque turns; returns how long it then is. */
+static double until_torque_turns(const real_motor *m, double sign, const real_state *at, double staged_V, double t_s, double h, step *s)
+{
+    if (m->load_friction == 0.0) {
+        return h;
+    }
+    double low = 0.0;
+    double high = h;
+    double first = transmitted(m, at->w, at->v, at->y);
+    double last = transmitted(m, s->end.w, s->end.v, s->end.y);
+    if (fabs(first) <= TURNED_V || fabs(last) <= TURNED_V || (first > 0.0) == (last > 0.0)) {
+        return h;
+    }
+    for (int i = 0; i < ROUNDS && fabs(last) > TURNED_V; i++) { /* friction is continuous there: near it will do */
+        h = low + (high - low) * least(most(first / (first - last), 0.05), 0.95);
+        s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
+        const double now = transmitted(m, s->end.w, s->end.v, s->end.y);
+        if (fabs(now) <= TURNED_V) {
+            break;
+        }
+        if ((now > 0.0) == (first > 0.0)) {
+            low = h;
+            first = now;
+        } else {
+            high = h;
+            last = now;
+        }
+    }
+    return h;
+}
+
 /* The next step under the constant drive `staged_V` before its lag: at most `longest_s` long, to an event. */
 static void next_step(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
 {
@@ -367,6 +440,7 @@ static void next_step(const real_motor *m, const real_state *at, double staged_V
     s->released = 0.0;
     s->reverses = false;
     s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
+    h = until_torque_turns(m, sign, at, staged_V, t_s, h, s);
     s->duration_s = h;
     if (sign * s->end.v > 0.0) {
         return;
@@ -441,7 +515,7 @@ void real_start(const real_motor *m, real_state *at, double y)
     at->f = 0.0;
     if (m->bristle_V_rad > 0.0) {
         const double held = level_of_bristles(m, 0.0, y, m->start_s);
-        at->f = least(most(at->w + m->bias_V - force(m, y), -held), held);
+        at->f = least(most(pull_at_rest(m, at->w, y), -held), held);
     }
 }
 

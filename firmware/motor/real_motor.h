@@ -3,11 +3,16 @@
  *     tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),    dy/dt = v,    reading = S(x)
  *
  * w is the drive behind its stage, G a force over the position, F the friction, x the position behind the backlash, and
- * S the sensor's linearity. A part whose numbers are 0 is not there.
+ * S the sensor's linearity. A part whose numbers are 0 is not there. With load friction or a supply that has a resistance
+ * the torque takes the place of w:
+ *
+ *     p + (1 - r) v/K,    p = (w - (1 - r) v/K) / (1 + rho w^2),    F larger by L |p + l G|
+ *
+ * where the share r of 1/K is viscous friction, and the rest is back-EMF.
  *
  * Between two events an exponential Runge-Kutta method of fourth order (Cox and Matthews, J. Comput. Phys. 176, 2002)
  * takes v and p = y + tau v. It is exact where the right side is constant, as it is for a motor without parts. An event
- * is an edge of the drive, a reversal, or a shaft that breaks away from rest.
+ * is an edge of the drive, a reversal, a shaft that breaks away from rest, or a torque that load friction sees turn.
  */
 #ifndef RIG_REAL_MOTOR_H
 #define RIG_REAL_MOTOR_H
@@ -24,6 +29,7 @@ typedef struct {
     double backlash_rad;
     double linearity_sin1_rad, linearity_cos1_rad, linearity_sin2_rad, linearity_cos2_rad;
     double drift;
+    double load_friction, load_outside, viscous_share, source_per_V2;
     double centre_rad, half_travel_rad, start_s, duration_s;
 } real_motor;
 

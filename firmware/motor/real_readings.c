@@ -27,7 +27,11 @@ enum {
     ORDER = AT(cogging_per_rad),
     BACKLASH = AT(backlash_rad),
     LINEARITY = AT(linearity_sin1_rad),
-    DRIFT = AT(drift)
+    DRIFT = AT(drift),
+    LOAD = AT(load_friction),
+    OUTSIDE = AT(load_outside),
+    SHARE = AT(viscous_share),
+    SOURCE = AT(source_per_V2)
 };
 
 /* No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does. */
@@ -49,7 +53,7 @@ enum { STAGES = REAL_STAGE_ROWS - 3 };
  * by_stage         for each stage, of the target velocity and of the bristles' rate in turn, by column: what does not
  *                  come from the state
  * mean             of the cosine over the travel
- * position, cogging, stribeck   which of the derivatives cost a function of their own
+ * position, cogging, stribeck, transmits   which of the derivatives cost a function of their own
  */
 typedef struct {
     const int64_t *which;
@@ -58,12 +62,12 @@ typedef struct {
     double *v, *y, *f, *x;
     double *w, *given, *level, *stage[STAGES], *by_stage[STAGES];
     double mean;
-    bool position, cogging, stribeck;
+    bool position, cogging, stribeck, transmits;
 } slopes;
 
-/* Derivatives of a right side: of the target velocity by v and y, of the bristles' rate by v, y and f. */
+/* Derivatives of a right side: of the target velocity by v, y and w, of the bristles' rate by v, y and f. */
 typedef struct {
-    double av, ay, rv, ry, rf;
+    double av, ay, aw, rv, ry, rf;
 } by_state;
 
 static double mean_cosine(const real_motor *m)
@@ -110,9 +114,35 @@ static void level_slopes(const real_motor *m, const slopes *d, double speed, wav
 static const int OF_LEVEL[] = {FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT};
 enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
 
+static double side_of(const real_motor *m, const real_state *at)
+{
+    return transmitted(m, at->w, at->v, at->y) > 0.0 ? 1.0 : -1.0;
+}
+
+/* Adds to `a` and `by` what load friction and the supply's resistance change, where the torque has the sign `side`; returns
+ * the derivative by the force. */
+static double load_slopes(const real_motor *m, double sign, double side, const real_state *at, double *a, by_state *by)
+{
+    const double gain = m->K_rad_s_V;
+    const double w = at->w;
+    const double back = back_emf(m, at->v);
+    const double share = 1.0 / (1.0 + m->source_per_V2 * w * w);
+    const double seen = transmitted(m, w, at->v, at->y);
+    const double load = side * sign * m->load_friction;
+    const double passed = 1.0 - load; /* of a change of the torque */
+    by->aw = gain * passed * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * share);
+    by->av += (1.0 - m->viscous_share) * (1.0 - passed * share);
+    a[K] += back * (passed * share - 1.0);
+    a[LOAD] = -gain * sign * fabs(seen);
+    a[OUTSIDE] = -gain * load * force(m, at->y);
+    a[SHARE] = at->v * (passed * share - 1.0);
+    a[SOURCE] = -gain * passed * (w - back) * w * w * share * share;
+    return -gain * (1.0 + load * m->load_outside);
+}
+
 /* Fills two rows with the derivatives of the target velocity and of the bristles' rate at a stage, where the target
- * velocity is `aim`. */
-static by_state right_sides(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double aim, int stage)
+ * velocity is `aim`, and the torque has the sign `side`. */
+static by_state right_sides(const real_motor *m, const slopes *d, double sign, double side, const real_state *at, double t, double aim, int stage)
 {
     double *const a = d->stage[2 * stage];
     double *const r = d->stage[2 * stage + 1];
@@ -120,27 +150,31 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, c
     const double v = at->v;
     const double y = at->y;
     const double speed = sign * v;
-    by_state by = {0.0, 0.0, 0.0, 0.0, 0.0};
+    by_state by = {0.0, 0.0, gain, 0.0, 0.0, 0.0};
+    double by_force = -gain;
     a[K] = aim / gain;
     a[BIAS] = gain;
     a[VISCOUS] = -gain * speed;
     a[DRAG] = -gain * v * speed;
     by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
+    if (d->transmits) {
+        by_force = load_slopes(m, sign, side, at, a, &by);
+    }
     const wave here = wave_at(m, d, y);
     if (d->position) {
-        a[FORCE] = -gain * here.sine;
-        a[FORCE + 1] = -gain * (here.cosine - d->mean);
-        by.ay -= gain * (m->force_sin_V * here.cosine - m->force_cos_V * here.sine);
+        a[FORCE] = by_force * here.sine;
+        a[FORCE + 1] = by_force * (here.cosine - d->mean);
+        by.ay += by_force * (m->force_sin_V * here.cosine - m->force_cos_V * here.sine);
     }
     if (d->cogging) {
         const double q = m->cogging_per_rad * y;
         const double sine = sin(q);
         const double cosine = cos(q);
         const double slope = m->cogging_sin_V * cosine - m->cogging_cos_V * sine;
-        a[COGGING] = -gain * sine;
-        a[COGGING + 1] = -gain * cosine;
-        a[ORDER] = -gain * y * slope;
-        by.ay -= gain * m->cogging_per_rad * slope;
+        a[COGGING] = by_force * sine;
+        a[COGGING + 1] = by_force * cosine;
+        a[ORDER] = by_force * y * slope;
+        by.ay += by_force * m->cogging_per_rad * slope;
     }
     wave at_order = {0.0, 1.0};
     wave turn = {0.0, 1.0};
@@ -156,8 +190,8 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, c
             at_order = (wave){sin(order * y), cos(order * y)};
             turn = (wave){sin(apart * y), cos(apart * y)};
         }
-        a[REAL_WAVES + 2 * k] = -gain * at_order.sine;
-        a[REAL_WAVES + 2 * k + 1] = -gain * at_order.cosine;
+        a[REAL_WAVES + 2 * k] = by_force * at_order.sine;
+        a[REAL_WAVES + 2 * k + 1] = by_force * at_order.cosine;
     }
     double by_level[2];
     level_slopes(m, d, speed, here, t, r, by_level);
@@ -258,7 +292,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         return at;
     }
     const double top = level_of_bristles(m, fabs(v0), at.y, t);
-    const double pull = w + m->bias_V - force(m, at.y);
+    const double pull = pull_at_rest(m, w, at.y);
     if (bend == 0.0 && fabs(pull) > top) {
         bend = pull > 0.0 ? 1.0 : -1.0;
     }
@@ -267,7 +301,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         return at;
     }
     const double gain = m->K_rad_s_V;
-    const by_state by = right_sides(m, d, 1.0, &at, t, target(m, 1.0, &at, t), 0);
+    const by_state by = right_sides(m, d, 1.0, side_of(m, &at), &at, t, target(m, 1.0, &at, t), 0);
     for (int i = 0; i < d->width; i++) {
         d->level[i] = 0.0;
     }
@@ -280,7 +314,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
             d->f[i] = bend * (d->level[p] + by_v * d->v[i] + by_level[1] * d->y[i]);
         } else {
             const bool known = p == BIAS || p == FORCE || p == FORCE + 1 || (COGGING <= p && p <= ORDER) || p >= REAL_WAVES;
-            d->f[i] = by.ay * d->y[i] / gain + d->w[p] + (known ? d->stage[0][p] / gain : 0.0);
+            d->f[i] = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (known ? d->stage[0][p] / gain : 0.0);
         }
     }
     return at;
@@ -317,10 +351,11 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
     const real_state at2 = {s->v2, s->y2, s->f2, middle, 0.0};
     const real_state at3 = {s->v3, s->y3, s->f3, middle, 0.0};
     const real_state at4 = {s->v4, s->y4, s->f4, now->end.w, 0.0};
-    const by_state d1 = right_sides(m, d, now->sign, at, t, s->a1, 0);
-    const by_state d2 = right_sides(m, d, now->sign, &at2, t + 0.5 * h, s->a2, 1);
-    const by_state d3 = right_sides(m, d, now->sign, &at3, t + 0.5 * h, s->a3, 2);
-    const by_state d4 = right_sides(m, d, now->sign, &at4, t + h, s->a4, 3);
+    const double side = side_of(m, &at2); /* of the whole step, which ends where the torque turns */
+    const by_state d1 = right_sides(m, d, now->sign, side, at, t, s->a1, 0);
+    const by_state d2 = right_sides(m, d, now->sign, side, &at2, t + 0.5 * h, s->a2, 1);
+    const by_state d3 = right_sides(m, d, now->sign, side, &at3, t + 0.5 * h, s->a3, 2);
+    const by_state d4 = right_sides(m, d, now->sign, side, &at4, t + h, s->a4, 3);
     const int columns = d->columns;
     double *const restrict a1_of = d->by_stage[0];
     double *const restrict a2_of = d->by_stage[2];
@@ -331,11 +366,12 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
         const int64_t p = d->which[i];
         const double drive = d->given[p];
         const double from = d->w[p] - drive;
-        const double mid = gain * (drive + from * half + (p == LAG ? by_lag[0] : 0.0));
-        a1_of[i] = gain * d->w[p] + d->stage[0][p];
-        a2_of[i] = mid + d->stage[2][p];
-        a3_of[i] = mid + d->stage[4][p];
-        a4_of[i] = gain * (drive + from * keep + (p == LAG ? by_lag[1] : 0.0)) + d->stage[6][p];
+        const double mid = drive + from * half + (p == LAG ? by_lag[0] : 0.0);
+        const double far = drive + from * keep + (p == LAG ? by_lag[1] : 0.0);
+        a1_of[i] = d1.aw * d->w[p] + d->stage[0][p];
+        a2_of[i] = d2.aw * mid + d->stage[2][p];
+        a3_of[i] = d3.aw * mid + d->stage[4][p];
+        a4_of[i] = d4.aw * far + d->stage[6][p];
         for (int stage = 0; bristles && stage < STAGES / 2; stage++) {
             d->by_stage[2 * stage + 1][i] = d->stage[2 * stage + 1][p];
         }
@@ -436,14 +472,14 @@ static void release(const real_motor *m, const slopes *d, double sign, const rea
 {
     const double gain = m->K_rad_s_V;
     const double aim = target(m, sign, at, t);
-    double rate = m->lag_s > 0.0 ? (staged_V - at->w) / m->lag_s : 0.0;
+    const by_state by = right_sides(m, d, sign, side_of(m, at), at, t, aim, 0);
+    double rate = m->lag_s > 0.0 ? by.aw / gain * (staged_V - at->w) / m->lag_s : 0.0;
     rate -= sign * m->fc_V * m->drift / m->duration_s; /* of the pull beyond the level */
-    const by_state by = right_sides(m, d, sign, at, t, aim, 0);
     double *const a = d->stage[0];
     a[STATIC] = -gain * sign;
     for (int i = 0; i < d->columns; i++) {
         const int64_t p = d->which[i];
-        const double by_p = by.ay * d->y[i] / gain + d->w[p] + (p != K ? a[p] / gain : 0.0);
+        const double by_p = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (p != K ? a[p] / gain : 0.0);
         d->v[i] += aim / m->tau_s * by_p / rate;
     }
     a[STATIC] = 0.0;
@@ -456,7 +492,8 @@ static void kick(const real_motor *m, const slopes *d, const real_state *before,
     const double later = was - acceleration(m, at, drives_V[1], t);
     double slower = later; /* a short lag acts as a delay, except where it lets go of a motor at rest */
     if (was == 0.0 && at->v == 0.0 && later != 0.0 && m->bristle_V_rad <= 0.0) {
-        const double beyond = fabs(drives_V[1] + m->bias_V - force(m, at->y)) - level_at_rest(m, at->y, t);
+        const double beyond = fabs(pull_at_rest(m, drives_V[1], at->y)) - level_at_rest(m, at->y, t) -
+                              load_at_rest(m, drives_V[1], at->y);
         slower = later * log(fabs(drives_V[1] - drives_V[0]) / beyond);
         slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
     }
@@ -524,6 +561,7 @@ static slopes room_for(const real_motor *m, const real_columns *c)
     d.position = turns(m);
     d.cogging = cogs(m);
     d.stribeck = m->stribeck_V != 0.0;
+    d.transmits = transmits(m);
     return d;
 }
 

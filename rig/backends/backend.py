@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # these load slowly
     from rig.backends.links.usb_adapters import Adapter
     from rig.calibration import DriveMap
     from rig.model.bench import BenchParameters
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 OwnSection = TypeVar("OwnSection", bound=Section)
 
@@ -100,7 +100,7 @@ class Backend(ABC):
     # ------------------------------------------------------------------ what may be run
 
     def rules(self, d: DeviceSetup) -> Iterator[Problem]:
-        """The problems that keep this experiment from running on this device; none if it may run.
+        """The problems that keep an experiment from running on this device; none if it may run.
 
         If there is a ``section``, ``daq.options`` already fits it.
         """

@@ -14,7 +14,7 @@ from rig.backends.registry import backend_of
 from rig.calibrate.dialogue import Ask, Motion, Say, Skipped
 from rig.calibrate.draft import Draft
 from rig.calibrate.refusal import Refusal
-from rig.calibrate.save import read_text, require_writable, save
+from rig.calibrate.save import require_writable, save
 from rig.calibrate.steps import calibration
 from rig.config.edit import EditError
 from rig.config.load import load_with_places
@@ -88,9 +88,8 @@ def open_config(file: Path, pace: float | None = None) -> Opened:
     problems = [p for p in preflight(experiment).problems if p.key.startswith(_NEEDED_BEFORE)]
     if problems:
         raise ConfigError(map(document.located, problems))
-    text = read_text(file)
     require_device_file(experiment.daq.port)
-    return Opened(file, text, _with_its_board(Draft(experiment, document.data)))
+    return Opened(file, document.text, _with_its_board(Draft(experiment, document.data)))
 
 
 def _with_its_board(draft: Draft) -> Draft:

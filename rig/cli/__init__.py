@@ -22,7 +22,7 @@ from rig.package import VERSION
 _GROUPS = {
     "Try it, without hardware": ("config", "emulate", "predict"),
     "Measure a motor": ("run", "identify", "relay", "survey", "design", "track"),
-    "Use what was measured": ("report", "predict-run", "list", "compare", "tune", "export"),
+    "Use what was measured": ("report", "predict-run", "list", "compare", "tune", "newton-metres", "export"),
     "A bench of your own": (
         "init", "servo", "rehearse", "flash", "doctor", "calibrate", "home", "jog", "check", "panel", "schema",
     ),

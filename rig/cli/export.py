@@ -17,12 +17,17 @@ from rig.recording.errors import RecordingError
 @click.option(
     "--to", "to", required=True, metavar="FILE|TOOL",
     help="A file, whose suffix names the format: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or "
-    ".json. Or a tool that gets the model: control, matlab, mujoco, wpilib or c.",
+    ".json. Or a tool that gets the model: control, matlab, mujoco, wpilib, c or bam.",
 )  # fmt: skip
 @click.option(
     "--into", type=click.Path(path_type=Path), metavar="FOLDER", default=None,
     help="For a tool: the folder that gets its files. Default: the working folder.",
 )  # fmt: skip
+@click.option(
+    "--N-m-per-V", "torque_N_m_V", type=click.FloatRange(min=0.0, min_open=True),
+    help="For mujoco and bam: the torque of a volt, as `rig newton-metres` tells it. Then torques are in N m.",
+)  # fmt: skip
+@click.option("--R-ohm", "R_ohm", type=click.FloatRange(min=0.0, min_open=True), help="For bam: of the winding.")
 @click.option("--stage", default=None, help="Only the rows of this stage, such as relay-1. Default: all.")
 @ROWS
 @click.option("--force", is_flag=True, help="Replace files that are there already.")
@@ -31,6 +36,8 @@ def export(
     run_folder: Path,
     to: str,
     into: Path | None,
+    torque_N_m_V: float | None,
+    R_ohm: float | None,
     stage: str | None,
     rows: tuple[int | None, int | None] | None,
     force: bool,
@@ -47,7 +54,9 @@ def export(
     if to in TOOLS:
         if stage is not None or rows is not None:
             fail(EXIT_BAD_INPUT, f"--to {to} takes the model of the whole run", "leave out --stage and --rows")
-        _model(run_folder, to, into or Path(), force, as_json)
+        _model(run_folder, to, into or Path(), (torque_N_m_V, R_ohm), force, as_json)
+    elif torque_N_m_V is not None or R_ohm is not None:
+        fail(EXIT_BAD_INPUT, f"--N-m-per-V and --R-ohm are for a tool, and {to!r} is none", "leave them out")
     elif into is not None:
         fail(EXIT_BAD_INPUT, f"--into is for a tool, and {to!r} is none", f"--to one of {', '.join(TOOLS)}")
     elif not Path(to).suffix:
@@ -83,14 +92,19 @@ def _whole_run(
     click.echo(f"{file}: {number} rows")
 
 
-def _model(run_folder: Path, tool: str, into: Path, force: bool, as_json: bool) -> None:
-    """Write the model for a tool."""
-    from rig.export import export_model
+def _model(
+    run_folder: Path, tool: str, into: Path, stated: tuple[float | None, float | None], force: bool, as_json: bool
+) -> None:
+    """Write the model for a tool; ``stated``: torque of a volt, N m, and resistance of the winding, ohm."""
+    from rig.export import ExportError, export_model
 
     try:
-        written = export_model(run_folder, tool, into, overwrite=force)
+        torque_N_m_V, R_ohm = stated
+        written = export_model(run_folder, tool, into, overwrite=force, torque_N_m_V=torque_N_m_V, R_ohm=R_ohm)
     except RecordingError as error:
         fail_input(error)
+    except ExportError as error:
+        fail(EXIT_BAD_INPUT, error.cause, error.cure)
     files = [str(file) for file in written.files]
     if as_json:
         told = {key: written.motor.as_json()[key] for key in ("laws", "lacks")}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -45,6 +46,13 @@ Wanted = tuple[Path | None, tuple[str, ...]]
 )
 @ROWS
 @click.option(
+    "--slew",
+    "slew_V_s",
+    metavar="V/S",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="By which the device of a log ramps its drive; an XL330 as shipped: 277. Default: at once.",
+)
+@click.option(
     "--picture",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.png",
@@ -65,6 +73,7 @@ def identify(
     methods: Sequence[str],
     without: Sequence[str],
     rows: tuple[int | None, int | None] | None,
+    slew_V_s: float | None,
     picture: Path | None,
     report: Path | None,
     force: bool,
@@ -97,10 +106,13 @@ def identify(
                 fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
             if rows is not None:
                 recordings = [recording.only_rows(*rows) for recording in recordings]
+            if slew_V_s is not None:
+                _require_commanded(recordings)
+                recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
             found = identify_recordings(recordings, tuple(methods) or None, without=without)
         records = [str(recording.source) for recording in recordings]
         undrawn = "" if picture is None else _draw(found, picture)
-        if len(paths) == 1 and not methods and not without and rows is None:
+        if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
             _keep(paths[0], recordings[0], found)
         if report is not None:
             from rig.report.identified import write_identified
@@ -146,6 +158,16 @@ def _require_new(picture: Wanted, report: Wanted, force: bool) -> None:
             fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
         if path.exists() and not force:
             fail(EXIT_BAD_INPUT, f"{path} is there already", "give another name, or --force")
+
+
+def _require_commanded(recordings: Sequence[Recording]) -> None:
+    """Refuse --slew for a recording whose drives are as they acted."""
+    for recording in recordings:
+        if recording.config_text is not None or recording.p_scale is not None:
+            what = "a run says when its drives acted" if recording.p_scale is None else "a servo's law has its ramp"
+            fail(
+                EXIT_BAD_INPUT, f"--slew is given, and {recording.source} has the ramp already: {what}", "leave it out"
+            )
 
 
 def _keep(path: Path, recording: Recording, found: Identification) -> None:

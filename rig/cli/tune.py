@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
@@ -54,6 +55,15 @@ if TYPE_CHECKING:
 @click.option("--try", "config_path", type=click.Path(path_type=Path), metavar="CONFIG",
     help="Then drive the step and the tracking on the bench of this config, and show them beside the prediction.",
 )  # fmt: skip
+@click.option(
+    "--servo", metavar="MODEL",
+    help="Instead: the gains of this servo's own position loop, duty = gain x error. It writes none of them.",
+)  # fmt: skip
+@click.option(
+    "--p-scale", type=click.FloatRange(min=0.0, min_open=True), metavar="1/RAD",
+    help="For --servo: the share of full duty that a gain of 1 makes of 1 rad, as `rig servo facts` measures it. "
+    "Default: all that manuals and BAM say.",
+)  # fmt: skip
 @OUT
 @PACE
 @JSON
@@ -67,6 +77,8 @@ def tune(
     draws: int,
     file: Path | None,
     config_path: Path | None,
+    servo: str | None,
+    p_scale: float | None,
     out: Path,
     pace: float | None,
     as_json: bool,
@@ -77,6 +89,11 @@ def tune(
     every motor that the run does not exclude. The step and the tracking are simulated on motors drawn from its
     intervals, with the delay, the sensor's noise and its steps. RUN must hold its config.
     """
+    if servo is not None:
+        _of_servo(run_folder, servo, p_scale, (phase_deg, gain_dB), as_json)
+        return
+    if p_scale is not None:
+        fail(EXIT_BAD_INPUT, "--p-scale is for the loop of a servo", "add --servo MODEL")
     bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.terminal import patience, progress, show_tuned
 
@@ -129,6 +146,39 @@ def tune(
             click.echo(f"picture: {file}")
     if failure:
         sys.exit(EXIT_FAILED)
+
+
+_ONLY_OF_RIGS_LOOP = ("loop", "bandwidth_1_s", "step", "draws", "file", "config_path")
+
+
+def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[float, float], as_json: bool) -> None:
+    """The gains of a servo's own loop; ``least``: its margins, degrees and dB."""
+    context = click.get_current_context()
+    for name in _ONLY_OF_RIGS_LOOP:
+        if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
+            option = next(one.opts[0] for one in context.command.params if one.name == name)
+            fail(
+                EXIT_BAD_INPUT, f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out"
+            )
+    from rig.backends.servo.models import MODELS
+    from rig.run_tuning import servo_loop_of
+    from rig.terminal import show_servo_loop
+    from rig.tune.margins import Margins
+    from rig.tune.tuning import TuneError
+
+    if model not in MODELS:
+        fail(EXIT_BAD_INPUT, f"{model} is no servo that rig knows", f"give one of {', '.join(MODELS)}")
+    phase_deg, gain_dB = least
+    try:
+        found = servo_loop_of(run_folder, MODELS[model], Margins(gain_dB, phase_deg, 0.0), p_scale)
+    except RecordingError as error:
+        fail_input(error)
+    except TuneError as error:
+        fail(EXIT_FAILED, error.cause, error.cure)
+    if as_json:
+        click.echo(json_text({"ok": True, "run": run_folder.resolve().name, **found.as_json()}), nl=False)
+    else:
+        show_servo_loop(found)
 
 
 def _tried(experiment: Experiment, out: Path, as_json: bool) -> Outcome:

@@ -18,7 +18,7 @@ from rig.config.yaml12 import compose, parse
 from rig.errors import RigError
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 Value = bool | int | float | str | Sequence["Value"] | Mapping[str, "Value"]
 

@@ -18,7 +18,7 @@ from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
 from rig.plain_file import UnfitError, read_plain
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 Given = str | PathLike[str] | Mapping[str, Any] | Document  # a file, its keys with their values, or what was read of it
 IN_PYTHON = "config"  # what a config is called that is in no file
@@ -102,7 +102,7 @@ def read(path: Given, *, follows_links: bool = True, takes_pipe: bool = False) -
         problem = Problem((), f"not UTF-8: byte 0x{raw[error.start]:02X}", "save the file as UTF-8")
         raise ConfigError([problem.at(file, line, column)]) from error
     document = parse(text, file)
-    document.digest = hashlib.sha256(raw).hexdigest()
+    document.digest, document.text = hashlib.sha256(raw).hexdigest(), raw.decode()
     return document
 
 

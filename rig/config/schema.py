@@ -684,6 +684,16 @@ class EmulatedParts(_Section):
     drift: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(
         0.0, description="relative change of friction over drift_over_s, with the given friction in its middle"
     )
+    load_friction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        0.0, description="friction beside, as a share of the torque that the motor gives"
+    )
+    load_outside: NonNegative = Field(0.0, description="and of this share of the force over position")
+    viscous_share: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        0.0, description="share of 1/K that is viscous friction; the rest is back-EMF"
+    )
+    source_per_V2: NonNegative = Field(
+        0.0, description="the supply's resistance over the winding's, over the square of the supply's voltage"
+    )
     drift_over_s: Positive = Field(60.0, description="time from arming that `drift` refers to")
     centre_rad: float = Field(0.0, description="middle of the travel that the parts over position refer to")
     half_travel_rad: Positive = Field(1.0, description="half the width of that travel")

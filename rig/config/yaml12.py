@@ -19,7 +19,7 @@ from rig.config.problems import ConfigError, Path, Problem, printable
 if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
 
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 MOST_BYTES = 2**20  # of a config; ours have some thousands
 _DEEPEST = 20  # sections within sections; the schema needs 5
@@ -96,11 +96,13 @@ class Document:
 
     A place is (line, column), from 1.
     digest  SHA-256 of the file's bytes; "" of what is no file
+    text    of the file, with its own line breaks and its byte order mark
     """
 
     file: str
     data: JsonObject = field(default_factory=dict)
     digest: str = ""
+    text: str = ""
     _keys: dict[Path, tuple[int, int]] = field(default_factory=dict)
     _values: dict[Path, tuple[int, int]] = field(default_factory=dict)
 

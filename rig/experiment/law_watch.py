@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, chdir, contextmanager
 from types import FrameType
-from typing import IO, Final
+from typing import IO, Final, NoReturn
 
 from rig.backends.clock import MonotonicClock
 from rig.config import Experiment
@@ -35,6 +35,7 @@ from rig.signals import Sample
 
 _STARTS_S: Final = 30.0
 _CLOSES_S: Final = 5.0
+_WAKES_S: Final = 0.1  # a keeper that was stopped together with the loop may go on so much later
 _VIRTUAL_LEASE_S: Final = 2.0
 _LEAST_CPU_S: Final = 0.002  # page faults and interrupts have cost a good law up to 0.7 ms in one step
 _LOOK_EVERY_STEPS: Final = 50
@@ -72,6 +73,7 @@ class WatchedLaw(Timed):
         self._check_stop = check_stop
         self._lease = LawLease(-1)
         self._steps = 0
+        self._exited: Fault | None = None
         self._began_cpu_ns = 0
         self._pid = os.getpid()
 
@@ -87,13 +89,25 @@ class WatchedLaw(Timed):
             if os.getpid() != self._pid:
                 os._exit(1)  # a copy of this process that the law has forked: the bench is not its own
             if not lease.end() and keeper is not None:
-                keeper.await_verdict()
+                self._heed(keeper.await_verdict())
+        if self._exited is not None:
+            raise self._exited
         if self._cpu_s() > self._times.cpu_s:
             raise self._too_long("one step took")
         self._steps += 1
-        if keeper is not None and not self.trouble and self._steps % _LOOK_EVERY_STEPS == 0 and keeper.has_ended:
-            self.unwatched(f"the keeper ended with status {keeper.status}")
+        if keeper is not None and self._steps % _LOOK_EVERY_STEPS == 0:
+            self._heed(keeper.amiss())
         return u_V
+
+    def exits(self, status: int) -> NoReturn:
+        """In place of ``os._exit`` while the law is at work: the run ends with a fault, and its result.
+
+        Raises Stopped out of the law; SystemExit in a thread of the law's, which that ends.
+        """
+        self._exited = Fault("LAW_FAILED", f"{self.name}: it called os._exit({status}), which would leave no result")
+        if is_of_own_law(sys._getframe()):
+            raise Stopped(self._exited)
+        raise SystemExit(status)
 
     def unwatched(self, why: str) -> None:
         """Nobody watches the law. Raises Fault LAW_UNWATCHED where a motor could move; else it is a note."""
@@ -110,6 +124,10 @@ class WatchedLaw(Timed):
         except Fault as asked:
             raise Stopped(asked) from None
         raise Stopped(self._too_long("its step was ended: it had taken"))
+
+    def _heed(self, amiss: str) -> None:
+        if amiss and not self.trouble:
+            self.unwatched(amiss)
 
     def _cpu_s(self) -> float:
         return 1e-9 * (time.thread_time_ns() - self._began_cpu_ns)
@@ -164,6 +182,7 @@ class Keeper:
             except OSError:
                 self.let_go()
                 raise
+        self._verdict_s, self._stopped_s = times.still_s, math.inf
         for pipe in self._pipes:
             keep_from_copies(pipe.fileno())
         try:
@@ -178,25 +197,40 @@ class Keeper:
     def _pipes(self) -> list[IO[bytes]]:
         return [pipe for pipe in (self._process.stdin, self._process.stdout) if pipe is not None and not pipe.closed]
 
-    @property
-    def has_ended(self) -> bool:
-        """Whether the process is gone, though nobody ended it."""
-        return self._process.poll() is not None
-
-    @property
-    def status(self) -> int | None:
-        """Its exit status."""
-        return self._process.returncode
+    def amiss(self) -> str:
+        """Why it watches no more: it is gone, though nobody ended it, or somebody has stopped it. Empty: it watches."""
+        if (status := self._process.poll()) is not None:
+            return f"the keeper ended with status {status}"
+        if not self._is_stopped:
+            self._stopped_s = math.inf
+            return ""
+        now_s = time.monotonic()
+        self._stopped_s = min(self._stopped_s, now_s)
+        return "somebody has stopped the keeper, as by SIGSTOP" if now_s - self._stopped_s > _WAKES_S else ""
 
     @property
     def signals(self) -> int:
         """Descriptor to which the system is to write each signal (``signal.set_wakeup_fd``)."""
         return self._signals
 
-    def await_verdict(self) -> None:
-        """Wait while the link is the keeper's: it gives it back at once, or ends this process."""
-        while self.lease.is_taken and not self.has_ended:
+    @property
+    def _is_stopped(self) -> bool:
+        return os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
+
+    def await_verdict(self) -> str:
+        """Wait while the link is the keeper's: it gives it back at once (empty), or ends this process.
+
+        If it does neither, it is ended, so that it never speaks again, and the link is the loop's. Returns why.
+        """
+        until_s, why = time.monotonic() + self._verdict_s, ""
+        while self.lease.is_taken and not why:
+            why = self.amiss() or ("the keeper had the link for too long" if time.monotonic() > until_s else "")
             time.sleep(0.001)
+        if why:
+            self._process.kill()
+            self._process.wait()
+            self.lease.give_back()
+        return why
 
     def close(self) -> None:
         """End the process in order."""
@@ -205,6 +239,8 @@ class Keeper:
         for pipe in self._pipes:
             no_longer_own(pipe.fileno())
             pipe.close()
+        if self._process.poll() is None and self._is_stopped:
+            self._process.kill()
         try:
             self._process.wait(_CLOSES_S)
         except subprocess.TimeoutExpired:
@@ -251,11 +287,27 @@ def watched(session: Session, law: Timed) -> Iterator[WatchedLaw]:
                 stack.enter_context(session.loop.kept(keeper.lease))
         else:
             one.trouble = f"{_NOBODY}: {sys.platform} has not been tried"
+        stack.enter_context(_never_exits(one))
         try:
             yield one
         finally:
             if one.trouble:
                 session.found.notes.append(one.trouble)
+
+
+@contextmanager
+def _never_exits(law: WatchedLaw) -> Iterator[None]:
+    """Within the block ``os._exit`` does not end this process; a copy of it, as of a pool of processes, it does."""
+    ends, own = os._exit, os.getpid()
+
+    def exits(status: int) -> NoReturn:
+        (law.exits if os.getpid() == own else ends)(status)
+
+    os._exit = exits
+    try:
+        yield
+    finally:
+        os._exit = ends
 
 
 @contextmanager

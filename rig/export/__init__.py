@@ -1,6 +1,17 @@
 """Export: a run as one file that other programs open, and its motor as a model that other tools load."""
 
+from rig.export.tool import ExportError
 from rig.export.tools import TOOLS, ExportedModel, export_model
 from rig.export.whole_run import FORMATS, ExportedRun, export, load, matlab_names
 
-__all__ = ["FORMATS", "TOOLS", "ExportedModel", "ExportedRun", "export", "export_model", "load", "matlab_names"]
+__all__ = [
+    "FORMATS",
+    "TOOLS",
+    "ExportError",
+    "ExportedModel",
+    "ExportedRun",
+    "export",
+    "export_model",
+    "load",
+    "matlab_names",
+]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pprint
 
 from rig.export.motor import NUMBERS, IdentifiedMotor
-from rig.export.tool import NO_DRIFT, Tool, rendered
+from rig.export.tool import IN_NONE, Tool, rendered
 from rig.export.whole_run import ExportedRun
 
 SMOOTH_RAD_S = 1e-3  # friction of the continuous system turns over so small a velocity
@@ -23,4 +23,4 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
     return {"motor_control.py": text}
 
 
-CONTROL = Tool("python-control", files, NO_DRIFT)
+CONTROL = Tool("python-control", files, IN_NONE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rig.export.motor import IdentifiedMotor
-from rig.export.tool import NO_DRIFT, Tool, constant
+from rig.export.tool import IN_NONE, Tool, constant
 from rig.export.whole_run import ExportedRun, as_mat
 from rig.results import JsonObject
 
@@ -16,4 +16,4 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
     return {"motor.mat": as_mat(run, model), _SIMULATION: constant(_SIMULATION)}
 
 
-MATLAB = Tool("MATLAB and Octave", files, NO_DRIFT)
+MATLAB = Tool("MATLAB and Octave", files, IN_NONE)

@@ -48,6 +48,10 @@ NUMBERS: Final[dict[str, tuple[str, str]]] = {
     "linearity_sin2_rad": ("rad", "the sensor's curvature"),
     "linearity_cos2_rad": ("rad", "the sensor's curvature"),
     "drift": ("1", "relative change of Coulomb friction from the start of the tests to their end"),
+    "load_friction": ("1", "L: friction L |p + l G| beside Coulomb friction, of torque p and force over position G"),
+    "load_outside": ("1", "l"),
+    "viscous_share": ("1", "r: share of 1/K that is viscous friction"),
+    "source_per_V2": ("1/V2", "rho: torque p = (w - (1 - r) v/K) / (1 + rho w^2)"),
     "centre_rad": ("rad", "middle of the driven travel, to which terms over position refer"),
     "half_travel_rad": ("rad", "half its width"),
 }
@@ -169,6 +173,7 @@ class IdentifiedMotor:
     delay_s   from a sample to the effect of its drive, s, >= 0
     correlation   of the estimates of tau and K, -1 to 1; None: not known
     lacks     laws that the tool cannot express, each with what follows; an exporter sets it
+    torque_N_m_V, R_ohm   of a volt and of the winding, as the user states them; None: not stated
     """
 
     framed: FramedMotor
@@ -178,6 +183,8 @@ class IdentifiedMotor:
     provenance: Provenance
     correlation: float | None
     lacks: Mapping[str, str]
+    torque_N_m_V: float | None = None
+    R_ohm: float | None = None
 
     def lacking(self, parts: Mapping[str, str]) -> IdentifiedMotor:
         """The same for a tool that cannot express ``parts`` (name: what follows), as far as the motor has them."""

@@ -1,7 +1,7 @@
 """MuJoCo: the shaft as a hinge with its actuator, and a Python file for the laws that MJCF has no words for.
 
-Torques are in volts of drive: one volt at the motor is one N m of the model. A user who knows the torque of a volt
-multiplies armature, damping, frictionloss, gear, biasprm and mass by it.
+Without the torque of a volt, torques are in volts of drive: one volt at the motor is one N m of the model. With it they
+are in N m, and the actuator gives no more than the supply can.
 """
 
 from __future__ import annotations
@@ -29,12 +29,14 @@ BY_HAND = (
 def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
     """``motor.xml``, and ``motor_mujoco.py``, which steps it with every law."""
     m, frame = motor.framed.motor, motor.framed.frame
-    inertia = m.tau_s / m.K_rad_s_V
-    pull_V = math.hypot(m.force_sin_V, m.force_cos_V)
+    a = motor.torque_N_m_V or 1.0
+    inertia = a * m.tau_s / m.K_rad_s_V
+    pull = a * math.hypot(m.force_sin_V, m.force_cos_V)
     # s sin q + c cos q = pull sin(y - hanging): the load hangs at rest where y = hanging
     hanging_rad = frame.centre_rad - math.atan2(m.force_cos_V, m.force_sin_V)
-    lever_m = LEVER_SHARE * inertia * GRAVITY_M_S2 / pull_V if pull_V > 0.0 else 0.01
-    mass_kg = pull_V / (GRAVITY_M_S2 * lever_m) if pull_V > 0.0 else 1e-9
+    lever_m = LEVER_SHARE * inertia * GRAVITY_M_S2 / pull if pull > 0.0 else 0.01
+    mass_kg = pull / (GRAVITY_M_S2 * lever_m) if pull > 0.0 else 1e-9
+    bias_V = m.bias_V + m.force_cos_V * mean_cosine(frame)
     by_hand = [part for part in BY_HAND if part in motor.framed.parts]
     alone = [f"motor_mujoco.py adds {part}: this file alone has it not" for part in by_hand]
     text = rendered(
@@ -46,14 +48,17 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         armature=inertia - mass_kg * lever_m**2 - SHAFT_SHARE * inertia,
         own=SHAFT_SHARE * inertia,
         # MuJoCo before 3.5 takes one number
-        damping=f"{1.0 / m.K_rad_s_V!r}" + (f" {m.drag_V_s2_rad2!r}" if m.drag_V_s2_rad2 else ""),
-        frictionloss=m.fc_V,
+        damping=f"{a / m.K_rad_s_V!r}" + (f" {a * m.drag_V_s2_rad2!r}" if m.drag_V_s2_rad2 else ""),
+        frictionloss=a * m.fc_V,
         solref=f"{2.0 * STEP_S!r} 1",
         mass=mass_kg,
         lever=lever_m,
         hanging=-hanging_rad,
         lag=m.lag_s,
-        bias=m.bias_V + m.force_cos_V * mean_cosine(frame),
+        torque=motor.torque_N_m_V,
+        gain=a,
+        bias=a * bias_V,
+        most=_most_N_m(motor, run, bias_V),
         by_hand=by_hand,
         about=[(name, quoteattr(value)) for name, value in _about(motor, alone).items()],
     )
@@ -61,9 +66,18 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         "motor_mujoco.py.j2",
         head="\n".join(motor.head()).replace("\\", "/").replace('"""', "'''"),
         model=pprint.pformat(motor.as_json(), width=116, sort_dicts=False),
+        torque=a,
         names=pprint.pformat(tuple(NUMBERS), width=100, compact=True),
     )
     return {"motor.xml": text, "motor_mujoco.py": code}
+
+
+def _most_N_m(motor: IdentifiedMotor, run: ExportedRun, bias_V: float) -> float | None:
+    """The torque that the full supply gives at standstill, N m; None: not known."""
+    supply = run.recording.meta.drive
+    if motor.torque_N_m_V is None or supply is None or not supply.supply_V:
+        return None
+    return motor.torque_N_m_V * (supply.supply_V - (supply.bridge_drop_V or 0.0) + abs(bias_V))
 
 
 def _in_comment(text: str) -> str:
@@ -83,4 +97,4 @@ def _about(motor: IdentifiedMotor, alone: list[str]) -> dict[str, str]:
     }
 
 
-MUJOCO = Tool("MuJoCo", files, NOT_RIGID)
+MUJOCO = Tool("MuJoCo", files, NOT_RIGID, in_N_m=True)

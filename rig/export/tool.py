@@ -8,17 +8,23 @@ from typing import Final
 
 import jinja2
 
+from rig.errors import RigError
 from rig.export.motor import IdentifiedMotor
 from rig.export.whole_run import ExportedRun
 from rig.package import FOLDER
 
-# A model has no first day: what drifts from the start of the tests to their end.
-NO_DRIFT: Final = {"drift": "friction stays at its mean over the tests"}
+# A model has no first day: what drifts from the start of the tests to their end. And no torque that is another than its
+# drive.
+IN_NONE: Final = {
+    "drift": "friction stays at its mean over the tests",
+    "load_friction": "friction is that at no torque: a large drive moves the model farther than the motor",
+    "source": "the supply has no resistance: tau is that of small drives",
+}
 # And what has no state in a model of velocity and position, and no inverse.
 NOT_RIGID: Final = {
     "bristle": "the shaft is rigid where friction holds it: it does not bend",
     "backlash": "the sensor follows the motor without play",
-    **NO_DRIFT,
+    **IN_NONE,
 }
 
 
@@ -29,11 +35,21 @@ class Tool:
     title   for people
     files   of a motor and its run: content by name of file
     lacks   parts of a motor that its files cannot express, each with what follows
+    in_N_m  whether its files can be in newton metres
     """
 
     title: str
     files: Callable[[IdentifiedMotor, ExportedRun], dict[str, bytes]]
     lacks: Mapping[str, str]
+    in_N_m: bool = False
+
+
+class ExportError(RigError):
+    """A motor that a tool has no words for: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(f"{cause}\n{cure}")
 
 
 def rendered(template: str, **values: object) -> bytes:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from rig.export.bam import BAM
 from rig.export.c import C
 from rig.export.control import CONTROL
 from rig.export.matlab import MATLAB
 from rig.export.motor import IdentifiedMotor, identified_motor
 from rig.export.mujoco import MUJOCO
-from rig.export.tool import Tool
+from rig.export.tool import ExportError, Tool
 from rig.export.whole_run import load
 from rig.export.wpilib import WPILIB
 from rig.recording.errors import RecordingError
@@ -25,6 +26,7 @@ TOOLS: Final[dict[str, Tool]] = {
     "mujoco": MUJOCO,
     "wpilib": WPILIB,
     "c": C,
+    "bam": BAM,
 }
 
 
@@ -41,16 +43,30 @@ class ExportedModel:
     notes: tuple[str, ...]
 
 
-def export_model(run_folder: Path, tool: str, into: Path, *, overwrite: bool = False) -> ExportedModel:
+def export_model(
+    run_folder: Path,
+    tool: str,
+    into: Path,
+    *,
+    overwrite: bool = False,
+    torque_N_m_V: float | None = None,
+    R_ohm: float | None = None,
+) -> ExportedModel:
     """Write the model of a run for ``tool``, one of ``TOOLS``, as files in the folder ``into``, which it makes.
 
-    overwrite  replace files that are there already
+    overwrite     replace files that are there already
+    torque_N_m_V  of a volt, > 0: then the files are in N m; None: not known
+    R_ohm         of the winding, > 0, for BAM; None: not known
+    Raises ExportError for newton metres where the tool has none, and where it has no such motor.
     Raises RecordingError if there is no run, no model in it that was not refused, or a file of a name that is to be
     written or in place of the folder; CannotWriteError if a file cannot be written.
     """
     run = load(run_folder)
     chosen = TOOLS[tool]
-    motor = identified_motor(run_folder, run).lacking(chosen.lacks)
+    if torque_N_m_V is not None and not chosen.in_N_m:
+        able = ", ".join(name for name, one in TOOLS.items() if one.in_N_m)
+        raise ExportError(f"{chosen.title} gets a motor in volts", f"leave out --N-m-per-V: it is for {able}")
+    motor = replace(identified_motor(run_folder, run).lacking(chosen.lacks), torque_N_m_V=torque_N_m_V, R_ohm=R_ohm)
     contents = chosen.files(motor, run)
     paths = [into / name for name in contents]
     _make_ready(into, paths, overwrite=overwrite)

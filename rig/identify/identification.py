@@ -14,6 +14,8 @@ from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.departures.blocks import HeldOut
+from rig.identify.departures.drift import LevelEach
+from rig.identify.drive_scale import in_unsure_volts, widest
 from rig.identify.estimate import VERDICTS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_map import FrictionMap, friction_map
@@ -38,6 +40,7 @@ from rig.recording.curves import Curves
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import LATENCY_S, TimeSeries
+from rig.recording.servo_law import Scale
 from rig.recording.stage import StageKind, kind_of
 from rig.results import (
     Answer,
@@ -69,6 +72,7 @@ class Identification:
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
     rehearsal   whether a recording is a rehearsal: its motor was made up
+    p_scale     of a servo whose own loop made a recording; None: volts are volts
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -81,6 +85,7 @@ class Identification:
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
     rehearsal: bool = False
+    p_scale: Scale | None = None
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
@@ -101,7 +106,8 @@ class Identification:
         """The numbers to use, with their laws, u95 and verdict, as in result.json; None without an estimate."""
         law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
         found = {method: estimate.as_result() for method, estimate in self.estimates.items()}
-        return answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
+        answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
+        return answer if answer is None or self.p_scale is None else in_unsure_volts(answer, self.p_scale)
 
     @property
     def evidence(self) -> dict[str, Any]:
@@ -171,6 +177,7 @@ def identify(
                 found = min(found, _tried(asked, data), key=_rank)
     if isinstance(found, IdentifyError):
         raise found
+    found.p_scale = widest([recording.p_scale for recording in recordings])
     found.rehearsal = any(recording.meta.rehearsal for recording in recordings)
     return found
 
@@ -459,7 +466,9 @@ def _add_motor_law(
     if law.estimate is not None:
         judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
-        odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
+        has_levels = any(one.law.name == LevelEach.name for one in law.found)  # then friction is what differs
+        one_motor = has_levels or are_one_motor(each, law.estimate.rms_rad, numbers)
+        odd = None if one_motor else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law

@@ -16,6 +16,7 @@ from rig.results import Answer, EstimateResult, IdentificationResult, known
 from rig.results.identification import Answered
 from rig.results.reading import salvaged
 
+_NO_MOTOR = "holds a model that no motor has"
 OF_PLACE = ("centre_rad", "half_travel_rad")  # the part of a frame that another run shares
 
 
@@ -39,8 +40,7 @@ def known_model(path: Path, largest_V: float) -> FramedMotor:
     try:
         motor = model_of(result.answer)
     except ValueError as error:
-        no_motor = _no_motor(folder, error)
-        raise no_motor from error
+        raise RecordingError(folder / RESULT, f"{_NO_MOTOR}: {error}", "give another run") from error
     if motor is None:
         raise RecordingError(
             folder / RESULT,
@@ -95,13 +95,8 @@ def kept_models(folder: Path) -> Answered | None:
             if not estimate.is_refused and estimate.tau_s is not None:
                 plain_motor(estimate)
     except ValueError as error:
-        no_motor = _no_motor(folder, error)
-        raise no_motor from error
+        raise RecordingError(folder / RESULT, f"{_NO_MOTOR}: {error}", "give another run") from error
     return result
-
-
-def _no_motor(folder: Path, error: ValueError) -> RecordingError:
-    return RecordingError(folder / RESULT, f"holds a model that no motor has: {error}", "give another run")
 
 
 def model_of(answer: Answer | None, *, in_its_time: bool = False) -> FramedMotor | None:

@@ -48,7 +48,6 @@ EXPLAINS = 0.8  # of the residual, that a delay which no row tells must leave at
 USABLE_PERCENT = 60.0  # half width beyond which a fit says nothing
 UNEXPLAINED = 0.3  # residual over the spread of positions beyond which a fit says nothing
 DIFFERENT = 1.6  # mean speed of quick swings over that of slow ones
-FEWEST_SWINGS = 4
 ENOUGH_SWINGS = 3  # of either kind
 LARGE_SWING = 15.0  # in standard deviations of the noise: tiny cycles agree with any law
 OF_PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from rig.identify.chance import student_975
 from rig.identify.departures import DEPARTURES, OUTSIDE
 from rig.identify.departures.blocks import Blocks, HeldOut, held_out
-from rig.identify.departures.budget import OTHER, Budget, budget
+from rig.identify.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
 from rig.identify.departures.choice import Choice, Chooser, as_likely, levels, with_own_noise
-from rig.identify.departures.coupled import coupling_rad_s, predicts_more
+from rig.identify.departures.coupled import coupling_rad_s, takes_enough
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.drift import DriftEach, LevelEach
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
@@ -403,6 +403,7 @@ def motor_law(
     tested = sum(window.t_s.size for window in begun.whole.windows)
     remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     stiff: Choice | None = None
+    level: dict[str, float] = {}
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
@@ -422,7 +423,7 @@ def motor_law(
         if coupled_rad_s:
             soft = replace(begun, whole=replace(begun.whole, coupling_rad_s=coupled_rad_s))
             stiff, choice = choice, soft.chooser.choose(soft.whole, begun.motor, begun.cycle_s)
-            if predicts_more(stiff, choice, begun.whole, begun.chooser):
+            if takes_enough(stiff, choice, begun.whole, begun.chooser):
                 begun = soft
             else:
                 choice = stiff
@@ -441,8 +442,10 @@ def motor_law(
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
+    of_levels = levels_line(parts, level) if any(isinstance(law, LevelEach) for law in choice.laws) else ()
     bench = begun.chooser.bench
-    nuisances = Nuisances.of(parts, choice.laws, begun.chooser.candidates, bench, outside(parts, choice.laws, bench))
+    hidden = [law for law in begun.chooser.candidates if law.may_hide]
+    nuisances = Nuisances.of(parts, choice.laws, hidden, bench, outside(parts, choice.laws, bench))
     bare = bare_fits(parts, choice.laws, begun.chooser)
     coupled = fit.problem.cut.coupling_rad_s
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
@@ -453,7 +456,9 @@ def motor_law(
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)
-    lines = budget(nuisances.tempered(of_model.effect), by_size, instead, scales, own, (*of_model.lines, *like))
+    lines = budget(
+        nuisances.tempered(of_model.effect), by_size, instead, scales, own, (*of_model.lines, *like, *of_levels)
+    )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
@@ -463,6 +468,8 @@ def motor_law(
         return MotorLaw(
             (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )
+    # a frame of levels goes by no time
+    frame = begun.whole.each(names).frames[0] if of_levels else whole.frames[0]
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
     )
@@ -478,11 +485,18 @@ def motor_law(
         records,
         tuple(remarks),
         _alone(parts, of_windows),
-        FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
+        FramedMotor(fit.motor._replace(drift=0.0) if of_levels else fit.motor, frame) if choice.laws else None,
         bounded=bounded,
         predicts=predicts,
         holds=holds,
     )
+
+
+def levels_line(fit: Fit, level: Mapping[str, float]) -> tuple[Entry, ...]:
+    """The line for levels of friction that differ between recordings: f_c is that of none of them."""
+    shares = np.array(list(level.values())) * fit.motor.drift / max(map(abs, level.values()))
+    half = COVERAGE * float(np.std(shares, ddof=1)) / math.sqrt(shares.size) * fit.motor.fc_V
+    return (Entry("friction of each recording", 0.0, 0.0, half),)
 
 
 def joined(parts: Fit, of: Sequence[str]) -> Fit:
@@ -588,8 +602,9 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     error = math.sqrt(max(0.0, float(slope @ covariance[np.ix_(at, at)] @ slope)))
     half = student_975(_freedom(fit)) * error
     ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
-    price = len(law.numbers + law.shape) * math.log(_freedom(fit))
-    numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
+    price = law.costs * math.log(_freedom(fit))
+    fields = () if isinstance(law, LevelEach) else (*law.numbers, *law.shape)  # no other record has such a level
+    numbers = {name: float(getattr(fit.motor, name)) for name in fields}
     return FoundLaw(law, size, ci95, gain - price, numbers)
 
 

@@ -46,10 +46,19 @@ def clock_ratio(recording: Recording) -> ClockRatio | None:
 def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSeries, list[str]]:
     """Rows of a recording as a ``TimeSeries``, and notes on corrected times.
 
-    If the clock ratio over the whole run is significant, times are divided by it. Rows before the first known t_u_s are
-    left out. A missing t_u_s between others gets the median latency. Raises IdentifyError for fewer than twenty rows,
-    for times that do not fit the ticks, and as ``TimeSeries`` does.
+    A drive that the device ramps is taken as it was, in fine stairs. If the clock ratio over the whole run is
+    significant, times are divided by it. Rows before the first known t_u_s are left out. A missing t_u_s between others
+    gets the median latency. Raises IdentifyError for fewer than twenty rows, for times that do not fit the ticks, and
+    as ``TimeSeries`` does.
     """
+    series, notes = _as_commanded(recording, rows, name)
+    if recording.slew_V_s is not None:
+        series = replace(series, edges=series.steps.ramped(recording.slew_V_s))
+    return series, notes
+
+
+def _as_commanded(recording: Recording, rows: slice, name: str) -> tuple[TimeSeries, list[str]]:
+    """The same with each drive at once."""
     first, stop, _ = rows.indices(len(recording))
     if stop - first < FEWEST_ROWS:
         raise IdentifyError(

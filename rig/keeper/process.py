@@ -381,19 +381,21 @@ def _conclude(loop: Loop, fault: Fault, stopped: list[JsonObject]) -> None:
         notes=("the process of this run was ended, because its law did not return: nothing was identified",),
     )
     with contextlib.suppress(RecordingError):  # the events say the same
-        write_result(loop.folder, result)
+        write_result(loop.folder, result, follows_links=False)
 
 
 def _add_events(loop: Loop, events: list[JsonObject]) -> None:
     """Add what happened to the run's events, once the recorder has written its last."""
+    from rig.plain_file import open_folder, open_plain
     from rig.recording.writer import EVENTS
 
-    path = loop.folder / EVENTS
     until_s = time.monotonic() + _RECORDED_S
     with contextlib.suppress(OSError):  # what the terminal was told stays
-        while b'"loop_died"' not in path.read_bytes() and time.monotonic() < until_s:
-            time.sleep(0.02)
-        with path.open("ab") as file:
+        at = open_folder(loop.folder)
+        with os.fdopen(open_plain(EVENTS, os.O_RDWR | os.O_APPEND, folder=at), "r+b") as file:
+            while b'"loop_died"' not in file.read() and time.monotonic() < until_s:
+                time.sleep(0.02)
+                file.seek(0)
             file.write(b"".join(json.dumps(event).encode("ascii") + b"\n" for event in events))
 
 

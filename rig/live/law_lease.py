@@ -105,10 +105,14 @@ class LawLease:
         time.sleep(_SEEN_S)
         if self.at_work == step:
             return True
-        self._words[_TAKEN] = 0
+        self.give_back()
         return False
 
     # -- both
+
+    def give_back(self) -> None:
+        """The link is the loop's: as the keeper, or where there is none any more."""
+        self._words[_TAKEN] = 0
 
     @property
     def is_taken(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import mmap
 import os
 import secrets
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from rig.copies import keep_from_copies, no_longer_own
-from rig.plain_file import open_plain
+from rig.plain_file import open_folder, open_plain
 from rig.recording.layout import allocate
 
 SIZE: Final = 4096
@@ -67,10 +68,22 @@ class MappedPage:
         os.write(self._descriptor, data)
 
     def move(self, path: Path) -> None:
-        """Put the file at another path on the same disk; who has it open sees on. Raises OSError."""
-        os.rename(self._path, path, src_dir_fd=self._folder)
+        """Put the file at another path on the same disk, in no link; who has it open sees on.
+
+        Raises OSError, also where it is not at its path any more: what stands there instead is not moved.
+        """
+        if not self._is_at_its_path(os.fstat(self._descriptor)):
+            raise OSError(errno.ENOENT, "somebody has put something else in its place", str(self._path))
+        folder = open_folder(path.parent)
+        there = path if folder is None else Path(path.name)
+        try:
+            os.rename(self._path, there, src_dir_fd=self._folder, dst_dir_fd=folder)
+        except OSError:
+            if folder is not None:
+                os.close(folder)
+            raise
         self._leave_folder()
-        self._path, self._folder = path, None
+        self._path, self._folder = there, folder
 
     def close(self) -> None:
         """Delete the file: nobody owns it any more."""
@@ -87,8 +100,11 @@ class MappedPage:
     def _delete(self, mine: os.stat_result) -> None:
         """Delete the file, but not what somebody has put in its place."""
         with contextlib.suppress(OSError):  # a read-only disk: nobody holds the lock any more, and that says the same
-            if os.path.samestat(os.stat(self._path, dir_fd=self._folder, follow_symlinks=False), mine):
+            if self._is_at_its_path(mine):
                 os.unlink(self._path, dir_fd=self._folder)
+
+    def _is_at_its_path(self, mine: os.stat_result) -> bool:
+        return os.path.samestat(os.stat(self._path, dir_fd=self._folder, follow_symlinks=False), mine)
 
     def _leave_folder(self) -> None:
         if self._folder is not None:

@@ -23,7 +23,7 @@ from typing import Final
 from rig.errors import RigError
 from rig.faults import Fault
 from rig.live.born import born
-from rig.live.shared_page import MappedPage, OthersPage
+from rig.live.shared_page import SIZE, MappedPage, OthersPage
 from rig.signals import plain
 
 NAME: Final = "stop.flag"
@@ -117,12 +117,25 @@ class StopFlag:
             raise
 
     def begin(self, folder: Path) -> None:
-        """Put the page into the run folder. Raises OSError where it cannot hold it: it stays where it is, if it is."""
+        """Put the page into the run folder, or another one where somebody has taken it away: a Stop on it counts on.
+
+        Raises OSError where the folder cannot hold it: it stays where it is, if it is.
+        """
         self.is_tried = True
-        if self._page is None:
+        before = self._page
+        if before is None:
             self._page = MappedPage(folder / NAME, _head(math.nan, math.nan))
             return
-        self._page.move(folder / NAME)
+        try:
+            before.move(folder / NAME)
+        except OSError:  # the folder of the run before was renamed or deleted, and the page with it
+            by = self.asked_by()
+            content = bytearray(_head(math.nan, math.nan).ljust(SIZE, b"\0"))
+            content[_DRIVE_AT : _DRIVE_AT + 1] = _OFF
+            content[_BY_AT : _BY_AT + _BY_SIZE] = by.encode()[:_BY_SIZE].ljust(_BY_SIZE, b"\0")
+            content[_ASKED_AT : _ASKED_AT + 1] = b"\1" if by else b"\0"
+            self._page = MappedPage(folder / NAME, bytes(content))
+            before.close()
         self._leave_own()
 
     def _leave_own(self) -> None:

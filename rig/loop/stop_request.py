@@ -23,6 +23,8 @@ STOP_SIGNALS: Final[tuple[signal.Signals, ...]] = tuple(
     if hasattr(signal, name)
 )
 
+_NOHUP: Final = getattr(signal, "SIGHUP", None)  # whoever has it ignored wants a run that outlives the terminal
+
 Gone = Callable[[], str]
 
 
@@ -36,7 +38,7 @@ class StopRequest:
     def __init__(self, flag: StopFlag | None = None, gone: Gone | None = None) -> None:
         self.reason: str | None = None
         self.flag = flag
-        self.held: tuple[signal.Signals, ...] = ()  # signals that are this request's
+        self.held: dict[signal.Signals, StopRequest | signal.Handlers] = {}  # what takes each signal meanwhile
         self.lease: LawLease | None = None  # where a keeper sees that the loop goes on
         self._gone = gone
 
@@ -61,8 +63,8 @@ class StopRequest:
 
     def take_signals(self) -> None:
         """Take the signals back from others' code in this process, which may have taken or blocked them, also in C."""
-        for number in self.held:
-            signal.signal(number, self)
+        for number, handler in self.held.items():
+            signal.signal(number, handler)
         if self.held and hasattr(signal, "pthread_sigmask"):
             signal.pthread_sigmask(signal.SIG_UNBLOCK, self.held)
 
@@ -87,17 +89,21 @@ class StopRequest:
 def stop_on_signals(flag: StopFlag | None = None, gone: Gone | None = None) -> Iterator[StopRequest]:
     """Within the block each of ``STOP_SIGNALS`` sets the request, and neither ends nor stops the process.
 
+    But a SIGHUP that is ignored when the block begins, as after `nohup`, stays ignored.
+
     flag, gone  as of ``StopRequest``
     Raises KeyboardInterrupt, before the block, where a Ctrl-C had come that nobody heeded.
     """
     request = StopRequest(flag, gone)
-    before = {number: signal.signal(number, request) for number in STOP_SIGNALS}
-    request.held = STOP_SIGNALS
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    for number, handler in before.items():
+        is_ignored = number == _NOHUP and handler is signal.SIG_IGN
+        request.held[number] = signal.SIG_IGN if is_ignored else request
     request.take_signals()
     try:
         ctrl_c.raise_if_it_came(before[signal.SIGINT])
         yield request
     finally:
-        request.held = ()
+        request.held = {}
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -34,6 +34,22 @@ def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
     return sign * (before_sag / (1.0 + sign * m.gain_by_sign) + crossed * m.dead_band_V)
 
 
+def drive_for_torque(m: RealMotor, torque_V: float, v: float, outside_V: float, direction: float) -> float:
+    """Drive behind the stage, V, whose torque is ``torque_V`` beyond the friction that grows with it.
+
+    v           speed, rad/s
+    outside_V   force over position, V
+    direction   in which friction acts against it; 0: no friction
+    """
+    seen_V = torque_V + m.load_outside * outside_V
+    against = math.copysign(m.load_friction, direction * seen_V) if direction != 0.0 else 0.0
+    passed_V = torque_V + against * seen_V / (1.0 - against)
+    back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
+    wanted_V = passed_V + back_V
+    inside = 1.0 - 4.0 * m.source_per_V2 * passed_V * wanted_V
+    return 2.0 * wanted_V / (1.0 + math.sqrt(max(inside, 0.0)))  # beyond it no drive gives as much
+
+
 def still_share(m: RealMotor, speed_rad_s: float) -> float:
     """How much of the static level a drive has to add at an estimated speed, rad/s: 1 at rest, 0 in motion.
 
@@ -59,7 +75,11 @@ def drive_for(
         height_V = level(m, frame, speed, y) + still_share(m, speed) * m.static_V
         friction = math.copysign(height_V, direction)
     viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
-    wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + force(m, frame, y) + friction + viscous - m.bias_V
+    outside_V = force(m, frame, y)
+    wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + outside_V + friction + viscous - m.bias_V
+    if m.load_friction > 0.0 or m.source_per_V2 > 0.0:
+        back_V = (1.0 - m.viscous_share) * v / m.K_rad_s_V
+        wanted_V = drive_for_torque(m, wanted_V - back_V, v, outside_V, direction)
     return drive_before_stage(m, wanted_V)
 
 

@@ -42,15 +42,22 @@ PARTS: dict[str, tuple[str, ...]] = {
     "backlash": ("backlash_rad",),
     "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
     "drift": ("drift",),
+    "load_friction": ("load_friction", "load_outside", "viscous_share"),
+    "source": ("source_per_V2", "viscous_share"),
 }
+SHARED = "viscous_share"  # a number of two parts: by itself it is none
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
 TRACE = 1e-12
 TRACED = (
     "viscous_by_direction_V_s_rad", "stribeck_V", "drag_V_s2_rad2", "force_sin_V", "force_cos_V", "friction_sin_V",
-    "friction_cos_V", "cogging_sin_V", "cogging_cos_V",
+    "friction_cos_V", "cogging_sin_V", "cogging_cos_V", "load_friction", "source_per_V2",
 )  # fmt: skip
-AT_LEAST_ZERO = ("fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad")
+AT_LEAST_ZERO = (
+    "fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad", "load_friction",
+    "load_outside", "viscous_share", "source_per_V2",
+)  # fmt: skip
+BELOW_ONE = ("load_friction", "viscous_share")  # at 1 no torque passes, and no back-EMF is left
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,9 @@ class FramedMotor:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the parts that the motor has."""
-        return tuple(name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers))
+        return tuple(
+            name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers if n != SHARED)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,4 +319,7 @@ def _checked_motor(motor: RealMotor) -> Numbers:
     below = [name for name in AT_LEAST_ZERO if getattr(motor, name) < 0.0]
     if below:
         raise ValueError(f"{', '.join(below)} must be at least 0")
+    above = [name for name in BELOW_ONE if getattr(motor, name) >= 1.0]
+    if above:
+        raise ValueError(f"{', '.join(above)} must be below 1")
     return numbers

@@ -30,6 +30,11 @@ class RealMotor(NamedTuple):
     backlash_rad       whole width of the play between motor and sensor, rad, >= 0
     linearity_sin1_rad, linearity_cos1_rad, linearity_sin2_rad, linearity_cos2_rad   the sensor's curvature, rad
     drift              relative change of fc from the frame's start to its end
+    load_friction, load_outside      L, l: friction L |p + l G| beside fc, of the motor's torque p, V, and of the force
+                       over position G, V; 0 <= L < 1, l >= 0
+    viscous_share      r: share of 1/K that is viscous friction, and no back-EMF, 0 <= r < 1
+    source_per_V2      rho: the torque is p = (w - (1 - r) v/K) / (1 + rho w^2), 1/V2, >= 0; the supply's resistance
+                       over the winding's, over the square of the supply's voltage
     """
 
     tau_s: float
@@ -60,6 +65,10 @@ class RealMotor(NamedTuple):
     linearity_sin2_rad: float = 0.0
     linearity_cos2_rad: float = 0.0
     drift: float = 0.0
+    load_friction: float = 0.0
+    load_outside: float = 0.0
+    viscous_share: float = 0.0
+    source_per_V2: float = 0.0
 
 
 class Frame(NamedTuple):

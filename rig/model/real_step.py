@@ -1,15 +1,7 @@
 """One step of a real motor: its parts, and its motion from one event to the next (docs/theory.md 12.1, 12.2 and 12.3).
 
-    tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),    dy/dt = v,    reading = S(x)
-
-w is the drive behind its stage, G a force over the position, F the friction, x the position behind the backlash, and S
-the sensor's linearity. ``rig.model.real_numbers`` names all numbers; a part whose numbers are 0 is not there.
-
-Between two events an exponential Runge-Kutta method of fourth order (Cox and Matthews, J. Comput. Phys. 176, 2002)
-takes ``v`` and ``p = y + tau v``. It is exact where the right side is constant, as it is for a motor without parts. An
-event is an edge of the drive, a reversal, or a shaft that breaks away from rest.
-
-The formulas are in C (firmware/motor/real_motor.c), for emulated boards and exported controllers as well as for rig.
+The formulas are in C (firmware/motor/real_motor.h says them), for emulated boards and exported controllers as well as
+for rig. ``rig.model.real_numbers`` names all numbers; a part whose numbers are 0 is not there.
 """
 
 from __future__ import annotations

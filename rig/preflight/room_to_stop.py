@@ -1,6 +1,6 @@
 """How far the shaft travels until it stops, and the room for it: arithmetic on the config (docs/theory.md 10.2).
 
-``e`` is the experiment throughout; positions count from 0 rad, the centre of travel.
+``d`` is the setup of a device, ``e`` an experiment throughout; positions count from 0 rad, the centre of travel.
 """
 
 from __future__ import annotations

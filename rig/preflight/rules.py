@@ -64,7 +64,7 @@ class Preflight:
 
 
 def preflight(experiment: Experiment) -> Preflight:
-    """Check an experiment offline. The problems have paths but no places: ``rig.preflight.check`` adds these."""
+    """Check an experiment offline. The problems have paths but no places: ``file.check`` adds these."""
     if unread := tuple(_own_section(experiment.device)):
         return Preflight((), unread)  # the device's rules need this section
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))

@@ -112,6 +112,9 @@ def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:
         if "y_rad" in missing and not guesses["y_rad"]:
             options += [_option("velocity", name) for name in names if sounds_like(name, "velocity")][:1]
         cure += f"; or {_OR_SAY} {' '.join(options) or '--time ms --drive pwm --position counts'}"
+        unsaid = [own[name] for name, guess in guesses.items() if guess and not units_said(guess, own[name])]
+        if unsaid:
+            cure += f", with the column's own unit for UNIT: of {', of '.join(map(_units_of, unsaid))}"
         raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
     for name in names:
         if name in COLUMNS and names.count(name) > 1:
@@ -145,9 +148,14 @@ def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
 
 
 def _option(quantity: str, name: str) -> str:
-    """The option that takes this column, in the unit that its name says, else in rig's own."""
-    unit = next(iter(sorted(units_said(name, quantity))), next(iter(UNITS[quantity])))
+    """The option that takes this column, in the unit that its name says. No guess: a wrong one makes wrong numbers."""
+    unit = next(iter(sorted(units_said(name, quantity))), "UNIT")
     return f"--{quantity} {quote(f'{name}:{unit}')}"
+
+
+def _units_of(quantity: str) -> str:
+    *others, last = UNITS[quantity]
+    return f"{quantity} {', '.join(others)} or {last}"
 
 
 def _while_time_rises(columns: Columns, numbers: Sequence[int], notes: list[str]) -> Columns:

@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from rig.plain_file import NotPlainError, open_folder
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.results.part import Part
 
@@ -50,46 +51,54 @@ def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
             return folder
 
 
-def write_config(folder: Path, text: str) -> None:
-    """Write config.yaml, the resolved configuration. Raises RecordingError if that fails."""
-    write_whole(folder / CONFIG, text.encode("utf-8"))
+def write_config(folder: Path, text: str, *, follows_links: bool = True) -> None:
+    """Write config.yaml, the resolved configuration. ``follows_links``, and raises, as of ``write_whole``."""
+    write_whole(folder / CONFIG, text.encode("utf-8"), follows_links=follows_links)
 
 
-def write_meta(folder: Path, meta: Part | Mapping[str, object]) -> None:
+def write_meta(folder: Path, meta: Part | Mapping[str, object], *, follows_links: bool = True) -> None:
     """Write meta.json as strict JSON: nan and infinities become null; numpy values become plain ones.
 
+    follows_links  as of ``write_whole``
     Raises RecordingError if the file cannot be written, TypeError for a value that JSON does not have.
     """
-    write_whole(folder / META, json_text(meta).encode("utf-8"))
+    write_whole(folder / META, json_text(meta).encode("utf-8"), follows_links=follows_links)
 
 
-def write_result(folder: Path, result: Part | Mapping[str, object]) -> None:
+def write_result(folder: Path, result: Part | Mapping[str, object], *, follows_links: bool = True) -> None:
     """Write result.json, in the way of ``write_meta``."""
-    write_whole(folder / RESULT, json_text(result).encode("utf-8"))
+    write_whole(folder / RESULT, json_text(result).encode("utf-8"), follows_links=follows_links)
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes, *, follows_links: bool = True) -> None:
     """Write the whole file, or leave the old one. A reader never sees half a file, whatever ends this process.
 
     The new file gets a random name beside the old one, and replaces it at the end. It must not exist before, so a link
     in the folder cannot lead the bytes elsewhere.
+
+    follows_links  whether its folder may be a link: not that of a run that goes on, which somebody may have swapped
     Raises CannotWriteError if the disk does not take the file. Then nothing is left behind.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    try:
-        descriptor = os.open(temporary, _NEW, 0o666)
-    except OSError as error:
-        raise CannotWriteError(path, *_cannot_write(error)) from error
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise CannotWriteError(path, *_cannot_write(error)) from error
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = None if follows_links else open_folder(path.parent)
+            if folder is not None:
+                stack.callback(os.close, folder)
+            last = path if folder is None else Path(path.name)
+            temporary = last.with_name(f".{path.name}.{secrets.token_hex(8)}")
+            descriptor = os.open(temporary, _NEW, 0o666, dir_fd=folder)
+        except OSError as error:
+            raise CannotWriteError(path, *_cannot_write(error)) from error
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, last, src_dir_fd=folder, dst_dir_fd=folder)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary, dir_fd=folder)
+            raise CannotWriteError(path, *_cannot_write(error)) from error
 
 
 def json_text(value: Part | Mapping[str, object]) -> str:
@@ -115,4 +124,6 @@ def _strict(value: object) -> object:
 
 def _cannot_write(error: OSError) -> tuple[str, str]:
     """Cause and cure."""
+    if isinstance(error, NotPlainError):
+        return f"cannot be written: its folder {error.cause}", error.cure
     return f"cannot be written: {error.strerror}", "check the disk's free space and the permissions of the folder"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +15,17 @@ import numpy as np
 
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat, sounds_like, units_said
+from rig.recording.log_format import (
+    LARGEST,
+    OWN_NAMES,
+    UNITS,
+    USUAL_SUPPLY,
+    LogColumn,
+    LogFormat,
+    sounds_like,
+    units_said,
+    words_of,
+)
 from rig.recording.log_mends import (
     Summed,
     has_no_sign,
@@ -26,6 +37,7 @@ from rig.recording.log_mends import (
     unwrapped_velocity,
 )
 from rig.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
+from rig.recording.servo_law import ServoLaw
 
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identify/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
@@ -77,7 +89,11 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     notes = [*text.notes, *notes, _taken(choices, {q: called[place] for q, place in places.items()}, log)]
     if log.period_s is not None:
         raw["t_s"] = np.arange(len(rows), dtype=np.float64)
-    raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+    supply_V = log.supply_V
+    if log.servo is None:
+        raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+    else:
+        supply_V = _supply_V(path, text, rows, first, has_names, log, notes)
     runs = _runs(path, text, numbers[0] if has_names else None, raw, rows, log)
     recordings = []
     for number, run in enumerate(runs, 1):
@@ -85,7 +101,11 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         heard = notes if number == 1 else []
         own = {name: values[run] for name, values in raw.items()}
         try:
-            recordings.append(_recording(source, own, [rows[k] for k in run], choices, log, heard))
+            lines = [rows[k] for k in run]
+            if log.servo is not None and supply_V is not None:
+                recordings.append(_of_servo(source, own, lines, choices, log, supply_V, heard))
+            else:
+                recordings.append(_recording(source, own, lines, choices, log, heard))
         except RecordingError as error:
             if has_names or any(one.column is not None for one in choices.values()):
                 raise
@@ -132,6 +152,87 @@ def _recording(
     if "time" in choices:
         _refuse_other_clock(source, t_s, choices["time"])
     return recording
+
+
+def _of_servo(
+    source: Path,
+    raw: Columns,
+    rows: Sequence[int],
+    choices: Mapping[str, LogColumn],
+    log: LogFormat,
+    supply_V: float,
+    notes: Sequence[str],
+) -> Recording:
+    """One run of a servo in its position mode: the drive by its law. Raises RecordingError."""
+    assert log.servo is not None
+    if log.servo.P is None:
+        raise RecordingError(source, "does not say the servo's gain P", "give what its register held: --gain P")
+    notes, law = list(notes), replace(log.servo, goal_first=log.drive_row < 0)
+    t_s = _times_s(raw, choices, log, notes)
+    require_rising(source, t_s, rows)
+    y_rad, goal_rad = (
+        np.asarray(log.scale(name, choices[name].unit) * raw[OWN_NAMES[name]]) for name in ("position", "goal")
+    )
+    return servo_recording(source, (t_s, y_rad, goal_rad), rows, (law, log.servo.P), supply_V, notes)
+
+
+def servo_recording(
+    source: Path,
+    columns: tuple[Floats, Floats, Floats],
+    rows: Sequence[int],
+    law: tuple[ServoLaw, float],
+    supply_V: float,
+    notes: Sequence[str],
+) -> Recording:
+    """The log of a servo's own loop as a recording.
+
+    columns  times, s, rising; positions and goals, rad
+    rows     their lines
+    law      of the servo, and its P
+    """
+    t_s, y_rad, goal_rad = columns
+    servo, P = law
+    edges_s, u_V, at_rows_V = servo.drive(P, t_s, y_rad, goal_rad, supply_V)
+    scale = servo.scale
+    said = (
+        f"the drive is that of the servo's own law, P {P:g}, {supply_V:.3g} V: 1 rad makes {scale.middle * P:.3g} of it"
+    )
+    return assembled(
+        source,
+        {"t_s": t_s, "u_V": at_rows_V, "y_rad": y_rad},
+        rows,
+        notes=(*notes, f"{said} ({scale.source})"),
+        columns_present=("t_s", "u_V", "y_rad"),
+        units_stated=True,
+        drive_steps=(edges_s, u_V),
+        p_scale=scale,
+    )
+
+
+def _supply_V(
+    path: Path,
+    text: CsvText,
+    rows: Sequence[int],
+    first: Sequence[str],
+    has_names: bool,
+    log: LogFormat,
+    notes: list[str],
+) -> float:
+    """What --supply-V says, else the median of the only column that is called like a voltage. Raises RecordingError."""
+    if log.supply_V is not None:
+        return log.supply_V
+    places = [k for k, name in enumerate(first) if any(word in USUAL_SUPPLY for word in words_of(name)[:1])]
+    if not has_names or len(places) != 1:
+        raise RecordingError(
+            path, "has no column, or several, of the supply's voltage", "give the volts at the servo: --supply-V 5"
+        )
+    fields = [text.fields(row) for row in rows]
+    values = [float(one[places[0]]) for one in fields if len(one) > places[0] and is_number(one[places[0]])]
+    supply_V = float(np.median(values)) if values else 0.0
+    if not 0.0 < supply_V < LARGEST:
+        raise RecordingError(path, f"column {shown(first[places[0]])} holds no voltage", "give --supply-V")
+    notes.append(f"the supply is the median of column {first[places[0]]}, {supply_V:.3g} V")
+    return supply_V
 
 
 def _in_place(raw: Columns, log: LogFormat) -> Columns:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rig.errors import RigError
+from rig.recording.servo_law import ServoLaw
 
 # For each quantity its units: what one of them is in s, V, rad and rad/s. None: it takes a further number of the log.
 UNITS: Final[dict[str, dict[str, float | None]]] = {
@@ -21,6 +22,7 @@ UNITS: Final[dict[str, dict[str, float | None]]] = {
         "rpm": math.pi / 30.0,
         "counts/s": None,
     },
+    "goal": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
 }
 # First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "Winkel [deg]".
 # fmt: off
@@ -41,10 +43,12 @@ USUAL_NAMES: Final = {
         "v", "vel", "velocity", "speed", "omega", "rpm", "w", "drehzahl", "geschwindigkeit", "vitesse", "velocidad",
         "velocità",
     },
+    "goal": {"goal", "target", "setpoint", "reference", "ref", "action", "ziel", "sollwert", "consigne"},
 }
+USUAL_SUPPLY: Final = {"voltage", "volts", "volt", "vin", "supply", "input", "battery", "spannung"}
 # fmt: on
 # Words of a column's name, or of a row of units, that say its unit, in small letters.
-NAMES_UNIT: Final = {
+NAMES_UNIT: Final[dict[str, dict[str, str]]] = {
     "time": {
         "ms": "ms",
         "millis": "ms",
@@ -70,6 +74,7 @@ NAMES_UNIT: Final = {
     },
     "velocity": {"rpm": "rpm"},
 }
+NAMES_UNIT["goal"] = NAMES_UNIT["position"]
 UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {"%", "A", "mA"}
 _WORD: Final = re.compile(r"[^\W\d_]+")
 _PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us)\s*")
@@ -78,7 +83,7 @@ CURRENT_CAUSE: Final = "a current is a torque: under it a motor has no K, and no
 CURRENT_CURE: Final = "log the voltage at the motor, or the bridge's duty"
 MOST_ROWS_OFF: Final = 5
 LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
-OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s"}
+OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s", "goal": "yd_rad"}
 """The column of samples.csv that each quantity becomes; a log may have it under this name."""
 
 
@@ -170,6 +175,7 @@ class LogFormat:
     drive_row        rows by which the drive stands too late, negative: too early; at most 5. -1: each row has the drive
                      that was set before its position was read, so all drives move up by a row
     time_row         the same of the time. -1: each row has the time of the row before
+    goal, servo      of a log that a servo's own position loop made, in place of a drive
     Raises LogFormatError if a number is missing, useless or not positive.
     """
 
@@ -185,8 +191,11 @@ class LogFormat:
     run: str | None = None
     drive_row: int = 0
     time_row: int = 0
+    goal: LogColumn | None = None
+    servo: ServoLaw | None = None
 
     def __post_init__(self) -> None:
+        self._require_one_drive()
         if self.position is not None and self.velocity is not None:
             raise LogFormatError(
                 "--position and --velocity are both given", "leave --velocity out: the position says more"
@@ -198,14 +207,14 @@ class LogFormat:
                 raise LogFormatError(
                     f"{option} {rows} is more than {MOST_ROWS_OFF} rows", f"a log is off by one: {option} -1"
                 )
-        drive = "V" if self.drive is None else self.drive.unit
-        motion = next((one.unit for one in (self.position, self.velocity) if one is not None), "rad")
+        drive = "duty" if self.servo is not None else "V" if self.drive is None else self.drive.unit
+        motion = next((one.unit for one in (self.position, self.velocity, self.goal) if one is not None), "rad")
         for option, value, needed_by, unit, example in (
             ("--counts-per-turn", self.counts_per_turn, ("counts", "counts/s"), motion, "1440"),
             ("--full", self.full, ("pwm",), drive, "255"),
             ("--supply-V", self.supply_V, ("pwm", "duty", "percent"), drive, "12"),
         ):
-            if value is None and unit in needed_by:
+            if value is None and unit in needed_by and not (option == "--supply-V" and self.servo is not None):
                 raise LogFormatError(f"the unit {unit} needs {option}", f"{_MEANING[option]}: {option} {example}")
             if value is not None and unit not in needed_by:
                 raise LogFormatError(
@@ -215,11 +224,28 @@ class LogFormat:
             if value is not None and not 0.0 < value < LARGEST:
                 raise LogFormatError(f"{option} {value:g} is not above 0", f"{_MEANING[option]}: {option} {example}")
 
+    def _require_one_drive(self) -> None:
+        """Raise LogFormatError where a log has a drive and a servo's goals, or options of the other kind."""
+        if self.servo is None and self.goal is not None:
+            raise LogFormatError("--goal is for the log of a servo's own loop", "add --servo MODEL and --gain P")
+        if self.servo is None:
+            return
+        for option, given in (
+            ("--drive", self.drive), ("--velocity", self.velocity), ("--reversed", self.reversed), ("--full", self.full)
+        ):  # fmt: skip
+            if given:
+                raise LogFormatError(
+                    f"{option} and --servo are both given", "a servo's law gives the drive: leave one out"
+                )
+        if self.drive_row not in (0, -1) or self.time_row:
+            raise LogFormatError("of a servo's log no row can be moved", "--drive-row -1: the goal was written first")
+
     def columns(self) -> dict[str, LogColumn]:
-        """The column of each quantity that is read: time unless a period is given, drive, and position or velocity."""
+        """The column of each quantity that is read: time unless a period is given, drive or goal, and the motion."""
         motion = "position" if self.velocity is None else "velocity"
         timed = {"time": self.time} if self.period_s is None else {}
-        given = {**timed, "drive": self.drive, motion: self.position or self.velocity}
+        drive = {"drive": self.drive} if self.servo is None else {"goal": self.goal}
+        given = {**timed, **drive, motion: self.position or self.velocity}
         return {name: one or LogColumn(next(iter(UNITS[name])), OWN_NAMES[name]) for name, one in given.items()}
 
     def most(self, unit: str) -> float | None:

@@ -14,6 +14,7 @@ from typing import Final, TypeVar
 from pydantic import JsonValue
 
 from rig import strict_json
+from rig.recording.bam_log import read_bam_log
 from rig.recording.csv_file import read_csv, read_csv_runs
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
@@ -56,11 +57,16 @@ def read(path: Path, log: LogFormat | None = None) -> Recording:
 
 
 def read_all(path: Path, log: LogFormat | None = None) -> list[Recording]:
-    """Read a run folder, or each run in a CSV file, whichever ``path`` is: a time that begins again begins another run.
+    """Read a run folder, a log of BAM's, or each run in a CSV file, whichever ``path`` is.
+
+    A time that begins again begins another run.
 
     log  what the columns of the CSV file are; None: they are those of samples.csv
     Raises RecordingError.
     """
+    of_bam = read_bam_log(path, log)
+    if of_bam is not None:
+        return [of_bam]
     mistaken = no_recording(path)
     if mistaken is not None:
         raise mistaken

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rig.recording.columns import COLUMNS, KINDS, SampleRow
 from rig.recording.errors import RecordingError
+from rig.recording.servo_law import Scale
 from rig.results import MeasuredDelay, RunEvent, RunMeta
 from rig.results.reading import DamagedError, parsed
 from rig.signals import BenchDelay
@@ -45,6 +46,8 @@ class Recording:
     first_row    number of the first row in the file; not 0 in a selection of rows
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
+    p_scale      of the servo whose law gave the drive: u_V is that of its middle; None: volts are volts
+    slew_V_s     by which the device ramps its drive from one row's to the next, V/s; None: at once
     """
 
     t_s: Floats
@@ -70,6 +73,8 @@ class Recording:
     first_row: int = 0
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
+    p_scale: Scale | None = None
+    slew_V_s: float | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -167,11 +172,12 @@ def assembled(
     notes: tuple[str, ...] = (),
     units_stated: bool = False,
     drive_steps: tuple[Floats, Floats] | None = None,
+    p_scale: Scale | None = None,
 ) -> Recording:
     """A recording from its known columns; it keeps these arrays and makes them read-only.
 
     numbers       the line of each row, for messages
-    units_stated, drive_steps  as in ``Recording``
+    units_stated, drive_steps, p_scale  as in ``Recording``
     Raises RecordingError if times do not rise.
     """
     require_rising(source, columns["t_s"], numbers)
@@ -189,6 +195,8 @@ def assembled(
         first_row=0,
         units_stated=units_stated,
         drive_steps=drive_steps,
+        p_scale=p_scale,
+        slew_V_s=None,
     )
 
 

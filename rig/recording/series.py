@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,6 +16,7 @@ from rig.recording.stage import Stage
 
 Array = NDArray[np.float64]
 
+STAIR_S = 5e-4  # of a drive that is ramped
 FEWEST_ROWS = 20  # of a series that can be fitted
 SHORTEST_WINDOW = 60  # samples
 GRID_REACHES = (4.0, 16.0, 64.0)  # steps of the quantisation that are looked at together, one after the other
@@ -35,6 +37,28 @@ class Steps(NamedTuple):
 
     edge_s: Array
     u_V: Array
+
+    def ramped(self, slew_V_s: float) -> Steps:
+        """The drive of a device that goes from each of these drives to the next at so many V/s, > 0.
+
+        In stairs of 0.5 ms, each at its middle: the shaft is where it would be behind the ramp, to 1e-5 of its swing.
+        """
+        edges, drives, at_V = [self.edge_s[:1]], [self.u_V[:1]], float(self.u_V[0])
+        ends = np.append(self.edge_s[1:], math.inf)
+        for begin, end, wanted_V in zip(self.edge_s[1:], ends[1:], self.u_V[1:], strict=True):
+            way_V = float(wanted_V) - at_V
+            whole_s = abs(way_V) / slew_V_s
+            takes_s = min(whole_s, float(end - begin))
+            stairs = max(1, math.ceil(takes_s / STAIR_S))
+            share = np.arange(stairs) / stairs
+            reached_V = at_V + (way_V * takes_s / whole_s if whole_s > 0.0 else 0.0)
+            edges.append(begin + takes_s * share)
+            drives.append(at_V + (reached_V - at_V) * (share + 0.5 / stairs))
+            if takes_s == whole_s:
+                edges.append(np.array([begin + takes_s]))
+                drives.append(np.array([wanted_V]))
+            at_V = reached_V
+        return steps_of(np.concatenate(edges), np.concatenate(drives))
 
 
 @dataclass(frozen=True, eq=False)

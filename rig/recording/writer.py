@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from rig.plain_file import open_folder
 from rig.recording import layout
 from rig.recording.columns import HEADER, SampleRow, format_row
 from rig.recording.end_of_input import EndOfInput, end_of_input
@@ -52,6 +53,7 @@ class AppendOnlyFile:
     makes_room  called when writing fails; returns True if writing may be tried again
     elsewhere   folders in which the file may go on else, in the order to try them; default: none
     moved       called with the new place of the file, and the error
+    at          descriptor of its folder, which somebody may swap for another one; None: it is reached by its name
     Every method raises OSError with the file's name.
     """
 
@@ -61,11 +63,13 @@ class AppendOnlyFile:
         makes_room: Callable[[OSError], bool] = lambda _: False,
         elsewhere: Callable[[], Iterator[Path]] = lambda: iter(()),
         moved: Callable[[Path, OSError], None] = lambda _, __: None,
+        at: int | None = None,
     ) -> None:
-        self._path = path
+        self._path, self._at = path, at
+        self._home = path.parent, at
         self._name = path.name
         self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
-        self._descriptor = _open_own(path)
+        self._descriptor = _open_own(path, at)
         self._has_links = os.fstat(self._descriptor).st_nlink > 0  # some file systems count none
         self._safe_bytes = 0  # bytes that are on the disk for sure
         self._since = bytearray()  # bytes written after them
@@ -131,9 +135,10 @@ class AppendOnlyFile:
         if self._has_links and mine.st_nlink == 0:
             return True
         try:
-            return not os.path.samestat(self._path.lstat(), mine)
+            here = os.stat(_by(self._path, self._at), dir_fd=self._at, follow_symlinks=False)
+            return not os.path.samestat(here, mine)
         except OSError:
-            return stat.S_ISREG(mine.st_mode) and self._path.parent.is_dir()
+            return stat.S_ISREG(mine.st_mode) and (self._at is not None or self._path.parent.is_dir())
 
     def _get_a_name(self) -> None:
         """Somebody has deleted the file. What it holds is there until it is closed: write all of it anew."""
@@ -148,8 +153,9 @@ class AppendOnlyFile:
         """Write the data that may not be on the disk to a new file, and go on there. Raises ``error`` if none works."""
         names = (*([name] if name else []), f"{self._name}.from-{self._safe_bytes}")
         for path in (folder / called for folder in self._elsewhere() for called in names):
+            at = self._home[1] if path.parent == self._home[0] else None
             try:
-                descriptor = os.open(path, _APPEND | os.O_EXCL, 0o666)
+                descriptor = os.open(_by(path, at), _APPEND | os.O_EXCL, 0o666, dir_fd=at)
             except OSError:
                 continue
             try:
@@ -159,10 +165,11 @@ class AppendOnlyFile:
                 os.fsync(descriptor)
             except OSError:
                 os.close(descriptor)
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(FileNotFoundError):
+                    os.unlink(_by(path, at), dir_fd=at)
                 continue
             os.close(self._descriptor)
-            self._path, self._descriptor, self._size = path, descriptor, len(self._since)
+            self._path, self._at, self._descriptor, self._size = path, at, descriptor, len(self._since)
             self._moved(path, error)
             return
         raise error
@@ -199,14 +206,16 @@ class KeptRoom:
 class Writer:
     """Moves the loop's rows and events from the memory into the two files.
 
-    Raises OSError if the files cannot be opened (constructor) or written (the other methods).
+    Raises OSError if the files cannot be opened (constructor) or written (the other methods); NotPlainError for a link
+    in the place of the folder.
     """
 
     def __init__(self, shared: SharedMemory, folder: Path, stages: Sequence[str]) -> None:
         self._shared = shared
         self._stages = stages
         self._folder = folder
-        files = (AppendOnlyFile(folder / n, self._makes_room, self._elsewhere, self._moved) for n in (SAMPLES, EVENTS))
+        at, names = open_folder(folder), (SAMPLES, EVENTS)  # others may write beside it: it is reached by its name once
+        files = (AppendOnlyFile(folder / n, self._makes_room, self._elsewhere, self._moved, at) for n in names)
         self._samples, self._events = files
         self._room: KeptRoom | None = None
         self._serves = False  # until it is True, a failing disk refuses the run
@@ -265,7 +274,10 @@ class Writer:
     def _moved(self, path: Path, error: OSError) -> None:
         """Tell the loop to end, and where the rest of the rows is."""
         self._moves.append((path, _in_words(error)))
-        places = "; ".join(f"{why}, so it goes on in {place}" for place, why in self._moves)
+        places = "; ".join(
+            f"{why}, so {'all of it is written anew' if why.startswith(f'{place}:') else f'it goes on in {place}'}"
+            for place, why in self._moves
+        )
         self._shared.fail(layout.MOVED, places)
 
     def serve(self, is_over: EndOfInput, parent: int) -> None:
@@ -395,10 +407,15 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _open_own(path: Path) -> int:
+def _by(path: Path, at: int | None) -> Path:
+    """How a file is reached: in the folder with that descriptor, or by its whole path."""
+    return path if at is None else Path(path.name)
+
+
+def _open_own(path: Path, at: int | None) -> int:
     """Open a file of the run. Raises OSError for what only has its name: bytes must not go elsewhere."""
     try:
-        descriptor = os.open(path, _APPEND, 0o666)
+        descriptor = os.open(_by(path, at), _APPEND, 0o666, dir_fd=at)
     except OSError as error:
         if error.errno != errno.ELOOP:
             raise

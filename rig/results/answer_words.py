@@ -62,7 +62,8 @@ def answer_lines(
     for reason in answer.reasons[:MOST_REASONS]:
         yield f"{answer.verdict}: {reason}"
     if len(answer.reasons) > MOST_REASONS:
-        yield f"{answer.verdict}: {len(answer.reasons) - MOST_REASONS} more reasons"
+        more = len(answer.reasons) - MOST_REASONS
+        yield f"{answer.verdict}: {more} more reason{'s' if more > 1 else ''}"
     if answer.is_refused and not answer.reasons:
         yield verdict
 
@@ -84,9 +85,10 @@ def validity(answer: Answer) -> Iterator[str]:
     if holds is not None and holds.drive_V is not None and holds.speed_rad_s is not None:
         ways = "both ways" if holds.ways == "both" else "one way"
         drive, speed = (
-            " and ".join(f"{known(end):.3g}" for end in ends) for ends in (holds.drive_V, holds.speed_rad_s)
+            list(dict.fromkeys(f"{known(end):.3g}" for end in ends)) for ends in (holds.drive_V, holds.speed_rad_s)
         )
-        yield f"holds between {drive} V, {speed} rad/s, {ways}"
+        near = "at" if len(drive) == 1 else "between"
+        yield f"holds {near} {' and '.join(drive)} V, {' and '.join(speed)} rad/s, {ways}"
     if predicts is not None and math.isfinite(known(predicts.error)):
         linear = known(predicts.linear_error)
         beside = f" (a linear model: {_seen(linear)})" if math.isfinite(linear) else ""

@@ -4,6 +4,8 @@ import contextlib
 import fcntl
 import os
 import pty
+import subprocess
+import sys
 import termios
 import tty
 from collections.abc import Iterator
@@ -20,6 +22,13 @@ from rig.backends.registry import unopened
 from rig.config import Experiment, load
 from rig.faults import Fault
 
+_HOLDS = """
+import sys
+from rig.backends.links.serial_port import SerialPort
+port = SerialPort(sys.argv[1])
+print("holds it", flush=True)
+sys.stdin.read()
+"""
 _TIOCGEXCL = 0x80045440  # of Linux: whether the kernel keeps others out; not in Python's termios
 
 
@@ -52,14 +61,17 @@ def test_bytes_both_ways(terminal: tuple[dict[str, int], str]) -> None:
 
 
 def test_the_port_is_held_exclusively_by_each_link_to_it(terminal: tuple[dict[str, int], str], tmp_path: Path) -> None:
+    """And who holds it is named: not this process, which stands for the device, and has both ends open."""
     _, name = terminal
     (link := tmp_path / "usb-Arduino_board-if00").symlink_to(name)
-    port = SerialPort(str(link))
-    for other in (name, str(link)):
-        fault = fault_of(SerialPort, other)
-        assert fault.code == "LINK_OPEN"
-        assert fault.detail.startswith(f"{other}: process {os.getpid()} (") and fault.detail.endswith(" holds it")
-    port.close()
+    with subprocess.Popen(
+        [sys.executable, "-c", _HOLDS, link], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None and holder.stdout.readline()
+        for other in (name, str(link)):
+            fault = fault_of(SerialPort, other)
+            assert fault.code == "LINK_OPEN"
+            assert fault.detail.startswith(f"{other}: process {holder.pid} (") and fault.detail.endswith(" holds it")
     SerialPort(name).close()
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from rig.calibrate.save import read_text, save
+from rig.calibrate.session import open_config
+from rig.config import ready
 from rig.config.edit import EditError, Value
 from rig.recording.errors import CannotWriteError
 
@@ -52,6 +54,22 @@ def test_a_file_that_somebody_changed_meanwhile_is_left_alone(tmp_path: Path) ->
         save(file, text, VALUES)
     assert file.read_text() == "drive: {max_V: 2.0}\n"
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_what_is_calibrated_is_what_was_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody changes the file right after that: then nothing is written over it."""
+    file = tmp_path / "bench.yaml"
+    text = "\ufeff" + ready.text("simulated").replace("\n", "\r\n")
+    file.write_bytes(text.encode())
+
+    def changes(_: object) -> None:
+        file.write_bytes(text.replace("max_V: 3.0", "max_V: 2.0").encode())
+
+    monkeypatch.setattr("rig.calibrate.session.require_device_file", changes)
+    opened = open_config(file)
+    assert (opened.text, opened.draft.original.drive.max_V) == (text, 3.0)
+    with pytest.raises(EditError, match="has changed since it was read"):
+        save(file, opened.text, VALUES)
 
 
 def test_a_disk_that_takes_nothing_leaves_the_file_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

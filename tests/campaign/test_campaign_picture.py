@@ -74,8 +74,8 @@ def drawn_all_verdicts() -> bytes:
     "drawn",
     [
         drawn_all_verdicts,
-        lambda: picture.draw(GRID, table(3, verdict="refused", **dict.fromkeys(PARAMETERS, math.nan))),
         *evidence(
+            lambda: picture.draw(GRID, table(3, verdict="refused", **dict.fromkeys(PARAMETERS, math.nan))),
             lambda: picture.draw(GRID, scattered(40, **{f"bound_{name}": math.nan for name in PARAMETERS})),
             lambda: picture.draw(GRID, table(1)),
         ),

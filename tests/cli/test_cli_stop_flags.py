@@ -48,7 +48,7 @@ DRIVES: dict[str, list[tuple[int, str]]] = {
 # Each other command opens no device, or reads one without arming it, or starts one of those above
 DRIVES_NOT = {
     "campaign", "check", "compare", "config", "design", "emulate", "export", "flash", "identify", "init", "list",
-    "panel", "predict", "predict-run", "replay", "report", "schema", "servo",
+    "newton-metres", "panel", "predict", "predict-run", "replay", "report", "schema", "servo",
 }  # fmt: skip
 TRIED = [
     *((name, arming, arguments) for name, ways in DRIVES.items() if name != "tune" for arming, arguments in ways),

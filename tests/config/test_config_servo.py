@@ -106,7 +106,7 @@ def test_which_combinations_run(
     said = problems(
         changed(tmp_path, name, daq={"accept_no_watchdog": accepts, "servo": servo}, drive={"max_V": max_V})
     )
-    assert (words == "" and said == []) or (len(said) == 1 and words in said[0]), said
+    assert said == [] if words == "" else len(said) == 1 and words in said[0], said
 
 
 def test_a_load_without_a_watchdog_bounds_the_drive(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def loaded(
 ])  # fmt: skip
 def test_an_arm_that_falls_is_refused(load: dict[str, Any], words: str, attached: str, tmp_path: Path) -> None:
     said = loaded(tmp_path, load, attached)
-    assert (words == "" and said == []) or (len(said) == 1 and words in said[0]), said
+    assert said == [] if words == "" else len(said) == 1 and words in said[0], said
     assert words == "" or all(way in said[0] for way in ("on its rest", "load.hangs: true", "off the horn"))
 
 

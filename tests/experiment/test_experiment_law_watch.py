@@ -9,7 +9,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +20,7 @@ import pytest
 import yaml
 from command_line import rig as command
 from evidence import evidence
-from processes import alive, wait_until
+from processes import PLAIN_RIG, alive, wait_until
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
 import rig
@@ -33,6 +35,7 @@ from rig.keeper.process import LOOK_EVERY_S, Charge
 from rig.keeper.terms import LawTimes, asks
 from rig.live.law_lease import LawLease
 from rig.live.stop_flag import request_stop
+from rig.recording.errors import RecordingError
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -401,7 +404,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
     with hanging_laws.offered(folder):
         places = [str(ROOT), str(ROOT / "tools"), str(folder)]
         host = subprocess.Popen(
-            [sys.executable, "-m", "rig", "run", str(path), "--out", str(folder / "runs")],
+            [sys.executable, "-c", PLAIN_RIG, "run", str(path), "--out", str(folder / "runs")],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
@@ -450,6 +453,38 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read(
     assert command("report", folder).exit_code == 0
 
 
+def test_a_law_that_ends_the_process_ends_its_run_with_a_fault_and_a_result(tmp_path: Path) -> None:
+    """By `os._exit(0)`: else the status says that all is well, and nothing else says that it is not."""
+    host = hanging(tmp_path, "exits")
+    said = host.communicate(timeout=HUNG_S)[1]
+    assert host.returncode == 1 and "LAW_FAILED" in said and "os._exit(0)" in said
+    [folder] = (tmp_path / "runs").iterdir()
+    [fault] = json.loads((folder / "result.json").read_text(encoding="utf-8"))["faults"]
+    assert fault["code"] == "LAW_FAILED" and "loop_died" not in (folder / "events.jsonl").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("in_thread", [False, True])
+def test_a_law_that_swallows_what_keeps_the_process_alive_drives_no_further(in_thread: bool) -> None:
+    law: WatchedLaw
+
+    def exits() -> None:
+        with suppress(BaseException):
+            law.exits(0)
+
+    def step(_: Sample) -> float:
+        if in_thread:
+            thread = threading.Thread(target=exits)
+            thread.start()
+            thread.join()
+        else:
+            exits()
+        return 0.3
+
+    law = WatchedLaw(Timed(SimpleNamespace(step=step), 1.0, "own"), times(law_cpu_s=0.5))
+    fault, bench = driven(law)
+    assert fault is not None and fault.code == "LAW_FAILED" and [row["u_V"] for row in bench.record.rows] in ([], [0.0])
+
+
 def test_a_thread_of_a_law_that_holds_python_between_two_steps_does_not_keep_a_signal_away(tmp_path: Path) -> None:
     host = hanging(tmp_path, hanging_laws.THREAD_AT_ONCE)
     host.terminate()
@@ -491,16 +526,16 @@ def test_a_run_whose_loop_is_killed_leaves_no_keeper(tmp_path: Path) -> None:
 
 
 class KillsItsKeeper:
-    """A law during which the keeper dies."""
+    """A law during which the keeper dies, or gets another signal."""
 
-    def __init__(self) -> None:
-        self._steps = 0
+    def __init__(self, number: signal.Signals = signal.SIGKILL) -> None:
+        self._steps, self._number = 0, number
 
     def step(self, sample: Sample) -> float:
         self._steps += 1
         if self._steps == 10:
             for keeper in keepers_of(os.getpid()):
-                os.kill(keeper, signal.SIGKILL)
+                os.kill(keeper, self._number)
         time.sleep(0.002)
         return 0.3
 
@@ -512,14 +547,32 @@ def test_a_run_without_its_keeper_goes_on_and_says_so(tmp_path: Path) -> None:
     assert keepers_of(os.getpid()) == [] and signal.getsignal(asks()) is signal.SIG_DFL
 
 
+@pytest.mark.parametrize(
+    ("number", "why"), [(signal.SIGKILL, "status -9"), (signal.SIGSTOP, "somebody has stopped the keeper")]
+)
 def test_where_a_motor_could_move_no_law_goes_on_without_its_keeper(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, why: str
 ) -> None:
     bounded = law_times(load(rig.ready("simulated")), virtual=True)._replace(cpu_s=60.0)
     monkeypatch.setattr(law_watch, "law_times", lambda *_, **__: bounded)
-    run = rig.run(rig.ready("simulated"), law=KillsItsKeeper(), duration_s=2.0, out=tmp_path / "killed")
-    assert "LAW_UNWATCHED" in run.failure and "status -9" in run.failure
+    run = rig.run(rig.ready("simulated"), law=KillsItsKeeper(number), duration_s=2.0, out=tmp_path)
+    assert "LAW_UNWATCHED" in run.failure and why in run.failure
     assert [event.kind for event in run.events][-3:] == ["stop", "fault", "end"]
+    assert keepers_of(os.getpid()) == []
+
+
+def test_a_keeper_that_is_stopped_while_it_has_the_link_never_speaks_again_and_the_loop_stops_the_drive() -> None:
+    """As by SIGSTOP between its claim and its stop: it neither gives the link back nor ends the loop's process."""
+    lease, keeper = LawLease(-1), law_watch.Keeper.__new__(law_watch.Keeper)
+    keeper.lease, keeper._verdict_s, keeper._stopped_s = lease, 10.0, math.inf
+    law = WatchedLaw(Timed(SimpleNamespace(step=lambda _: float(lease.take(lease.at_work))), 1.0, "own"), times())
+    law.keeper = keeper
+    waits = [sys.executable, "-c", "input()"]
+    with subprocess.Popen(waits, stdin=subprocess.PIPE) as keeper._process:
+        keeper._process.send_signal(signal.SIGSTOP)
+        with pytest.raises(Fault, match=r"LAW_UNWATCHED.*somebody has stopped the keeper"):
+            law.step(Sample(0.0, 0.0, 512))
+        assert keeper._process.returncode == -signal.SIGKILL and not lease.is_taken
 
 
 def test_where_a_motor_could_move_no_law_begins_without_its_keeper(
@@ -553,6 +606,35 @@ def test_a_law_that_changes_the_folder_leaves_the_run_in_its_own(
     assert run.failure == "" and Path.cwd() == tmp_path
     [folder] = (tmp_path / "runs").glob("2*")
     assert (folder / "report.html").exists() and not (folder / "stop.flag").exists()
+
+
+class PutsALink:
+    """A law during which somebody moves the run's folder away, and puts a link in its place."""
+
+    def __init__(self, runs: Path, victim: Path) -> None:
+        self._runs, self._victim, self._steps = runs, victim, 0
+
+    def step(self, sample: Sample) -> float:
+        self._steps += 1
+        if self._steps == 10:
+            [folder] = self._runs.glob("2*")
+            folder.rename(folder.with_name("moved"))
+            folder.symlink_to(self._victim)
+        return 0.3
+
+
+def test_a_link_in_the_place_of_the_runs_folder_leads_nothing_elsewhere(tmp_path: Path) -> None:
+    """Rows and events go on in the folder that rig has made."""
+    (victim := tmp_path / "victim").mkdir()
+    for name in ("result.json", "report.html", "stop.flag"):
+        (victim / name).write_text("precious")
+    law = PutsALink(tmp_path / "runs", victim)
+    with pytest.raises(RecordingError, match="a folder without a run"):
+        rig.run(rig.ready("simulated"), law=law, duration_s=1.0, out=tmp_path / "runs")
+    assert {path.read_text() for path in victim.iterdir()} == {"precious"} and len(list(victim.iterdir())) == 3
+    moved = tmp_path / "runs" / "moved"
+    assert not (moved / "stop.flag").exists() and "loop_died" not in (moved / "events.jsonl").read_text()
+    assert len((moved / "samples.csv").read_text().splitlines()) > 100
 
 
 class Forks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -209,11 +210,25 @@ def test_jog_recovers_a_shaft_from_beyond_the_soft_limit_and_goes_no_farther_out
     assert "drive.max_V" in too_much.stderr
 
 
-def test_track_alone_uses_the_models_of_an_earlier_run(demo_run: tuple[Result, dict[str, Any]], tmp_path: Path) -> None:
+def test_track_alone_uses_the_models_that_an_earlier_run_kept(
+    demo_run: tuple[Result, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is identified anew; a number that no motor has is refused before anything drives."""
     _, outcome = demo_run
+    monkeypatch.setattr(import_module("rig.identify"), "identify", lambda *_: pytest.fail("identified anew"))
     result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
     assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["tracking"]["sampled-data"]["rms_rad"] < 0.03
+    tracked = json.loads(result.stdout)
+    assert tracked["tracking"]["sampled-data"]["rms_rad"] < 0.03
+    kept = json.loads((Path(outcome["folder"]) / "result.json").read_text(encoding="utf-8"))
+    assert tracked["answer"] == kept["answer"] | {"rows": None}
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    kept["answer"]["tau_s"] = -1.0
+    (broken / "result.json").write_text(json.dumps(kept), encoding="utf-8")
+    refused = rig("track", ROOT / "config/simulated.yaml", "--model", broken, "--out", tmp_path / "none")
+    assert refused.exit_code == 2 and "holds a model that no motor has" in refused.output
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.evidence

@@ -38,6 +38,8 @@ LAWS: dict[str, dict[str, float]] = {
     "backlash": {"backlash_rad": 0.01},
     "bristle": {"bristle_V_rad": 50.0},
     "drift": {"drift": 0.1},
+    "load_friction": {"load_friction": 0.2, "load_outside": 0.5, "viscous_share": 0.1},
+    "source": {"source_per_V2": 0.002, "viscous_share": 0.1},
 }  # fmt: skip
 assert all(set(numbers) == set(PARTS[name]) for name, numbers in LAWS.items())
 

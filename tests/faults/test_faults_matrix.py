@@ -209,7 +209,7 @@ def test_each_row_is_tried_in_each_stage_or_the_page_says_why_not() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["port gone", "drive reversed", *evidence("device reset", "sensor wire broken", "host SIGKILL")]
+    "name", ["port gone", *evidence("drive reversed", "device reset", "sensor wire broken", "host SIGKILL")]
 )
 def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: str) -> None:
     row = next(row for row in ROWS if row.name == name)

@@ -381,3 +381,30 @@ def test_a_run_that_has_taken_its_page_along_is_no_longer_unrecorded(tmp_path: P
         flag.begin(folder)
         (run,) = running(tmp_path)
         assert seen.unrecorded([], [run.runner.pid]) == []
+
+
+@pytest.mark.parametrize("how", ["renamed", "deleted", "replaced"])
+def test_a_run_of_a_series_can_be_stopped_whatever_became_of_the_one_before(how: str, tmp_path: Path) -> None:
+    """Its folder was renamed or deleted, and the flag with it; and a Stop that came before that counts on."""
+    for is_stopped in (False, True):
+        runs = tmp_path / f"{is_stopped}"
+        first, second = runs / "first", runs / "second"
+        with StopFlag() as flag:
+            flag.open(runs, "run")
+            first.mkdir()
+            second.mkdir()
+            flag.begin(first)
+            if is_stopped:
+                request_stop(first, "panel")
+            if how == "renamed":
+                first.rename(runs / "kept")
+            else:
+                (first / NAME).unlink()
+            if how == "replaced":
+                (first / NAME).write_text("somebody's own")
+            flag.begin(second)
+            assert flag.asked_by() == ("panel" if is_stopped else "")
+            assert [one.folder for one in running(runs)] == [second]
+            request_stop(second, "another")
+            assert flag.asked_by() == ("panel" if is_stopped else "another")
+            assert how != "replaced" or (first / NAME).read_text() == "somebody's own"

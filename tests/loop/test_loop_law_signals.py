@@ -164,6 +164,37 @@ def test_a_law_that_takes_the_signals_does_not_keep_them(takes: Callable[[], Non
     assert record.events[-1]["kind"] == "stop" and record.events[-1]["confirmed"] is True
 
 
+def defaults() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.mark.parametrize("takes", [lambda: None, defaults])
+def test_a_run_under_nohup_outlives_its_terminal(takes: Callable[[], None]) -> None:
+    """A SIGHUP that was ignored when it began stays ignored, whatever a law does; any other signal stops it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        device = VirtualBoard(DEMO, 3)
+        with stop_on_signals() as stop:
+            loop, record = loop_on(device, stop)
+            read, ticks = loop._driver.read, [0]
+
+            def interrupted() -> Sample:
+                ticks[0] += 1
+                if ticks[0] == FROM_TICK + 1:
+                    signal.raise_signal(signal.SIGHUP)
+                if ticks[0] == FROM_TICK + 20:
+                    signal.raise_signal(signal.SIGTERM)
+                return read()
+
+            loop._driver.read = interrupted  # type: ignore[method-assign]
+            with pytest.raises(Fault, match="SIGTERM"), loop.armed(LIMITS):
+                loop.run(Timed(HangsFrom(takes), 5.0, "own"), "law")
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        assert device.truth().pin_V == 0.0 and len(record.rows) > FROM_TICK
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def interrupting(owner: Any, name: str, seen: list[str]) -> None:
     """Let a signal arrive in each call of this method, from its 20th on; ``seen`` grows when it has run to its end."""
     method = getattr(owner, name)

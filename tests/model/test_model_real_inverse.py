@@ -41,6 +41,10 @@ MOTORS = st.fixed_dictionaries(
         "friction_sin_V": st.floats(-0.02, 0.02),
         "cogging_sin_V": st.floats(-0.1, 0.1),
         "cogging_per_rad": st.floats(1.0, 20.0),
+        "load_friction": st.floats(0.0, 0.4),
+        "load_outside": st.floats(0.0, 1.0),
+        "viscous_share": st.floats(0.0, 0.5),
+        "source_per_V2": st.floats(0.0, 1e-3),
     }
 ).map(lambda numbers: RealMotor(**numbers))
 
@@ -80,10 +84,11 @@ def test_the_drive_gives_the_acceleration_against_all_forces(
 @given(MOTORS, st.floats(-1.0, 1.0), st.sampled_from([1.0, -1.0]))
 def test_a_shaft_that_stands_gets_more_than_what_holds_it(m: RealMotor, y: float, way: float) -> None:
     u_V = drive_for(m, FRAME, (0.0, y), way * 1.0, way)
-    held = real_step.level_at_rest(m, FRAME, y)
-    pull = staged(m, u_V) + m.bias_V - real_step.force(m, FRAME, y)
-    assume(abs(pull - m.bias_V + real_step.force(m, FRAME, y)) >= SOFT_SHARE * m.fc_V)
-    assert way * pull > held
+    w_V, force_V = staged(m, u_V), real_step.force(m, FRAME, y)
+    torque_V = w_V / (1.0 + m.source_per_V2 * w_V**2)
+    held = real_step.level_at_rest(m, FRAME, y) + m.load_friction * abs(torque_V + m.load_outside * force_V)
+    assume(abs(w_V) >= SOFT_SHARE * m.fc_V)
+    assert way * (torque_V + m.bias_V - force_V) > held
 
 
 @given(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.5, 0.7))

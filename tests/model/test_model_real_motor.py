@@ -67,12 +67,20 @@ class Reference:
             + m.cogging_cos_V * math.cos(m.cogging_per_rad * y)
         )
 
+    def torque(self, w: float, v: float) -> float:
+        m = self.m
+        return (w - (1.0 - m.viscous_share) * v / m.K_rad_s_V) / (1.0 + m.source_per_V2 * w * w)
+
+    def load(self, w: float, v: float, y: float) -> float:
+        return self.m.load_friction * abs(self.torque(w, v) + self.m.load_outside * self.force(y))
+
     def rate(self, t: float, x: np.ndarray, sign: float, D: float) -> list[float]:
         m = self.m
         v, y, f, w = x
         drive = w if m.lag_s else D
         friction = f if m.bristle_V_rad else sign * self.level(sign * v, y, t)
-        pull = drive + m.bias_V - self.force(y) - friction
+        pull = self.torque(drive, v) + (1.0 - m.viscous_share) * v / m.K_rad_s_V - sign * self.load(drive, v, y)
+        pull += m.bias_V - self.force(y) - friction
         pull -= m.viscous_by_direction_V_s_rad * sign * v + m.drag_V_s2_rad2 * sign * v * v
         bend = m.bristle_V_rad and m.bristle_V_rad * (v - sign * v * f / self.level(sign * v, y, t))
         lag = (D - w) / m.lag_s if m.lag_s else 0.0
@@ -80,7 +88,7 @@ class Reference:
 
     def pull_at_rest(self, x: np.ndarray, D: float) -> float:
         drive = x[3] if self.m.lag_s else D
-        return float(drive + self.m.bias_V - self.force(x[1]))
+        return self.torque(drive, 0.0) + self.m.bias_V - self.force(x[1])
 
     def direction(self, t: float, x: np.ndarray, D: float) -> float:
         if x[0] != 0.0:
@@ -91,7 +99,7 @@ class Reference:
             if abs(pull) < 1e-13:
                 pull = D - x[3] if self.m.lag_s else 0.0
             return float(np.sign(pull)) if abs(pull) > 1e-13 else 0.0
-        held = self.level(0.0, x[1], t) + self.m.static_V
+        held = self.level(0.0, x[1], t) + self.m.static_V + self.load(x[3] if self.m.lag_s else D, 0.0, x[1])
         return float(np.sign(pull)) if abs(pull) > held else 0.0
 
     def sensed(self, x: np.ndarray) -> np.ndarray:
@@ -352,7 +360,8 @@ def test_stiff_bristles_are_nearly_rigid() -> None:
 
 def test_every_part_has_numbers_and_every_number_has_a_part() -> None:
     plain_numbers = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")
-    assert plain_numbers + tuple(name for names in PARTS.values() for name in names) == RealMotor._fields
+    of_parts = dict.fromkeys(name for names in PARTS.values() for name in names)  # two parts share one
+    assert (*plain_numbers, *of_parts) == RealMotor._fields
     assert set(EACH) == set(PARTS)
 
 

@@ -174,10 +174,10 @@ def test_where_the_folder_takes_no_new_file_it_goes_on_among_the_temporary_ones(
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
 
-    def read_only(path: Path, flags: int, mode: int = 0o777) -> int:
-        if Path(path).parent == bench.folder and flags & os.O_CREAT:
+    def read_only(path: Path, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        if (dir_fd is not None or Path(path).parent == bench.folder) and flags & os.O_CREAT:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-        return OS_OPEN(path, flags, mode)
+        return OS_OPEN(path, flags, mode, dir_fd=dir_fd)
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", failing_write("samples.csv"))

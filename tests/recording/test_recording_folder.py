@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.recording.errors import RecordingError
+from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 
 NOW = datetime(2025, 1, 31, 9, 30, 0, tzinfo=UTC)
@@ -113,3 +113,17 @@ def test_a_written_file_has_the_rights_that_the_user_gives_new_files(tmp_path: P
     (tmp_path / "other").write_text("")
     assert (tmp_path / "result.json").stat().st_mode == (tmp_path / "other").stat().st_mode
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "result.json"]
+
+
+def test_a_run_that_goes_on_writes_through_no_link_in_the_place_of_its_folder(tmp_path: Path) -> None:
+    """A folder of runs may be one that others write in, too. A link that a user names is followed."""
+    (victim := tmp_path / "victim").mkdir()
+    (folder := tmp_path / "run").symlink_to(victim)
+    for write in (write_meta, write_result):
+        with pytest.raises(CannotWriteError, match="its folder is a link"):
+            write(folder, {}, follows_links=False)
+    with pytest.raises(CannotWriteError, match="its folder is a link"):
+        write_config(folder, "name: run\n", follows_links=False)
+    assert list(victim.iterdir()) == []
+    write_meta(folder, {})
+    assert [path.name for path in victim.iterdir()] == ["meta.json"]

@@ -162,7 +162,7 @@ def test_files_of_the_folder_that_rig_is_called_in_are_not_its_modules(tmp_path:
     (tmp_path / "samples.csv").write_text(HEADER)
     (tmp_path / "queue.py").write_text("raise SystemExit(7)\n")
     (tmp_path / "rich.py").write_text("raise SystemExit(7)\n")
-    follow = "from pathlib import Path; from rig.recording.follow import following\nwith following(Path('.')): pass"
+    follow = "from rig.recording.follow import Path, following\nwith following(Path('.')): pass"
     done = subprocess.run([sys.executable, "-P", "-c", follow], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0 and "POLARITY" in done.stderr.decode()
 

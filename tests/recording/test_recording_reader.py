@@ -242,7 +242,12 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("t_s,u_V,y_rad\n0,1,0,1\n1,1,0,2\n2,1,0,3\n", 2, "the line has 4 fields, and the header 3"),
         ("t_s,u_V,y_rad\ns,V,deg\n0,1,0.1\n1,1,0.2\n2,1,0.3\n", 2, "'deg', by.*type --position y_rad:deg"),
         ("t_s,u_V,y_rad\nnow,1,0.1\n1,1,0.2\n2,1,0.3\n", 2, "column t_s: 'now' is not a number"),
-        ("t u y\n" + ROWS.replace(",", " "), 1, "such as --time t:s --drive u:V --position y:rad$"),
+        (
+            "t u y_deg\n" + ROWS.replace(",", " "),
+            1,
+            "such as --time t:UNIT --drive u:UNIT --position y_deg:deg, with the column's own unit for UNIT: of time s,"
+            " ms or us, of drive V, mV, .* or percent$",
+        ),
         (
             "time_ms,voltage_mV,angle_deg\n" + ROWS,
             1,

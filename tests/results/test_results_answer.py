@@ -31,7 +31,7 @@ from rig.results import (
     RunResult,
     answer_of,
 )
-from rig.results.answer_words import answer_lines, graded_words
+from rig.results.answer_words import answer_lines, graded_words, validity
 from rig.tune.known import motor_of
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated"
@@ -212,6 +212,12 @@ def test_each_number_has_its_grade_and_the_answer_says_where_it_holds_and_what_i
         "predicts 83 % of motion that it has not seen (a linear model: 76 %)",
     ]
     assert answer is not None and graded_words(answer) == "tau is good, K is not known, f_c is not known"
+
+
+def test_where_it_holds_at_one_drive_alone_is_said_so() -> None:
+    holds = HoldsResult(drive_V=(5.648, 5.652), speed_rad_s=(10.0, 120.0), travel_rad=(0.0, 900.0), ways="forward")
+    (line,) = validity(Answer(method="sampled-data", holds=holds))
+    assert line == "holds at 5.65 V, 10 and 120 rad/s, one way"
 
 
 def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:

@@ -37,10 +37,15 @@ T0_NS = 500_000  # the loops' phase
 NO_STALLS = Stalls(*np.zeros((4, 0), dtype=np.int64))
 
 
+@pytest.fixture(scope="module")
+def loop_in_c(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return build("wake_up_loop", tmp_path_factory.mktemp("c"))
+
+
 @pytest.mark.alone
 @pytest.mark.parametrize("loop", available())
-def test_each_loop_runs_so_many_ticks_and_none_early(loop: str, tmp_path: Path) -> None:
-    running = start(loop, "ordinary", build("wake_up_loop", tmp_path))
+def test_each_loop_runs_so_many_ticks_and_none_early(loop: str, loop_in_c: str) -> None:
+    running = start(loop, "ordinary", loop_in_c)
     try:
         blocks = [running.run(20, 2000) for _ in range(2)]
     finally:
@@ -57,8 +62,8 @@ def test_each_loop_runs_so_many_ticks_and_none_early(loop: str, tmp_path: Path) 
 
 @pytest.mark.alone
 @pytest.mark.parametrize("loop", ["ours, spin", "C, spin"])
-def test_the_evidence_of_both_loops_belongs_to_their_ticks(loop: str, tmp_path: Path) -> None:
-    running = start(loop, "ordinary", build("wake_up_loop", tmp_path))
+def test_the_evidence_of_both_loops_belongs_to_their_ticks(loop: str, loop_in_c: str) -> None:
+    running = start(loop, "ordinary", loop_in_c)
     assert isinstance(running, TickingProcess)
     try:
         running.run(5, 2000)

@@ -35,7 +35,7 @@ def spun(cores: int) -> float:
 
 def test_sums_at_the_priority_of_rigs_loop_are_no_stall_of_the_machine() -> None:
     """A machine that stands still meanwhile for as long is seen, too: not each time."""
-    assert min(spun(cores=2) for _ in range(TRIES)) < SPIN_S / 2
+    assert any(spun(cores=2) < SPIN_S / 2 for _ in range(TRIES))
 
 
 def test_what_it_notes_is_more_than_a_pipe_holds(tmp_path: Path) -> None:

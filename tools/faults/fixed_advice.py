@@ -17,7 +17,7 @@ _TEST = Design(Strokes(STROKES, LONGEST_STROKE_S), TEST_S, 1.0, Reach(-0.6, 0.6,
 
 
 class FixedAdvice:
-    """Who advises, as ``rig.experiment.advisers.Advisers``: the stroke test at once, and the end after a while."""
+    """Who advises, as ``Advisers`` of an experiment: the stroke test at once, and the end after a while."""
 
     trouble = last_words = ""
 

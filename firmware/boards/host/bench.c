@@ -405,6 +405,10 @@ static const struct {
     {"linearity-sin2-rad", REAL, offsetof(bench_params, real.linearity_sin2_rad)},
     {"linearity-cos2-rad", REAL, offsetof(bench_params, real.linearity_cos2_rad)},
     {"drift", REAL, offsetof(bench_params, real.drift)},
+    {"load-friction", REAL, offsetof(bench_params, real.load_friction)},
+    {"load-outside", REAL, offsetof(bench_params, real.load_outside)},
+    {"viscous-share", REAL, offsetof(bench_params, real.viscous_share)},
+    {"source-per-V2", REAL, offsetof(bench_params, real.source_per_V2)},
     {"centre-rad", REAL, offsetof(bench_params, real.centre_rad)},
     {"half-travel-rad", REAL, offsetof(bench_params, real.half_travel_rad)},
     {"drift-over-s", REAL, offsetof(bench_params, real.duration_s)},
@@ -538,6 +542,10 @@ const char *bench_check(const bench_params *p)
     }
     if (!(fmin(fmin(p->real.dead_band_V, p->real.lag_s), fmin(p->real.bristle_V_rad, p->real.backlash_rad)) >= 0.0)) {
         return "dead-band-V, lag-s, bristle-V-rad and backlash-rad must be >= 0";
+    }
+    if (!(fmin(fmin(p->real.load_friction, p->real.viscous_share), fmin(p->real.load_outside, p->real.source_per_V2)) >= 0.0) ||
+        !(fmax(p->real.load_friction, p->real.viscous_share) < 1.0)) {
+        return "load-friction, load-outside, viscous-share and source-per-V2 must be >= 0, the first and the third below 1";
     }
     if (!(fabs(p->clock_error_ppm) <= 50000.0)) {
         return "clock-error-ppm must be within 50000";

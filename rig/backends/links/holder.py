@@ -24,12 +24,28 @@ def process_in_words(pid: int, proc: Path = _PROC) -> str:
 
 
 def holder_of_file(path: str, proc: Path = _PROC) -> str:
-    """The first process that has this device file open, links followed; empty where this user sees none."""
+    """The first process that has this device file open, links followed; empty where this user sees none.
+
+    Of a pseudo-terminal not the one that stands for the device at its other end, which may have both ends open.
+    """
     there = str(Path(path).resolve())
     for one in sorted(proc.glob("[0-9]*")):
-        if there in _open_files(one):
+        if there in _open_files(one) and not _is_other_end(one, there):
             return process_in_words(int(one.name), proc)
     return ""
+
+
+def _is_other_end(process: Path, terminal: str) -> bool:
+    """Whether a process has the master of this pseudo-terminal open."""
+    if not terminal.startswith("/dev/pts/"):
+        return False
+    index = f"tty-index:\t{terminal.removeprefix('/dev/pts/')}\n"
+    with contextlib.suppress(OSError):
+        for descriptor in (process / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                if descriptor.readlink().name == "ptmx" and index in (process / "fdinfo" / descriptor.name).read_text():
+                    return True
+    return False
 
 
 def _open_files(process: Path) -> list[str]:

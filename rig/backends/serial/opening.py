@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts
@@ -31,7 +32,9 @@ from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of, is_virtual
 from rig.config.schema import DeviceSetup
 from rig.faults import Fault
-from rig.results import JsonObject
+
+if TYPE_CHECKING:
+    from rig.strict_json import JsonObject
 
 
 @contextmanager

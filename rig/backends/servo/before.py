@@ -8,13 +8,16 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from rig import strict_json
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.backends.servo.models import ServoModel
 from rig.faults import Fault
+from rig.plain_file import read_plain
 
+_MOST_BYTES: Final = 64 * 1024
 # Changing the mode sets these anew (e-Manual, "Operating Mode")
 _RESET_BY_MODE: Final = (
     "velocity_i_gain",
@@ -69,15 +72,18 @@ class BeforeStore:
         if self.path is None:
             return self._values
         try:
-            text = self.path.read_text(encoding="utf-8")
+            content = read_plain(self.path, _MOST_BYTES)
         except FileNotFoundError:
             return self._values  # somebody has deleted it meanwhile
         except OSError as error:
             raise Fault("SERVO_CHANGED", f"{self.path}: {error.strerror}") from error
         try:
-            found = json.loads(text)
+            found: Any = strict_json.parse(content.decode("utf-8"))
             whose, registers = found["model"], {str(name): int(value) for name, value in found["registers"].items()}
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            for name, value in registers.items():
+                if whose == model.name and model.has(name):
+                    model[name].pack(value)  # one that it cannot hold would stop the putting back half-way
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise Fault("SERVO_CHANGED", f"{self.path} is damaged: {error}") from error
         foreign = [name for name in registers if name not in _CHANGED[model.protocol] or not model.has(name)]
         if whose != model.name or foreign:
@@ -129,8 +135,8 @@ def values_of(link: ServoLink) -> dict[str, int]:
     names = [name for name in _CHANGED[model.protocol] if model.has(name)]
     values = link.values(tuple(names))
     kept = dict(values)
-    if values[model.roles["mode"]] == model.pwm_mode:
-        kept.pop("goal_pwm", None)  # there it is the duty: it is left at 0
+    if "goal_pwm" in kept and values[model.roles["mode"]] == model.pwm_mode:
+        kept["goal_pwm"] = 0  # there it is the duty: whoever switches the torque on next must not find rig's
     return kept
 
 

@@ -266,11 +266,14 @@ class ServoLink:
             raise Fault("ARM_READBACK", f"{self.model[name]}: sent {value}, stored {stored}")
         return True
 
-    def is_there(self, id: int) -> tuple[int, ...] | None:
-        """What a servo of that id answers when it is asked who it is, as bytes; None where none answers."""
+    def is_there(self, id: int, patience_s: float = PING_S) -> tuple[int, ...] | None:
+        """What a servo of that id answers when it is asked who it is, as bytes; None where none answers.
+
+        patience_s   within which it begins to answer, s
+        """
         own, self.bus.id = self.bus.id, id  # the answer must be from that one
         try:
-            return tuple(self._pings.asked(self.bus.ping(id), PING_S + self.bus.wire_s(_PING_BYTES)).pdu[1:])
+            return tuple(self._pings.asked(self.bus.ping(id), patience_s + self.bus.wire_s(_PING_BYTES)).pdu[1:])
         except Fault as fault:
             if fault.code not in ("LINK_TIMEOUT", "LINK_REPLY", REFUSAL):
                 raise

@@ -121,6 +121,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._position: int | None = None  # as last read
         self._errors = 0  # error byte of the last answer
         self._strange = 0  # readings in a row of a duty that is not what was written
+        self._doubted = 0  # alerts in a row that the servo's own register denies
         self._bad = 0  # readings in a row of heat or of a supply that is out of range
         self._tick: tuple[float, float] | None = None  # the servo's clock, ms, and the host's, s
         self._steps = Steps()
@@ -156,8 +157,9 @@ class ServoDriver(RegisterDriver[Ask]):
             self._guardian.beat()
         reply = super()._exchange(request)
         if self._bus.alerts(reply.pdu):
-            self._errors = reply.pdu[0]
-            raise self._alert()
+            self._raise_alert(reply.pdu[0])
+        else:
+            self._doubted = 0
         return reply
 
     # ------------------------------------------------------------------ the life of a run
@@ -197,7 +199,7 @@ class ServoDriver(RegisterDriver[Ask]):
     def arm(self, limits: Limits) -> None:
         """As of ``RegisterDriver``; torque on with duty 0 alone, which is read back before."""
         self._tick = None
-        self._strange = self._bad = 0
+        self._strange = self._bad = self._doubted = 0
         super().arm(limits)
         self._find_steps()
         self._ways.clear()
@@ -298,7 +300,7 @@ class ServoDriver(RegisterDriver[Ask]):
         assert control is not None
         held = control.unpack(self._stored(control))
         if self._bus.alerts(bytes((self._errors,))):  # why it takes no torque
-            raise self._alert()
+            self._raise_alert(self._errors)
         if held != self._map.arm:
             raise Fault("ARM_READBACK", f"{control}: sent {self._map.arm}, stored {held:g}")
 
@@ -471,7 +473,7 @@ class ServoDriver(RegisterDriver[Ask]):
     def _check_pause(self, values: Mapping[str, float]) -> None:
         """Whether it still has no error, and nobody has switched its torque on."""
         if self._bus.alerts(bytes((self._errors,))):
-            raise self._alert()
+            self._raise_alert(self._errors)
         control = self._map.control
         assert control is not None
         if control.unpack(self._stored(control)) != self._map.stop:
@@ -523,12 +525,25 @@ class ServoDriver(RegisterDriver[Ask]):
                 f"its clock went on by {passed_s:.3f} s, the host's by {now_s - before[1]:.3f} s: it has restarted",
             )
 
-    def _alert(self) -> Fault:
-        """The fault that the servo's error register names. Raises Fault LINK_*."""
+    def _raise_alert(self, said: int) -> None:
+        """Raise the fault that the servo's error register names, or LINK_*.
+
+        Where the register holds none, the byte of the answer may be damaged: one check sum in 256 lets it pass. A
+        second in a row is believed.
+
+        said  that byte
+        """
         model = self._setup.model
-        errors = self._errors
-        if model.protocol == "dynamixel" or not errors:
-            errors = self._link.value(model.roles["errors"])
+        errors = self._link.value(model.roles["errors"])
+        self._errors = errors
+        self._doubted += 1
+        if not errors and self._doubted < _IN_A_ROW:
+            return
+        raise self._fault_of((errors or said) if model.protocol == "feetech" else errors)
+
+    def _fault_of(self, errors: int) -> Fault:
+        """The fault of these bits of the error register."""
+        model = self._setup.model
         words = f"{model.role('errors')} reads {errors}: {error_words(model, errors)}"
         for bit, code in _ERROR_FAULTS[model.protocol]:
             if errors & bit:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from rig.backends.servo.packets import BROADCAST as BROADCAST
 from rig.backends.servo.packets import LAST_ID as LAST_ID
@@ -44,9 +44,6 @@ class Instruction(IntEnum):
     BULK_WRITE = 0x93
     FAST_BULK_READ = 0x9A
 
-
-Keep = Literal["nothing", "id", "id and baud"]
-_KEEP: Mapping[Keep, int] = {"nothing": 0xFF, "id": 0x01, "id and baud": 0x02}
 
 FAILED, NO_INSTRUCTION, CRC, RANGE, LENGTH, LIMIT, ACCESS = range(1, 8)  # of a status's error
 ALERT = 0x80
@@ -157,48 +154,9 @@ ping, read, write, reg_write = _requests.ping, _requests.read, _requests.write, 
 action, reboot, sync_read, sync_write = _requests.action, _requests.reboot, _requests.sync_read, _requests.sync_write
 
 
-def factory_reset(id: int, keep: Keep) -> bytes:
-    """Put every register back to how it was shipped, but what ``keep`` says."""
-    return Frame(id, Instruction.FACTORY_RESET, bytes((_KEEP[keep],))).encode()
-
-
 def clear_turns(id: int) -> bytes:
     """Have the position fall back into one turn; only at rest."""
     return Frame(id, Instruction.CLEAR, _TURNS).encode()
-
-
-def fast_sync_read(address: int, length: int, ids: Iterable[int]) -> bytes:
-    """The same, with one answer for all (``fast_statuses``)."""
-    return sync_read(address, length, ids, Instruction.FAST_SYNC_READ)
-
-
-def bulk_read(spans: Mapping[int, tuple[int, int]]) -> bytes:
-    """Ask several servos each for an address and a length; each answers for itself, in this order."""
-    return _bulk(Instruction.BULK_READ, spans)
-
-
-def fast_bulk_read(spans: Mapping[int, tuple[int, int]]) -> bytes:
-    """The same, with one answer for all (``fast_statuses``)."""
-    return _bulk(Instruction.FAST_BULK_READ, spans)
-
-
-def bulk_write(data: Mapping[int, tuple[int, bytes]]) -> bytes:
-    """Write to several servos, by id, each an address and bytes; none answers. Raises ValueError for no servo."""
-    parameters = b"".join(
-        bytes((one_id(id),)) + _word(address) + _word(len(values)) + values for id, (address, values) in data.items()
-    )
-    if not parameters:
-        raise ValueError("a bulk write to no servo")
-    return Frame(BROADCAST, Instruction.BULK_WRITE, parameters).encode()
-
-
-def _bulk(instruction: Instruction, spans: Mapping[int, tuple[int, int]]) -> bytes:
-    parameters = b"".join(
-        bytes((one_id(id),)) + _word(address) + _word(length) for id, (address, length) in spans.items()
-    )
-    if not parameters:
-        raise ValueError("a bulk read of no servo")
-    return Frame(BROADCAST, instruction, parameters).encode()
 
 
 def request_bytes(n_parameters: int) -> int:

@@ -1,10 +1,12 @@
 """What no manual says of a servo, tried on it: with a free horn, small duties, and its registers put back.
 
-Not tried: how old a position is, whether its protection acts in PWM mode, and the scale of its position loop's P.
+Not tried: how old a position is, whether its protection acts in PWM mode, and of a Feetech what its P means: its gains
+are kept without supply.
 """
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,6 +29,7 @@ _LOOK_S: Final = 0.004
 _ABSENT: Final = 251  # an id that hardly any servo has
 _FELL_TO: Final = 0.37  # of the speed
 _HOT_degC: Final = 50
+_P_GAIN, _P_MOST_STEPS, _P_COUNTS = 16, 8, 8  # the loop's P, the most duty that it may give, and steps of its goal
 _DUTIES: Final = range(5, 65, 5)  # steps of a Feetech, of which "50 to 1000" drive
 
 Powered = Callable[[], None]  # asks a person to cut the supply for a second; returns when it is back
@@ -83,6 +86,8 @@ def facts(
             yield _resumes(link)
         yield _delay(link)
         yield from _stops(link, watching[0] if watching else None, has_watchdog=opened.has_watchdog)
+        if link.model.protocol == "dynamixel":
+            yield _p_scale(link)
         if link.model.protocol == "feetech":
             yield _least_duty(link)
             if powered is not None:
@@ -230,6 +235,47 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | No
         _off(link)
         if guardian is not None:
             guardian.rest()
+
+
+def _p_scale(link: ServoLink) -> Fact:
+    """What a P of 1 makes of 1 rad in the servo's own position mode: by duties too small to turn it.
+
+    Goal PWM is the most duty that this mode gives. Changing the mode sets it to the limit: it is written before the
+    torque goes on, and read back.
+    """
+    model, roles = link.model, link.model.roles
+    drive, position, applied = (roles[role] for role in ("drive", "position", "applied"))
+    link.put(roles["torque"], 0)
+    link.hold(roles["mode"], model.position_mode)
+    for name, value in {"position_p_gain": _P_GAIN, "position_i_gain": 0, "position_d_gain": 0}.items():
+        link.put(name, value)
+    link.put(drive, _P_MOST_STEPS)
+    if (held := link.value(drive)) != _P_MOST_STEPS:
+        raise Fault("ARM_READBACK", f"{model[drive]}: sent {_P_MOST_STEPS}, stored {held}")
+    at = link.value(position)
+    low, high = link.value("min_position_limit"), link.value("max_position_limit")
+    products, squares = 0.0, 0.0
+    try:
+        link.put("goal_position", min(max(at, low), high))  # no goal may be beyond; the duty is bounded anyway
+        link.put(roles["torque"], 1)
+        for number in range(-_P_COUNTS, _P_COUNTS + 1):
+            goal = at + number * _P_COUNTS
+            if not low <= goal <= high:
+                continue
+            link.put("goal_position", goal)
+            link.client.wait(_ACTS_S)
+            error, duty = goal - link.value(position), link.value(applied)
+            if abs(duty) < _P_MOST_STEPS:
+                products, squares = products + error * duty, squares + error * error
+    finally:
+        _off(link)
+    link.put("goal_position", min(max(at, low), high))
+    if not products > 0.0:
+        return Fact("p_scale_1_rad", None, "its position mode gave no duty for an error of its position")
+    counts_rad = model.counts_per_turn / (2.0 * math.pi)
+    scale = products / squares / _P_GAIN * counts_rad / model.full_drive
+    said = 1.0 / (scale * model.full_drive / counts_rad)
+    return Fact("p_scale_1_rad", round(scale, 6), f"a P of 1 makes {scale:.3g} of full duty of 1 rad: 1/{said:.0f}")
 
 
 def _least_duty(link: ServoLink) -> Fact:

@@ -69,6 +69,7 @@ class ServoKeeper:
             self._process.kill()  # one that comes late would write to a servo that is another program's by then
             self._process.wait()
             self._let_go()
+            self._close()
             raise Fault("SERVO_UNWATCHED", error.detail if isinstance(error, Fault) else str(error)) from error
 
     @property
@@ -101,6 +102,9 @@ class ServoKeeper:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._close()
+
+    def _close(self) -> None:
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 stream.close()

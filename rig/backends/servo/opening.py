@@ -118,8 +118,8 @@ def objections(link: ServoLink) -> tuple[str, ...]:
 def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Left:
     """Put back what an earlier run has left changed.
 
-    Raises Fault LINK_*, SERVO_CHANGED; before anything is written CONFIG_MISMATCH where it is another servo, and
-    SECOND_MASTER where somebody talks on the bus.
+    Raises Fault LINK_*, SERVO_CHANGED; before anything is written CONFIG_MISMATCH where it is another servo, and as
+    ``check_free``.
     """
     check_model(link, setup)
     words = store.note()
@@ -127,7 +127,7 @@ def leave_no_trace(link: ServoLink, setup: ServoSetup, store: BeforeStore) -> Le
     values = store.load(link.model)
     if values is None:
         return Left(remarks, ())
-    check_alone(link)  # somebody else may have taken it over since
+    check_free(link)
     watchdog = link.model.roles.get("watchdog")
     acted = ("DEVICE_WATCHDOG",) if watchdog is not None and link.value(watchdog) == -1 else ()
     put_back(link, values)
@@ -194,6 +194,16 @@ def check_alone(link: ServoLink) -> None:
         raise Fault(
             "SECOND_MASTER", f"{heard} bytes on the bus within {1e3 * _LISTENS_S:g} ms that rig did not ask for"
         )
+
+
+def check_free(link: ServoLink) -> None:
+    """Before rig takes the torque away from a servo that it has left: somebody else may have taken it over since.
+
+    Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER.
+    """
+    check_alone(link)
+    if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
+        _check_torque(link)
 
 
 def _check_torque(link: ServoLink) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Final
@@ -12,7 +12,7 @@ from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
-from rig.backends.servo.opening import check_alone, objections
+from rig.backends.servo.opening import check_free, objections
 from rig.backends.servo.packets import LAST_ID
 from rig.faults import Fault
 
@@ -20,6 +20,7 @@ USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200)  # rig's own, and as Dynamixel
 _KINDS: Final = (MODELS["xl330-m288"], MODELS["sts3215"])  # one of each protocol: all share where the number is
 _REBOOTS_S: Final = 3.0
 _ATTEMPTS: Final = 3
+_LATE_S, _LATE_IDS = 0.05, 8  # of an answer behind a slow adapter, and how many ids were asked meanwhile
 
 Opened = Callable[[int], AbstractContextManager[Transport]]  # a port at a baud
 
@@ -57,10 +58,29 @@ def scan(opened: Opened, bauds: Iterable[int] = USUAL_BAUDS, ids: Iterable[int] 
     for baud in bauds:
         with opened(baud) as port:
             for kind in _KINDS:
-                for id in ids:
-                    link = servo_link(port, kind, id, baud)
-                    if link.is_there(id) is not None and (seen := _seen(port, link, id, baud)) is not None:
+                for id in _who_answers(servo_link(port, kind, 0, baud), ids):
+                    if (seen := _seen(port, servo_link(port, kind, id, baud), id, baud)) is not None:
                         yield seen
+
+
+def _who_answers(link: ServoLink, ids: Sequence[int]) -> Iterator[int]:
+    """Those of these ids that answer a ping, each once.
+
+    Behind a slow adapter an answer may come while a later id is asked: then the last ones are asked again, patiently.
+    """
+    told: set[int] = set()
+    for at, id in enumerate(ids):
+        try:
+            there = [id] if link.is_there(id) is not None else []
+        except Fault as fault:
+            if fault.code != "LINK_UNIT":
+                raise
+            link.client.wait(_LATE_S)  # what else is on its way is not of those that are asked now
+            there = [one for one in ids[max(at - _LATE_IDS, 0) : at + 1] if link.is_there(one, _LATE_S) is not None]
+        for one in there:
+            if one not in told:
+                told.add(one)
+                yield one
 
 
 def _seen(port: Transport, link: ServoLink, id: int, baud: int) -> Seen | None:
@@ -149,11 +169,14 @@ def set_baud(opened: Opened, link: ServoLink, baud: int) -> None:
 
 
 def restore(link: ServoLink, store: BeforeStore) -> dict[str, int] | None:
-    """Put back what a run has left changed; what it was, or None. Raises Fault SERVO_CHANGED, SECOND_MASTER, LINK_*."""
+    """Put back what a run has left changed; what it was, or None.
+
+    Raises Fault SERVO_CHANGED, SERVO_IN_USE, SECOND_MASTER, LINK_*.
+    """
     values = store.load(link.model)
     if values is None:
         return None
-    check_alone(link)  # it takes the torque away: not from somebody who drives it
+    check_free(link)  # it takes the torque away: not from somebody who drives it
     put_back(link, values)
     store.clear()
     return values

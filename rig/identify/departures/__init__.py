@@ -15,9 +15,11 @@ from rig.identify.departures.friction_wave import FrictionWave
 from rig.identify.departures.gain_by_sign import GainBySign
 from rig.identify.departures.lag import Lag
 from rig.identify.departures.linearity import Linearity
+from rig.identify.departures.load_friction import LoadFriction
 from rig.identify.departures.sag import Sag
 from rig.identify.departures.sag_by_current import SagByCurrent
 from rig.identify.departures.soft_coupling import SoftCoupling
+from rig.identify.departures.source import Source
 from rig.identify.departures.static import Static
 from rig.identify.departures.stribeck import Stribeck
 from rig.identify.departures.viscous_by_direction import ViscousByDirection
@@ -38,6 +40,8 @@ DEPARTURES: list[Departure] = [
     Backlash(),
     Linearity(),
     Drift(),
+    LoadFriction(),
+    Source(),
 ]
 
 OUTSIDE: list[Departure] = [SagByCurrent(), SoftCoupling(), FrictionWave()]

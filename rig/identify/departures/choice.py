@@ -231,9 +231,13 @@ class Chooser:
         Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
         sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
         so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand: what is left there is
-        what the readings are off. Where a fit leaves white noise, likelihood is right. Laws that only together take as
-        much as is asked stay together.
+        what the readings are off. Where a fit leaves white noise, likelihood is right; so it is where it tells whole
+        tests, each from its start on, to the sensor's noise. Laws that only together take as much as is asked stay
+        together.
         """
+        tells_all = len(fit.problem.cut.begins) == len(whole.begins)
+        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad:
+            return fit, laws
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
         known: dict[tuple[Departure, ...], Array] = {}
@@ -287,7 +291,8 @@ class Chooser:
 
     def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
         """The problem of these laws on this cut."""
-        free = self.core + tuple(name for law in laws for name in (*law.numbers, *law.shape))
+        of_laws = (name for law in laws for name in (*law.numbers, *law.shape))
+        free = tuple(dict.fromkeys((*self.core, *of_laws)))  # two laws may share a number of their shape
         limits = limits_of(free, cut, self.delay_s) | limits_of_laws(laws, self.bench)
         return Problem(cut, free, limits, self.sigma_rad, robust_rad, known=self.known)
 

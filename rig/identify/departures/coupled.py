@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.blocks import Blocks, share_cut
-from rig.identify.departures.choice import LAW_BLOCK, Choice, Chooser
+from rig.identify.departures.choice import LAW_BLOCK, Choice, Chooser, Columns
 from rig.identify.departures.fit import COMPARED, solve
 from rig.identify.departures.fit import start as begin
+from rig.identify.departures.outside import by_coupling
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.soft_coupling import FREQUENCIES_RAD_S
 from rig.identify.lowest import lowest
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a coupling is looked for
 ITERATIONS, FINER = 6, 8
+PROMISING = 0.5  # of what a coupling must take from the squares: what it promises to first order, at least
 ROWS_OF_SWING = 2.5  # at least so many rows show a swing
 
 
@@ -42,25 +44,26 @@ def coupling_rad_s(choice: Choice, whole: Cut, chooser: Chooser) -> float:
 
     fastest = 2.0 * math.pi / (ROWS_OF_SWING * max(window.period_s for window in whole.windows))
     tried = [rad_s for rad_s in FREQUENCIES_RAD_S if rad_s < fastest]
-    costs = [cost(rad_s) for rad_s in tried]
-    needed = (1.0 - chooser.asked.cuts) ** 2 * cost(0.0)
-    if not costs or min(costs) > needed / (1.0 - chooser.asked.cuts):
+    stiff = solve(begin(problem, fit.motor), ITERATIONS)
+    columns = Columns(stiff, problem.rows(stiff.motor, stiff.starts))
+    gains = [columns.gain(columns.of_change(by_coupling(stiff, rad_s)))[0] for rad_s in tried]
+    needed = (1.0 - chooser.asked.cuts) ** 2 * stiff.cost
+    if not max(gains, default=0.0) > PROMISING * (stiff.cost - needed):  # false for nan
         return 0.0
+    costs = [cost(rad_s) for rad_s in tried]
     best = int(np.argmin(costs))
     low, high = math.log(tried[max(best - 1, 0)]), math.log(tried[min(best + 1, len(tried) - 1)])
     fine, left = lowest(lambda x: cost(math.exp(x)), low, high, FINER)
     return math.exp(fine) if left < needed else 0.0
 
 
-def predicts_more(stiff: Choice, soft: Choice, whole: Cut, chooser: Chooser) -> bool:
-    """Whether the choice behind a coupling takes as much of the error in blocks that it has not seen as a law must."""
+def takes_enough(stiff: Choice, soft: Choice, whole: Cut, chooser: Chooser) -> bool:
+    """Whether the choice behind a coupling takes as much of the error in blocks as a law must."""
     blocks = Blocks.of(whole, stiff.fit.motor.tau_s, LAW_BLOCK)
     noise = np.array(blocks.cut.lengths) * chooser.sigma_rad**2
     left = []
     for one in (soft, stiff):
         cut = replace(blocks.cut, coupling_rad_s=one.fit.problem.cut.coupling_rad_s)
-        problem = chooser.problem(cut, one.laws, math.inf)
-        left.append(
-            np.maximum(Blocks(cut, blocks.shown).held_out(problem, one.fit.motor, starts_known=True) - noise, 0.0)
-        )
+        fit = solve(begin(chooser.problem(cut, one.laws, math.inf), one.fit.motor), FINER)
+        left.append(np.maximum(blocks.squares(fit.residual_rad) - noise, 0.0))
     return share_cut(left[0], left[1], noise) >= chooser.asked.cuts

@@ -61,6 +61,7 @@ class Departure(ABC):
     leaps            whether the motion leaps where its one number grows: no derivative shows its size
     both_ways        whether only a shaft that turns both ways can show it
     told_by          what to record to tell it from laws that look alike
+    may_hide         whether it is a line of the budget where the tests neither show nor exclude it
     """
 
     name: str
@@ -74,6 +75,7 @@ class Departure(ABC):
     leaps: bool = False
     both_ways: bool = False
     told_by: str = "a relay test of another amplitude"
+    may_hide: bool = True
 
     @property
     def costs(self) -> int:

@@ -38,6 +38,7 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.departures.sag import Sag
 from rig.identify.departures.sag_by_current import SagByCurrent
 from rig.identify.departures.soft_coupling import FREQUENCIES_RAD_S, SoftCoupling
+from rig.identify.departures.source import Source
 from rig.model.compiled.row_filter import filtered
 from rig.recording.series import Steps
 
@@ -63,15 +64,15 @@ class Outside(NamedTuple):
 def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     """Each start of each such law.
 
-    laws   those of the fit: a sag has its own in its place
+    laws   those of the fit: a sag has its own in its place, and a supply's resistance is what a sag by the current is
     """
     coupling, found = SoftCoupling(), list[Outside]()
     if not fit.problem.cut.coupling_rad_s:
         found = [
-            Outside(coupling, _by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
+            Outside(coupling, by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
             for rad_s in FREQUENCIES_RAD_S
         ]
-    if not any(isinstance(law, Sag) for law in laws):
+    if not any(isinstance(law, Sag | Source) for law in laws):
         found.append(Outside(SagByCurrent(), _by_sag(fit, bench)))
     if not fit.problem.noise.white and Cogging().fits(bench):
         orders = [trial["cogging_per_rad"] for trial in Cogging().trials(bench)]
@@ -111,11 +112,11 @@ def _by_sag(fit: Fit, bench: Bench) -> Array:
     return np.asarray(change / size)[:, None]
 
 
-def _by_coupling(fit: Fit, rad_s: float) -> Array:
+def by_coupling(fit: Fit, rad_s: float) -> Array:
     """(n, 1) change of the readings behind a coupling of that frequency, rad."""
     cut = fit.problem.cut
     stiff_rad = (cut.y_rad + fit.residual_rad)[:, None]
-    return -cut.swing(rad_s, stiff_rad, fit.starts[:, None, :])
+    return -cut.swing(rad_s, stiff_rad, fit.starts[:, None, :], 1)
 
 
 def by_friction_waves(fit: Fit, orders: Sequence[float]) -> Array:

@@ -269,11 +269,9 @@ class Cut:
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
         y_rad = readings_of(motor, self._records, self._begins(starts)).y_rad
-        return (
-            y_rad - self.swing(self.coupling_rad_s, y_rad[:, None], starts[:, None, :])[:, 0]
-            if self.coupling_rad_s
-            else y_rad
-        )
+        if not self.coupling_rad_s:
+            return y_rad
+        return y_rad - self.swing(self.coupling_rad_s, y_rad[:, None], starts[:, None, :], 1)[:, 0]
 
     def derivatives(
         self, motor: RealMotor, starts: Array, free: Sequence[int], waves_per_rad: Sequence[float] = ()
@@ -288,23 +286,30 @@ class Cut:
         every = np.column_stack(found)
         begin = np.zeros((starts.shape[0], every.shape[1], 2))  # velocity and position at the start, by column
         begin[:, 0], begin[:, -2, 0], begin[:, -1, 1] = starts, 1.0, 1.0
-        every = every - self.swing(self.coupling_rad_s, every, begin)
+        every = every - self.swing(self.coupling_rad_s, every, begin, every.shape[1] - 2)
         return Readings(every[:, 0], np.ascontiguousarray(every[:, 1:-2]), np.ascontiguousarray(every[:, -2:]))
 
-    def swing(self, rad_s: float, columns: Array, begin: Array) -> Array:
+    def swing(self, rad_s: float, columns: Array, begin: Array, goes_on: int) -> Array:
         """(n, k) by how much a load behind the coupling is ahead of what follows it stiffly, for (n, k) ``columns``.
 
-        rad_s   frequency of the coupling
-        begin   (p, k, 2) velocity and position of each column at the start of each piece
+        rad_s     frequency of the coupling
+        begin     (p, k, 2) velocity and position of each column at the start of each piece
+        goes_on   how many of the columns swing on from piece to piece: not those by the start of the own piece
         """
         since_s = self.t_s - self.t_s[self.begins][self.piece]
         accelerated = columns - begin[self.piece, :, 1] - begin[self.piece, :, 0] * since_s[:, None]
-        swing, at = [], 0
+        found, at = [], 0
         for window, rows in zip(self.windows, self.rows, strict=True):
-            own = accelerated[at : at + window.t_s.size]
-            swing.append(filtered(*_swings(rad_s, window.period_s), own, rows))
+            swing = filtered(*_swings(rad_s, window.period_s), accelerated[at : at + window.t_s.size], rows)
+            for first, stop in pairwise([*rows.tolist(), window.t_s.size]):
+                if first > 1:
+                    before, last = swing[first - 2, :goes_on], swing[first - 1, :goes_on]
+                    step_s = float(window.t_s[first - 1] - window.t_s[first - 2])
+                    after_s = (window.t_s[first:stop] - window.t_s[first - 1])[:, None]
+                    swing[first:stop, :goes_on] += _dies_away(rad_s, after_s, last, (last - before) / step_s)
+            found.append(swing)
             at += window.t_s.size
-        return np.concatenate(swing)
+        return np.concatenate(found)
 
     @cached_property
     def _records(self) -> Windows:
@@ -360,6 +365,13 @@ def _swings(rad_s: float, period_s: float) -> tuple[tuple[float, ...], tuple[flo
     decay = math.exp(-DAMPING * rad_s * period_s)
     gain = decay * math.sin(fast * period_s) / (fast * period_s)
     return (gain, -2.0 * gain, gain), (-2.0 * decay * math.cos(fast * period_s), decay**2)
+
+
+def _dies_away(rad_s: float, t_s: Array, swing: Array, per_s: Array) -> Array:
+    """What is left of a swing, and of its change with time, after ``t_s``, (m, 1)."""
+    damped = rad_s * math.sqrt(1.0 - DAMPING**2)
+    sine = (per_s + DAMPING * rad_s * swing) / damped
+    return np.asarray(np.exp(-DAMPING * rad_s * t_s) * (swing * np.cos(damped * t_s) + sine * np.sin(damped * t_s)))
 
 
 def _first_rows(window: Window, length_s: float) -> Rows:

@@ -11,7 +11,7 @@ from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 from rig.backends.driver import Timeouts
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo import dynamixel, feetech
-from rig.backends.servo.before import BeforeStore, store_of
+from rig.backends.servo.before import BeforeStore, order_of, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.facts import facts
@@ -157,6 +157,35 @@ def test_facts_end_where_the_keeper_had_to_act(protocol: str) -> None:
     with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
         list(facts(bench.driver._link, bench.store, None, watching))
     assert watching.ended is True and not bench.servo.is_on
+
+
+@pytest.mark.parametrize("opens", [True, False])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_that_somebody_has_taken_over_since_keeps_its_torque(
+    protocol: str, opens: bool, tmp_path: Path
+) -> None:
+    """Rig died, the next program holds an arm up, and its bus is silent: to put back would let the arm fall."""
+    bench = Bench(protocol, store=BeforeStore(tmp_path / "servo.json"))
+    bench.opened()
+    bench.servo.put(bench.setup.model.roles["mode"], 3 if protocol == "dynamixel" else 0)  # of positions
+    bench.servo.put(bench.setup.model.roles["torque"], 1)
+    link = bench.another()._link
+    with pytest.raises(Fault, match="SERVO_IN_USE"):
+        bench.driver.open() if opens else restore(link, bench.store)
+    bench.driver.close()
+    assert bench.servo.is_on and bench.store.load(link.model)
+
+
+def test_a_servo_that_was_in_pwm_mode_is_left_without_rigs_duty() -> None:
+    """Also by its keeper, where the servo took no duty 0 since its watchdog had acted."""
+    bench = Bench("dynamixel")
+    bench.servo.put("operating_mode", 16)
+    bench.armed()
+    bench.tick(0.3)
+    link, values = bench.driver._link, bench.store.load(bench.setup.model) or {}
+    for ask in order_of(link, values):
+        link.client.asked(ask, 0.1)
+    assert bench.servo.value("goal_pwm") == 0 and not bench.servo.is_on
 
 
 def test_goals_that_a_mode_change_resets_are_put_back() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import further_requests
 import pytest
 from servo_host import DynamixelHost, FeetechHost, Host
 
@@ -61,19 +62,19 @@ def test_group_reads_are_answered_in_their_order() -> None:
     host = DynamixelHost(*_others(DynamixelHost, 2, 3), registers=AT_ONCE)
     assert _ids(host.ask(dynamixel.ping())) == [1, 2, 3]
     assert _ids(host.ask(dynamixel.sync_read(132, 4, [3, 1, 2]))) == [3, 1, 2]
-    assert _ids(host.ask(dynamixel.bulk_read({2: (132, 4), 1: (146, 1)}))) == [2, 1]
-    (frame,) = host.ask(dynamixel.fast_sync_read(132, 4, [3, 1]))
+    assert _ids(host.ask(further_requests.bulk_read({2: (132, 4), 1: (146, 1)}))) == [2, 1]
+    (frame,) = host.ask(further_requests.fast_sync_read(132, 4, [3, 1]))
     assert _ids(dynamixel.fast_statuses(frame, {3: 4, 1: 4})) == [3, 1]
-    (frame,) = host.ask(dynamixel.fast_bulk_read({2: (7, 1), 3: (7, 1)}))
+    (frame,) = host.ask(further_requests.fast_bulk_read({2: (7, 1), 3: (7, 1)}))
     assert [s.data for s in dynamixel.fast_statuses(frame, {2: 1, 3: 1})] == [b"\x02", b"\x03"]
 
 
 def test_behind_one_that_is_absent_none_answers() -> None:
     host = DynamixelHost(*_others(DynamixelHost, 2), registers=AT_ONCE)
     assert _ids(host.ask(dynamixel.sync_read(132, 4, [1, 9, 2]))) == [1]
-    cut = host.ask(dynamixel.fast_sync_read(132, 4, [1, 9, 2]))
+    cut = host.ask(further_requests.fast_sync_read(132, 4, [1, 9, 2]))
     assert cut and all(isinstance(taken, Skipped) for taken in cut)
-    assert host.ask(dynamixel.fast_sync_read(132, 4, [9, 1])) == []
+    assert host.ask(further_requests.fast_sync_read(132, 4, [9, 1])) == []
     asks_253 = dynamixel.Frame(dynamixel.BROADCAST, 0x8A, b"\x84\x00\x04\x00\x01\xfd").encode()
     assert all(isinstance(taken, Skipped) for taken in host.ask(asks_253))
     other = FeetechHost(*_others(FeetechHost, 2))
@@ -96,7 +97,7 @@ def test_group_writes_reach_whom_they_name(kind: type[Host]) -> None:
 
 def test_a_bulk_write_has_addresses_of_its_own() -> None:
     host = DynamixelHost(*_others(DynamixelHost, 2), registers=AT_ONCE)
-    host.ask(dynamixel.bulk_write({1: (65, b"\x01"), 2: (112, b"\x07\x00\x00\x00")}))
+    host.ask(further_requests.bulk_write({1: (65, b"\x01"), 2: (112, b"\x07\x00\x00\x00")}))
     assert host.read("led") == 1 and host.read("profile_velocity", id=2) == 7
 
 

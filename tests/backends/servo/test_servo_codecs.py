@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable
 from typing import Any
 
+import further_requests
 import pytest
 from dynamixel_sdk import Protocol2PacketHandler
 from evidence import examples
@@ -29,7 +30,7 @@ MANUAL = {
     "write": (dynamixel.write(1, 116, b"\x00\x02\x00\x00"), "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89"),
     "reg write": (dynamixel.reg_write(1, 104, b"\xc8\x00\x00\x00"), "FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E"),
     "action": (dynamixel.action(1), "FF FF FD 00 01 03 00 05 02 CE"),
-    "factory reset": (dynamixel.factory_reset(1, "id"), "FF FF FD 00 01 04 00 06 01 A1 E6"),
+    "factory reset": (further_requests.factory_reset(1, "id"), "FF FF FD 00 01 04 00 06 01 A1 E6"),
     "reboot": (dynamixel.reboot(1), "FF FF FD 00 01 03 00 08 2F 4E"),
     "clear": (dynamixel.clear_turns(1), "FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC"),
     "sync read": (dynamixel.sync_read(132, 4, [1, 2]), "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA"),
@@ -38,11 +39,11 @@ MANUAL = {
         "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87",
     ),
     "bulk read": (
-        dynamixel.bulk_read({1: (144, 2), 2: (146, 1)}),
+        further_requests.bulk_read({1: (144, 2), 2: (146, 1)}),
         "FF FF FD 00 FE 0D 00 92 01 90 00 02 00 02 92 00 01 00 1A 05",
     ),
     "bulk write": (
-        dynamixel.bulk_write({1: (32, b"\xa0\x00"), 2: (31, b"\x50")}),
+        further_requests.bulk_write({1: (32, b"\xa0\x00"), 2: (31, b"\x50")}),
         "FF FF FD 00 FE 10 00 93 01 20 00 02 00 A0 00 02 1F 00 01 00 50 B7 68",
     ),
     "status of a ping": (dynamixel.status(1, b"\x06\x04\x26"), "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D"),
@@ -143,8 +144,8 @@ def test_a_header_that_is_not_stuffed_is_none() -> None:
         (lambda: dynamixel.sync_write(0, {1: b"\0", 2: b"\0\0"}), "same number"),
         (lambda: dynamixel.sync_write(0, {}), "same number"),
         (lambda: dynamixel.sync_read(0, 1, [1, 1]), "each once"),
-        (lambda: dynamixel.bulk_read({}), "no servo"),
-        (lambda: dynamixel.bulk_write({}), "no servo"),
+        (lambda: further_requests.bulk_read({}), "no servo"),
+        (lambda: further_requests.bulk_write({}), "no servo"),
         (lambda: dynamixel.fast_status([]), "no servo"),
         (lambda: dynamixel.status(1, error=128), "error 128"),
         (lambda: dynamixel.status_of(Frame(1, 3)), "no answer"),
@@ -242,13 +243,13 @@ def _sent_by_dynamixel_sdk() -> list[tuple[bytes, bytes]]:
         (lambda: theirs.action(port, 1), dynamixel.action(1)),
         (lambda: theirs.reboot(port, 1), dynamixel.reboot(1)),
         (lambda: theirs.clearMultiTurn(port, 1), dynamixel.clear_turns(1)),
-        (lambda: theirs.factoryReset(port, 1, 2), dynamixel.factory_reset(1, "id and baud")),
+        (lambda: theirs.factoryReset(port, 1, 2), further_requests.factory_reset(1, "id and baud")),
         (lambda: theirs.syncReadTx(port, 132, 4, [1, 2], 2, False), dynamixel.sync_read(132, 4, [1, 2])),
-        (lambda: theirs.syncReadTx(port, 132, 4, [1, 2], 2, True), dynamixel.fast_sync_read(132, 4, [1, 2])),
+        (lambda: theirs.syncReadTx(port, 132, 4, [1, 2], 2, True), further_requests.fast_sync_read(132, 4, [1, 2])),
         (lambda: theirs.syncWriteTxOnly(port, 65, 1, [1, 0], 2), dynamixel.sync_write(65, {1: b"\x00"})),
-        (lambda: theirs.bulkReadTx(port, [1, 132, 0, 4, 0], 5, False), dynamixel.bulk_read({1: (132, 4)})),
-        (lambda: theirs.bulkReadTx(port, [1, 132, 0, 4, 0], 5, True), dynamixel.fast_bulk_read({1: (132, 4)})),
-        (lambda: theirs.bulkWriteTxOnly(port, [1, 65, 0, 1, 0, 1], 6), dynamixel.bulk_write({1: (65, b"\x01")})),
+        (lambda: theirs.bulkReadTx(port, [1, 132, 0, 4, 0], 5, False), further_requests.bulk_read({1: (132, 4)})),
+        (lambda: theirs.bulkReadTx(port, [1, 132, 0, 4, 0], 5, True), further_requests.fast_bulk_read({1: (132, 4)})),
+        (lambda: theirs.bulkWriteTxOnly(port, [1, 65, 0, 1, 0, 1], 6), further_requests.bulk_write({1: (65, b"\x01")})),
     ]
     for call, wire in calls:
         port.is_using = False

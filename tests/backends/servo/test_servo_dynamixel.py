@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import further_requests
 import pytest
 from servo_host import DynamixelHost
 
@@ -384,17 +385,17 @@ def test_a_factory_reset_keeps_what_it_is_told_to() -> None:
     host = DynamixelHost(id=5)
     host.write("pwm_slope", 9)
     host.write("torque_enable", 1)
-    assert host.status(dynamixel.factory_reset(5, "id and baud")).error == FAILED, "the torque is on"
+    assert host.status(further_requests.factory_reset(5, "id and baud")).error == FAILED, "the torque is on"
     host.write("torque_enable", 0)
-    assert host.status(dynamixel.factory_reset(5, "id and baud")).error == 0
+    assert host.status(further_requests.factory_reset(5, "id and baud")).error == 0
     host.sleep(0.3)
     assert host.read("pwm_slope") == 140 and host.read("return_delay_time") == 250
-    host.status(dynamixel.factory_reset(5, "id"))
+    host.status(further_requests.factory_reset(5, "id"))
     host.sleep(0.3)
     assert host.ask(dynamixel.ping(5)) == [], "it has the baud of a new one"
     host.bus.set_baud(57_600)
     assert len(host.ask(dynamixel.ping(5))) == 1
-    host.ask(dynamixel.factory_reset(dynamixel.BROADCAST, "nothing"))
+    host.ask(further_requests.factory_reset(dynamixel.BROADCAST, "nothing"))
     assert len(host.ask(dynamixel.ping(5))) == 1, "not for all at once"
 
 

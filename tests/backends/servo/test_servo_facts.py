@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import Any
 
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
+from rig.backends.servo.bus import servo_link
 from rig.backends.servo.facts import Fact, facts
+from rig.backends.servo.scan import _who_answers
 
 
 def found(bench: Bench, powered: Any = None) -> dict[str, Fact]:
@@ -64,3 +68,26 @@ def test_a_feetech_forgets_its_mode_with_its_supply() -> None:
     told = found(bench, powered)
     assert told["lock_keeps_mode"].found is False
     assert told["least_duty"].found is not None
+
+
+@pytest.mark.parametrize("divisor", [128.0, 256.0])
+@pytest.mark.parametrize("at", [2048, 10])  # in the middle of its turn; so near the end that goals lie on one side
+def test_what_a_step_of_p_means_is_measured(divisor: float, at: int) -> None:
+    bench = Bench(p_divisor=divisor, zero_counts=at)
+    scale = found(bench)["p_scale_1_rad"].found
+    assert scale == pytest.approx(4096 / (2.0 * math.pi) / 885 / divisor, rel=0.06)
+
+
+def test_a_position_mode_that_gives_no_duty_is_told() -> None:
+    told = found(Bench(p_divisor=1e6))["p_scale_1_rad"]
+    assert told.found is None and "gave no duty" in told.words
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("adapter_s", [0.0, 0.016])  # an FTDI as it comes: answers come while a later id is asked
+def test_a_scan_finds_each_servo_once_however_late_its_answer_comes(protocol: str, adapter_s: float) -> None:
+    bench = Bench(protocol)
+    bench.bus.bus.line = dataclasses.replace(bench.bus.bus.line, adapter_s=adapter_s)
+    ids = range(12)
+    link = servo_link(bench.bus, bench.setup.model, 0, bench.own.baud)
+    assert sorted(_who_answers(link, ids)) == [1, 4, 7]

@@ -102,6 +102,20 @@ def test_an_alert_in_an_answer_ends_the_run(protocol: str) -> None:
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("answers", [1, 99])
+def test_an_alert_that_the_servos_register_denies_is_believed_the_second_time(
+    protocol: str, answers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(protocol)
+    bench.armed()
+    bench.tick(0.3)
+    left = iter([True] * answers)
+    monkeypatch.setattr(bench.driver._bus, "alerts", lambda _: next(left, False))
+    fault = bench.fault_within(5, 0.3)
+    assert (fault is None) if answers == 1 else (fault is not None and fault.code == "SERVO_ERROR")
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_one_damaged_reading_of_heat_is_no_fault(protocol: str) -> None:
     bench = Bench(protocol)
     bench.armed()

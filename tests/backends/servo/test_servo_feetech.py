@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+import further_requests
 import pytest
 from servo_host import FeetechHost
 
@@ -210,7 +211,7 @@ def test_instructions() -> None:
     assert host.ask(feetech.read(1, 0, 250)) == [], "more than an answer holds"
     host.ask(feetech.write(1, 8, b"\x00"))
     assert host.ask(feetech.write(1, 41, b"\x05")) == [] and host.read("acceleration") == 5
-    host.ask(feetech.reset(1))
+    host.ask(further_requests.reset(1))
     assert host.read("response_level") == 1
     assert host.ask(feetech.reboot(1)) == [] and host.ask(feetech.ping(1)) == []
     host.sleep(0.3)

@@ -8,9 +8,11 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from evidence import evidence
@@ -18,6 +20,7 @@ from servo_bench import PROTOCOLS, Bench
 
 from rig.backends.links.inherited_link import InheritedLink
 from rig.backends.links.serial_port import SerialPort
+from rig.backends.servo import keeper as keepers
 from rig.backends.servo.before import BeforeStore, values_of
 from rig.backends.servo.bus import ServoLink, servo_link
 from rig.backends.servo.emulated.servo_board import ServoBoard, violations_in
@@ -187,4 +190,43 @@ def test_a_keeper_that_has_ended_is_a_fault_before_the_next_drive(
     with pytest.raises(Fault, match="SERVO_UNWATCHED"):
         keeper.beat()
     keeper.end(restored=True)
+    port.close()
+
+
+def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(
+    board: tuple[str, Bench, ServoBoard], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, bench, _ = board
+    port = SerialPort(name, bench.own.baud)
+    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
+    store.save(bench.setup.model, bench.own.id, values_of(link))
+    started: list[subprocess.Popen[bytes]] = []
+    start = subprocess.Popen
+
+    def mute(*_: object, **options: Any) -> subprocess.Popen[bytes]:
+        started.append(start(["sleep", "600"], **options))
+        return started[0]
+
+    monkeypatch.setattr(keepers, "_STARTS_S", 0.1)
+    monkeypatch.setattr("rig.backends.servo.keeper.subprocess.Popen", mute)
+    with pytest.raises(Fault, match="SERVO_UNWATCHED"):
+        ServoKeeper(link, store, port.descriptor, 30.0)
+    assert started[0].returncode is not None  # one that comes late would write to another program's servo
+    port.close()
+
+
+def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(
+    board: tuple[str, Bench, ServoBoard], tmp_path: Path
+) -> None:
+    name, bench, _ = board
+    port = SerialPort(name, bench.own.baud)
+    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
+    store.save(bench.setup.model, bench.own.id, values_of(link))
+    one = ServoKeeper(link, store, port.descriptor, SILENCE_S)
+    one.beat()
+    assert wait_for(lambda: one.has_acted)
+    told = [one.has_acted]  # it stays said
+    one.rest()
+    assert [*told, one.has_acted] == [True, False]
+    one.end(restored=True)
     port.close()

@@ -11,6 +11,7 @@ from servo_bench import BYSTANDERS, PROTOCOLS, Bench, line_of
 
 from rig.backends.registry import backend_of, connect
 from rig.backends.servo import dynamixel, feetech
+from rig.backends.servo.opening import check_alone
 from rig.config.schema import Experiment
 from rig.faults import Fault
 from rig.testing.line import on_device
@@ -28,6 +29,8 @@ REFUSED: list[tuple[str, str, dict[str, int], str, str]] = [
     ("dynamixel", "its highest voltage is near", {"max_voltage_limit": 50}, "SERVO_SUPPLY", "too near"),
     ("feetech", "its torque is on", {"torque_enable": 1}, "SERVO_IN_USE", "torque is on"),
     ("feetech", "what is written stays", {"lock": 0}, "SERVO_SETUP", "for good"),
+    ("dynamixel", "no answer to a write", {"status_return_level": 1}, "SERVO_SETUP", "does not answer"),
+    ("feetech", "no answer to a write", {"response_level": 0}, "SERVO_SETUP", "does not answer"),
     ("feetech", "its position counts turns", {"phase": 0x10 | 0x0C}, "SERVO_SETUP", "counts turns"),
     ("feetech", "no protection from overload", {"unloading_condition": 0x04}, "SERVO_SETUP", "does not protect"),
     ("feetech", "no protection from heat", {"unloading_condition": 0x20}, "SERVO_SETUP", "does not protect"),
@@ -101,6 +104,16 @@ def test_another_master_on_the_bus_is_heard(protocol: str) -> None:
         bench.opened()
     assert raised.value.code in ("SECOND_MASTER", "LINK_UNIT", "LINK_REPLY", "LINK_TIMEOUT")
     assert not bench.servo.is_on and bench.servo.eeprom_writes.total() == 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_bytes_that_nobody_asked_for_are_those_of_another_master(protocol: str) -> None:
+    bench = Bench(protocol)
+    codec = {"dynamixel": dynamixel, "feetech": feetech}[protocol]
+    check_alone(bench.driver._link)
+    bench.bus.bus.another_master(codec.ping(BYSTANDERS[0]), bench.bus.now_s() + 0.001)
+    with pytest.raises(Fault, match="SECOND_MASTER"):
+        check_alone(bench.driver._link)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

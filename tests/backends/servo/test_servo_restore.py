@@ -174,7 +174,10 @@ def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: 
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"model": "xl330-m288"}', '{"model": "sts3215", "registers": {}}',
-                                  '{"model": "xl330-m288", "registers": {"id": 3}}'])  # fmt: skip
+                                  '{"model": "xl330-m288", "registers": {"id": 3}}',
+                                  '{"model": "xl330-m288", "registers": {"pwm_limit": 99999}}',
+                                  '{"model": "xl330-m288", "registers": {"pwm_limit": 1e999}}',
+                                  "[" * 100_000])  # fmt: skip
 def test_a_file_that_is_damaged_or_of_another_servo_is_not_believed(text: str, tmp_path: Path) -> None:
     path = tmp_path / "servo.json"
     path.write_text(text)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.backends.emulated.board_process import BoardProcess
-from rig.results import JsonObject
+
+if TYPE_CHECKING:
+    from rig.strict_json import JsonObject
 
 
 class PicoBoard(BoardProcess):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
-from rig.results import JsonObject
+
+if TYPE_CHECKING:
+    from rig.strict_json import JsonObject
 
 _BITS_PER_BYTE = 10
 

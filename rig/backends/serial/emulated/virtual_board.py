@@ -81,22 +81,26 @@ class VirtualBoard(VirtualDevice):
         super().__init__(_load(build_folder), options, round(1e9 * bits_per_byte / baud))
         self.keeps_shaft = False  # the path, for ``shaft``
         self._shaft_t_s, self._shaft_rad = array("d"), array("d")
+        self._view = _View()
 
     @override
     def _run(self, until_ns: int, until: Until) -> None:
-        while self.keeps_shaft and until != Until.TIME and (stop_ns := self._now_ns() + _SHAFT_NS) < until_ns:
+        now_ns = self._now_ns() if self.keeps_shaft and until != Until.TIME else until_ns
+        while (stop_ns := now_ns + _SHAFT_NS) < until_ns:
             super()._run(stop_ns, until)
             self._keep_shaft()
-            if self._now_ns() < stop_ns:
+            now_ns = self._now_ns()
+            if now_ns < stop_ns:
                 return  # it has come
         super()._run(until_ns, until)
         if self.keeps_shaft:
             self._keep_shaft()
 
     def _keep_shaft(self) -> None:
-        truth = self.truth()
-        self._shaft_t_s.append(truth.t_s)
-        self._shaft_rad.append(truth.y_rad)
+        view = self._view
+        self._library.virtual_look(self._board, ctypes.byref(view))
+        self._shaft_t_s.append(view.t_s)
+        self._shaft_rad.append(view.y_rad)
 
     def shaft(self) -> ShaftPath:
         """Where the shaft really was while it was kept: after each wait of the host, each 0.5 ms of an exchange."""

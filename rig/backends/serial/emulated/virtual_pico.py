@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
 
     from rig.model.bench import DriveWiring, SensorWiring
-    from rig.results import JsonObject
+    from rig.strict_json import JsonObject
 
 _END_S = 10.0
 

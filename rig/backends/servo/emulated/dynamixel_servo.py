@@ -32,11 +32,11 @@ VOLTAGE, HEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20  # bits o
 REVERSED, SLAVE, TORQUE_ON_BY_GOAL = 0x01, 0x02, 0x08  # bits of drive_mode
 _TORQUE_AT_START = 0x01  # bit of startup_configuration
 _POSITION_MODES = (3, 4, 5)
+_HARMLESS = 10  # steps of duty that break nothing away
 _MODES = (0, 1, 3, 4, 5, 16)
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _LIMITS = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}
 _RESET = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
-_P_SCALE = 1.0 / 128.0
 _TICK_TURN = 32_768
 _CLEAR_TURNS = dynamixel.Stream().feed(dynamixel.clear_turns(1))
 
@@ -106,8 +106,13 @@ class DynamixelServo(EmulatedServo):
             return sign * self._clipped(self.value("goal_pwm"), most)
         if mode in _POSITION_MODES:
             error = self.value("goal_position") - self._position()
-            return sign * self._clipped(_P_SCALE * self.value("position_p_gain") * error, most)
+            gain = self.value("position_p_gain") / self.options.p_divisor
+            return sign * self._clipped(gain * error, min(most, abs(self.value("goal_pwm"))))
         return 0.0
+
+    def _holds_gently(self) -> bool:
+        is_position = self.value("operating_mode") == self.model.position_mode
+        return is_position and abs(self.value("goal_pwm")) <= _HARMLESS
 
     def _is_braking(self) -> bool:
         return self.is_on and not (self._is_stopped and self.options.stopped_by_watchdog == "coast")

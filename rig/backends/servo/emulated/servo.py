@@ -53,7 +53,8 @@ class ServoOptions:
     protects_in_pwm   Feetech: whether overload acts in PWM mode
     torque_on_by_goal Feetech: whether writing a goal switches the torque on
     goal_at_boot      Feetech: the duty's register after power-on; one source says 1000
-    The last seven are said by no manual: each may be either.
+    p_divisor         Dynamixel: steps of its position loop's P that make a step of duty of a count: 128 or 256
+    The last eight are said by no manual: each may be either.
     """
 
     model: str = "xl330-m288"
@@ -77,6 +78,7 @@ class ServoOptions:
     protects_in_pwm: bool = False
     torque_on_by_goal: bool = False
     goal_at_boot: int = 1000
+    p_divisor: float = 128.0
 
 
 class ServoTruth(NamedTuple):
@@ -393,10 +395,15 @@ class EmulatedServo:
                 self.put(register.name, self._factory(register))
                 self._keep(register)
 
+    def _holds_gently(self) -> bool:
+        """Whether it is in a mode of its own in which its duty is bounded to what breaks nothing away."""
+        return False
+
     def _arm(self, goal: str) -> None:
         """The torque comes on, with that goal of its duty."""
         if self.of("mode") != self.model.pwm_mode:
-            self._violate(f"torque on in mode {self.of('mode')}")
+            if not self._holds_gently():
+                self._violate(f"torque on in mode {self.of('mode')}")
         elif self.value(goal) != 0:
             self._violate(f"torque on with goal {self.value(goal)}")
         self.bench.arm()

@@ -16,6 +16,7 @@ from rig.backends.servo.models.register import Register
 
 FULL_PWM = 885
 PWM_MODE = 16
+POSITION_MODE = 3
 COUNTS = 4096
 _LAST = COUNTS - 1
 TURN_RAD = 2.0 * math.pi / COUNTS
@@ -177,6 +178,7 @@ class Family:
             eeprom_end=64,
             full_drive=FULL_PWM,
             pwm_mode=PWM_MODE,
+            position_mode=POSITION_MODE,
             counts_per_turn=COUNTS,
             bauds=self.bauds,
             telemetry=(120, 27),

@@ -24,6 +24,7 @@ class ServoModel:
     eeprom_end       addresses below it are kept without supply
     full_drive       value of the drive's register at full duty
     pwm_mode         value of the mode's register in which the drive's register is the duty
+    position_mode    in which it holds a position by itself, within one turn
     counts_per_turn  of the position
     bauds            by the value of the baud's register, as far as all sources agree
     telemetry        address and bytes of the one read of a tick
@@ -39,6 +40,7 @@ class ServoModel:
     eeprom_end: int
     full_drive: int
     pwm_mode: int
+    position_mode: int
     counts_per_turn: int
     bauds: Mapping[int, int]
     telemetry: tuple[int, int]

@@ -15,6 +15,7 @@ from rig.backends.servo.models.register import Register
 
 FULL_DUTY = 1000
 PWM_MODE = 2
+POSITION_MODE = 0
 COUNTS = 4096
 MANY_TURNS = 0x10  # bit of ``phase``: the position goes on over turns
 STEPS_PER_SECOND = 0x04  # bit of ``phase``: the unit of speed
@@ -120,6 +121,7 @@ def _model(name: str, number: int, supply_V: tuple[float, float]) -> ServoModel:
         eeprom_end=40,
         full_drive=FULL_DUTY,
         pwm_mode=PWM_MODE,
+        position_mode=POSITION_MODE,
         counts_per_turn=COUNTS,
         bauds=BAUDS,
         telemetry=(56, 15),

@@ -1,4 +1,7 @@
-"""XW, against water: no light. Source: the XW540-T260's page of the e-Manual; of the others no value was looked up."""
+"""XW, against water: no light. Sources: the e-Manual's pages of XW430-T200 and XW540-T260.
+
+Of the others no value as shipped was looked up. dynamixel-sdk has the XW430-T200's table, and not its number.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,11 @@ _XW430 = Family("XW430", _MORE, (9.5, 16.0), without=frozenset({"led"}))
 _XW540 = Family("XW540", _MORE, (9.5, 16.0), without=frozenset({"led"}))
 
 MODELS = (
+    _XW430.model(
+        "xw430-t200", 1280, temperature_limit=80, max_voltage_limit=160, min_voltage_limit=95, current_limit=2047,
+        velocity_limit=235, velocity_i_gain=1920, velocity_p_gain=100, position_d_gain=0, position_i_gain=0,
+        position_p_gain=900,
+    ),
     _XW430.model("xw430-t333", 1270),
     _XW540.model(
         "xw540-t260", 1170, temperature_limit=80, max_voltage_limit=160, min_voltage_limit=95, current_limit=2047,

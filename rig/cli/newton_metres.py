@@ -1,0 +1,113 @@
+"""`rig newton-metres`: what a volt of a motor is in N m, from a stated mass on an arm."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.options import JSON
+from rig.newton_metres import Load, NewtonMetres, Quantity, newton_metres
+from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
+
+_PERCENT, _ARM_M, _R_PERCENT = 1.0, 0.001, 2.0  # half widths at 95 % where nobody says better
+
+
+class Measured(click.ParamType):  # type: ignore[type-arg]
+    """``VALUE`` or ``VALUE,ERROR``: a number above 0, and how far it may be off at 95 %.
+
+    percent, error   without ERROR: %, of the value, and a part in its own unit beside that
+    """
+
+    name = "measured"
+
+    def __init__(self, percent: float = 0.0, error: float = 0.0) -> None:
+        self.percent, self.error = percent, error
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Quantity:
+        """Both."""
+        number, comma, error = str(value).partition(",")
+        try:
+            of = float(number)
+            half = float(error) if comma else 0.01 * self.percent * of + self.error
+        except ValueError:
+            of = half = math.nan
+        if not (0.0 < of < math.inf and 0.0 <= half < of):
+            self.fail(f"{value!r} must be a number above 0, or with its error at 95 %: 0.1,0.001", param, ctx)
+        return Quantity(of, half)
+
+
+@click.command("newton-metres")
+@click.argument("loaded", metavar="LOADED", type=click.Path(path_type=Path))
+@click.option(
+    "--mass-kg", type=Measured(percent=_PERCENT), metavar="KG[,ERROR]", required=True,
+    help="Of the mass at the end of the arm, and how far it may be off at 95 %. Default of that: 1 %.",
+)  # fmt: skip
+@click.option(
+    "--arm-m", type=Measured(error=_ARM_M), metavar="M[,ERROR]", required=True,
+    help="From the shaft's axis to the middle of the mass; default of its error: 1 mm.",
+)  # fmt: skip
+@click.option("--rod-kg", type=click.FloatRange(min=0.0), default=0.0, help="Of the arm itself, an even rod.")
+@click.option(
+    "--bare", type=click.Path(path_type=Path), metavar="FREE",
+    help="The same motor without the load: then inertia tells, too, and both ways are compared.",
+)  # fmt: skip
+@click.option(
+    "--R-ohm", "R_ohm", type=Measured(percent=_R_PERCENT), metavar="OHM[,ERROR]",
+    help="Of the winding, measured, for kt; default of its error: 2 %.",
+)  # fmt: skip
+@JSON
+def newton_metres_command(
+    loaded: Path,
+    mass_kg: Quantity,
+    arm_m: Quantity,
+    rod_kg: float,
+    bare: Path | None,
+    R_ohm: Quantity | None,
+    as_json: bool,
+) -> None:
+    """Tell a motor in newton metres, by a mass on an arm.
+
+    LOADED is a run with that mass on the shaft, which lies level: a run folder, or what `rig identify --json` printed
+    into a file; FREE is one without it.
+    """
+    from rig.identify.known_model import answer_in
+
+    try:
+        load = Load(mass_kg, arm_m, rod_kg)
+        found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), R_ohm)
+    except RecordingError as error:
+        fail_input(error)
+    except ValueError as error:
+        fail(EXIT_BAD_INPUT, str(error), "correct the numbers of the load")
+    if as_json:
+        click.echo(json_text(found.as_json()), nl=False)
+    else:
+        for line in _lines(found):
+            click.echo(line)
+    sys.exit(EXIT_FAILED if found.verdict == "refused" else 0)
+
+
+def _lines(found: NewtonMetres) -> list[str]:
+    rows = (
+        ("a", found.torque_N_m_V, "N m/V", "torque of a volt"),
+        ("  by gravity", found.by_gravity, "N m/V", ""),
+        ("  by inertia", found.by_inertia, "N m/V", ""),
+        ("J", found.inertia_kg_m2, "kg m2", "without the load"),
+        ("f_c", found.friction_N_m, "N m", "Coulomb friction"),
+        ("b + kt2/R", found.damping_N_m_s_rad, "N m s/rad", "torque for each rad/s"),
+        ("kt", found.kt_N_m_A, "N m/A", ""),
+    )
+    shown = [
+        f"{name:<13}{one.value:<10.4g} {unit:<10}± {one.percent:.2g} %  {words}".rstrip()
+        for name, one, unit, words in rows
+        if one is not None
+    ]
+    if found.difference is not None and found.verdict != "refused":
+        shown.append(f"both ways agree: {100.0 * found.difference.value:+.2g} ± {100.0 * found.difference.u95:.2g} %")
+    return [*shown, found.verdict, *(f"- {reason}" for reason in found.reasons)]

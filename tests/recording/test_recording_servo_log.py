@@ -1,0 +1,174 @@
+"""The log of a servo's own position loop: its drive by duty = gain x error, and BAM's logs."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import servo_log
+from command_line import rig
+
+from rig.identify import identify
+from rig.recording.errors import RecordingError
+from rig.recording.log_format import LogColumn, LogFormat, LogFormatError
+from rig.recording.reader import read, read_all
+from rig.recording.servo_law import SCALES, Scale, ServoLaw, scale_of
+from rig.results import Answer
+
+KNOWN = Scale(1.0, 1.0, "stated")
+TAU_S, K, FC_V = 0.0444, 2.354, 0.133  # of the emulated XL330
+
+
+def log_of(scale: Scale = KNOWN, P: float | None = 0.5, slew_V_s: float = math.inf, **more: Any) -> LogFormat:
+    law = ServoLaw(P, scale, slew_V_s)
+    return LogFormat(LogColumn("s"), None, LogColumn("rad"), goal=LogColumn("rad"), servo=law, **more)
+
+
+def written(file: Path, rows: Sequence[tuple[float, ...]], names: str = "time,position,goal,voltage") -> Path:
+    file.write_text(names + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows), encoding="utf-8")
+    return file
+
+
+def bam(file: Path, change: Callable[[dict[str, Any]], None] = lambda _: None) -> Path:
+    """A log as BAM writes it: 30 entries without torque, 40 with it."""
+    entries: list[dict[str, Any]] = [
+        {
+            "position": 0.1 * k, "speed": 0.0, "load": 0.0, "input_volts": 5.0 if k % 2 else 5.2, "temp": 30,
+            "timestamp": 0.01 * k, "goal_position": 0.1 * k + 0.2, "torque_enable": k >= 30,
+        }
+        for k in range(70)
+    ]  # fmt: skip
+    data = {"mass": 0.1, "arm-mass": 0.01, "length": 0.1, "kp": 100, "vin": 7.5, "motor": "xl330", "trajectory": "sin"}
+    whole = data | {"entries": entries}
+    change(whole)
+    file.write_text(json.dumps(whole), encoding="utf-8")
+    return file
+
+
+def test_the_drive_is_gain_times_error_within_full_duty_and_each_goal_holds_until_the_next() -> None:
+    t_s, y_rad = np.array([0.0, 0.01, 0.02]), np.array([0.0, 0.1, 0.2])
+    goal_rad = np.array([1.0, 0.3, -9.0])
+    edges_s, u_V, rows_V = ServoLaw(0.5, KNOWN).drive(0.5, t_s, y_rad, goal_rad, 6.0)
+    np.testing.assert_allclose(edges_s, np.arange(21) * 0.001, atol=1e-12)
+    middles = 0.005 + 0.01 * np.arange(20)  # the position in the middle of each step
+    held = np.repeat([1.0, 0.3], 10)
+    np.testing.assert_allclose(u_V[:-1], 6.0 * 0.5 * (held - middles), atol=1e-12)
+    np.testing.assert_allclose(rows_V, [3.0, 0.6, -6.0])
+    first = ServoLaw(0.5, KNOWN, goal_first=True).drive(0.5, t_s, y_rad, goal_rad, 6.0)[1]
+    np.testing.assert_allclose(first[:10], 6.0 * 0.5 * (0.3 - middles[:10]), atol=1e-12)
+
+
+def test_a_ramp_bounds_how_quickly_the_drive_changes() -> None:
+    t_s, still = np.array([0.0, 0.01, 0.02, 0.03]), np.zeros(4)
+    goal_rad = np.array([0.0, 1.0, 1.0, 1.0])
+    _, u_V, _ = ServoLaw(1.0, KNOWN, slew_V_s=400.0).drive(1.0, t_s, still, goal_rad, 5.0)
+    risen = np.minimum(0.4 * (np.arange(20) + 0.5), 5.0)  # the mean of each step of a ramp of 0.4 V in each
+    risen[12] = 0.5 * (4.8 + 5.0)
+    np.testing.assert_allclose(u_V[10:-1], risen, atol=1e-12)
+
+
+def test_a_log_is_read_by_its_columns_and_says_what_it_took(tmp_path: Path) -> None:
+    rows = [(0.01 * k, 0.1 * k, 0.1 * k + 0.2, 7.4 + 0.1 * (k % 3)) for k in range(30)]
+    found = read(written(tmp_path / "log.csv", rows), log_of())
+    np.testing.assert_allclose(found.u_V, 7.5 * 0.5 * 0.2)
+    assert found.p_scale == KNOWN and found.drive_steps is not None
+    assert "the supply is the median of column voltage, 7.5 V" in found.notes
+    assert found.notes[-1].startswith("the drive is that of the servo's own law, P 0.5, 7.5 V")
+    stated = read(tmp_path / "log.csv", log_of(supply_V=5.0))
+    np.testing.assert_allclose(stated.u_V, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("names", "P", "words"),
+    [
+        ("time,position,goal,other", 0.5, "of the supply's voltage"),
+        ("time,position,goal,voltage", None, "does not say the servo's gain P"),
+    ],
+)
+def test_what_a_log_does_not_say_is_asked_for(tmp_path: Path, names: str, P: float | None, words: str) -> None:
+    rows = [(0.01 * k, 0.1 * k, 0.1 * k + 0.2, 7.4) for k in range(30)]
+    with pytest.raises(RecordingError, match=words):
+        read(written(tmp_path / "log.csv", rows, names), log_of(P=P))
+
+
+def test_options_of_another_kind_of_log_are_refused() -> None:
+    others: tuple[dict[str, Any], ...] = (
+        {"drive": LogColumn("V")},
+        {"reversed": True},
+        {"time_row": -1},
+        {"drive_row": 1},
+    )
+    for more in others:
+        with pytest.raises(LogFormatError):
+            LogFormat(goal=LogColumn("rad"), servo=ServoLaw(1.0, KNOWN), **more)
+    with pytest.raises(LogFormatError, match="add --servo"):
+        LogFormat(goal=LogColumn("rad"))
+
+
+def test_a_log_of_bams_is_read_as_it_is(tmp_path: Path) -> None:
+    (found,) = read_all(bam(tmp_path / "log.json"))
+    assert len(found) == 40 and found.t_s[0] == 0.3  # the stretch with the torque on
+    assert found.p_scale == SCALES["dynamixel"]
+    assert found.drive_steps is not None
+    # the goal of a row was written before its position was read: it holds in the time before it
+    error_rad = 3.1 + 0.2 - (3.0 + 0.1 / 20)
+    assert found.drive_steps[1][0] == pytest.approx(5.1 * 100 * SCALES["dynamixel"].middle * error_rad)
+    own = read(tmp_path / "log.json", LogFormat(servo=ServoLaw(None, scale_of("dynamixel", 0.004)), supply_V=6.0))
+    assert own.drive_steps is not None
+    assert own.drive_steps[1][0] == pytest.approx(6.0 * 100 * 0.004 * error_rad)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.update(motor="mx64"), "whose P rig does not know"),
+        (lambda data: data.update(kp="much"), "its kp is no number"),
+        (lambda data: [one.update(torque_enable=False) for one in data["entries"]], "with the torque on"),
+        (lambda data: data["entries"][40].pop("goal_position"), "entry 40 lacks"),
+        (lambda data: data["entries"][40].update(timestamp=0.0), "its time does not rise after entry 9"),
+    ],
+)
+def test_a_broken_log_of_bams_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:
+    with pytest.raises(RecordingError, match=words):
+        read_all(bam(tmp_path / "log.json", change))
+
+
+def test_a_motor_comes_back_from_its_servos_own_loop_and_its_volts_are_as_uncertain_as_the_scale(
+    tmp_path: Path,
+) -> None:
+    rows = [(t, p * servo_log.COUNT_RAD, g * servo_log.COUNT_RAD, u) for t, p, g, u in servo_log.rows(256.0)]
+    file = written(tmp_path / "log.csv", rows)
+
+    def by(scale: Scale) -> Answer | None:
+        recording = read(file, log_of(scale, servo_log.P, servo_log.SLEW_V_S))
+        return identify([recording], ("sampled-data",), choose_law=False).answer
+
+    stated, unsure = by(scale_of("dynamixel", SCALES["dynamixel"].low)), by(SCALES["dynamixel"])
+    assert stated is not None and unsure is not None
+    assert stated.tau_s == pytest.approx(TAU_S, rel=0.03)
+    assert stated.K_rad_s_V == pytest.approx(K, rel=0.03) and stated.fc_V == pytest.approx(FC_V, rel=0.1)
+    assert unsure.tau_s == pytest.approx(TAU_S, rel=0.03)  # its ramp alone depends on the scale
+    assert unsure.K_rad_s_V == pytest.approx(K / math.sqrt(2.0), rel=0.03)
+    interval = unsure.at_95("K_rad_s_V")
+    assert interval is not None and interval[0] < K < interval[1]
+    assert unsure.verdict == "doubtful" and "a factor of 2 only" in unsure.reasons[0]
+    assert "factor" not in " ".join(stated.reasons)
+
+
+def test_the_options_of_the_command(tmp_path: Path) -> None:
+    file = written(tmp_path / "log.csv", [(0.01 * k, 2048, 2048, 5.0) for k in range(30)])
+    servo = ("--servo", "xl330-m288", "--gain", "400")
+    for options, words in (
+        (("--gain", "400"), "add --servo MODEL"),
+        (("--servo", "ax12", "--gain", "400"), "no servo that rig knows"),
+        ((*servo, "--drive", "V"), "--drive and --servo are both given"),
+        # 4096 counts a turn need not be said
+        ((*servo, "--time", "s", "--position", "counts", "--goal", "counts"), "the position never changes"),
+    ):
+        said = rig("identify", file, *options)
+        assert said.exit_code == 2 and words in said.output, said.output

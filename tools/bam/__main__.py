@@ -1,0 +1,162 @@
+"""`make bam`: what `rig identify` says of servos with the friction that Rhoban/bam publishes, one line for each record.
+
+RIG_SHARED_DATA names the folder with `bam`. Errors are in % of the true numbers; held out is the RMS error of 12
+open-loop records of 1 s from rest, over the spread of their positions.
+
+    PYTHONPATH=tools python -m bam [--only WORD] [--seed N] [--reasons]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bam.records import KINDS, Case, Record, Truth, records_of
+from bam.servo import Load
+from rig.identify import identify
+from rig.identify.identification import Identification
+from rig.model.real_motor import FramedMotor, Pieces, response
+from rig.recording.recording import Recording, from_columns
+from rig.recording.series import Steps
+from shared.table import markdown
+
+FREE = Load()
+LOADS = {"XL330": Load(0.1, 0.1), "STS3215": Load(0.3, 0.15)}
+NUMBERS = ("tau_s", "K_rad_s_V", "fc_V")
+HEAD = ("servo", "record", "verdict", "errors of tau, K, f_c, %", "u95, %", "held out, %", "laws", "CPU, s")
+
+
+def cases() -> Iterator[Case]:
+    """Each servo with each published model, free and loaded, by relay and by strokes; then the slope as shipped."""
+    for servo, model in (("XL330", "m1"), ("STS3215", "m1"), ("XL330", "m4"), ("XL330", "m6")):
+        for load in (FREE, LOADS[servo]):
+            yield from (Case(servo, model, load, record) for record in ("relay", "strokes"))
+    yield from (Case("XL330", "m1", FREE, record, ramped=True) for record in ("relay", "strokes"))
+
+
+class Row(NamedTuple):
+    """What came of a case: verdict, errors and u95 of each number (relative), held out (relative), laws, CPU, s."""
+
+    case: Case
+    verdict: str
+    errors: tuple[float, ...]
+    u95: tuple[float, ...]
+    held_out: float
+    laws: tuple[str, ...]
+    cpu_s: float
+
+    def cells(self) -> list[str]:
+        """As the table has it."""
+        errors = ", ".join(f"{100.0 * one:.2g}" for one in self.errors) or "-"
+        u95 = ", ".join(f"{100.0 * one:.2g}" for one in self.u95) or "-"
+        shown = f"{100.0 * self.held_out:.2g}"
+        title, laws = self.case.title, ", ".join(self.laws)
+        return [title, self.case.record, self.verdict, errors, u95, shown, laws, f"{self.cpu_s:.0f}"]
+
+
+def recordings(case: Case, records: Sequence[Record]) -> list[Recording]:
+    """As rig reads them; of a duty that is ramped, with its slope told."""
+    found = [
+        from_columns(Path(f"{case.record}-{k}.csv"), one.t_s, one.u_V, one.y_rad, one.t_u_s)
+        for k, one in enumerate(records, 1)
+    ]
+    return [replace(one, slew_V_s=KINDS[case.servo].slope_V_s) for one in found] if case.ramped else found
+
+
+def held_out(case: Case, motor: FramedMotor, records: Sequence[Record]) -> float:
+    """RMS error over the spread of the positions, all records together; each starts at rest at 0 rad."""
+    squares = spread = 0.0
+    for one in records:
+        drive = Steps(one.t_u_s, one.u_V)
+        drive = drive.ramped(KINDS[case.servo].slope_V_s) if case.ramped else drive
+        found = response(motor.motor, motor.frame, drive, one.t_s, Pieces.one(0.0, 0.0))
+        squares += float(np.sum((found - one.true_rad) ** 2))
+        spread += float(np.sum((one.true_rad - one.true_rad.mean()) ** 2))
+    return math.sqrt(squares / spread)
+
+
+def tried(case: Case, folder: Path, seed: int) -> tuple[Row, Identification]:
+    """One line, and all that rig found."""
+    given, unseen, friction = records_of(case, folder, seed)
+    before = time.process_time()
+    found = identify(recordings(case, given))
+    cpu_s = time.process_time() - before
+    answer, motor, truth = found.answer, found.real_motor, Truth(friction, case.load)
+    if answer is None or motor is None:
+        return Row(case, "none" if answer is None else answer.verdict, (), (), math.nan, (), cpu_s), found
+    volt = float(np.mean([one.volt for one in given]))  # u95 is in the record's own
+    true = [truth.tau_s, truth.K_rad_s_V * volt, truth.fc_V / volt]
+    errors = tuple((getattr(motor.motor, name) - value) / value for name, value in zip(NUMBERS, true, strict=True))
+    half = [(answer.grade or {})[name].u95 for name in NUMBERS]
+    u95 = tuple((math.inf if h is None else h) / value for h, value in zip(half, true, strict=True))
+    laws = tuple(f"{law.name} {law.value:.3g}" for law in answer.law or ())
+    return Row(case, answer.verdict, errors, u95, held_out(case, motor, unseen), laws, cpu_s), found
+
+
+def summary(rows: Sequence[Row]) -> list[str]:
+    """The figures that are asked for."""
+    said = []
+    for model, loaded in (("m1", None), ("m4", False), ("m4", True), ("m6", False), ("m6", True)):
+        some = [
+            one
+            for one in rows
+            if one.case.model == model
+            and not one.case.ramped
+            and (loaded is None or (one.case.load.mass_kg > 0.0) is loaded)
+        ]
+        if some:
+            what = model.upper() + ("" if loaded is None else " loaded" if loaded else " free")
+            ok = sum(one.verdict == "ok" for one in some)
+            off = max((abs(e) for one in some for e in one.errors), default=math.nan)
+            shown = ", ".join(f"{100.0 * one.held_out:.2g}" for one in some)
+            said.append(f"{what}: {ok} of {len(some)} ok, at most {100.0 * off:.2g} % off; held out {shown} %")
+    wrong = ("cogging", "linearity", "force_over_position")
+    free = [one for one in rows if one.case.load.mass_kg == 0.0]
+    false = sum(any(law.startswith(wrong) for law in one.laws) for one in free)
+    inside = [
+        abs(e) <= u
+        for one in rows
+        if one.case.model == "m1" and one.verdict != "refused"
+        for e, u in zip(one.errors, one.u95, strict=True)
+    ]
+    said.append(f"cogging, linearity or force over position on a free servo: {false} of {len(free)}")
+    said.append(f"u95 holds the truth of M1 in {sum(inside)} of {len(inside)}")
+    return said
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Print the table. Exit status 2 without the data."""
+    parser = argparse.ArgumentParser(prog="make bam", description=__doc__)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--reasons", action="store_true")
+    given = parser.parse_args(argv)
+    folder = Path(os.environ.get("RIG_SHARED_DATA", "")) / "bam"
+    if not os.environ.get("RIG_SHARED_DATA") or not folder.is_dir():
+        print("RIG_SHARED_DATA must name the folder with bam", file=sys.stderr)
+        return 2
+    rows: list[Row] = []
+    for case in cases():
+        if given.only not in f"{case.title}, {case.record}":
+            continue
+        row, found = tried(case, folder, given.seed)
+        rows.append(row)
+        print(" | ".join(row.cells()), flush=True)
+        for reason in found.answer.reasons if given.reasons and found.answer is not None else ():
+            print("     -", reason, flush=True)
+    print("\n" + markdown(HEAD, [row.cells() for row in rows]))
+    print("\n".join(summary(rows)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
