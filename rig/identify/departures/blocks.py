@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.fit import COMPARED, Fit, Problem, begun, solve
+from rig.identify.departures.fit import Fit, Problem, solve
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
 from rig.identify.noise import WHITE
@@ -69,19 +69,14 @@ class Blocks:
         """How many blocks there are."""
         return int(self.cut.begins.size)
 
-    def off_rad(
-        self, motor: RealMotor, problem: Problem, *, starts_known: bool = False, starts: Array | None = None
-    ) -> Array:
+    def off_rad(self, motor: RealMotor, problem: Problem, *, starts_known: bool = False) -> Array:
         """(n,) predicted less recorded, rad, of each row; 0 where a row shows the start.
 
         starts_known   the start of a block is fitted to all of its rows, and none is left out: noise of the start is no
                        error of the motor
-        starts         (p, 2) near those of the blocks, rad/s and rad; default: as the record shows them
         """
         weight = None if starts_known else self.shown.astype(float)
-        cut = replace(self.cut, weight=weight)
-        near = cut.guessed() if starts is None else starts
-        starts = solve(begun(_of_starts(problem, cut), motor, near), 8, COMPARED).starts
+        starts = solve(begin(_of_starts(problem, replace(self.cut, weight=weight)), motor), 8).starts
         off = self.cut.readings(motor, starts) - self.cut.y_rad
         off = np.where(np.isfinite(off), off, np.inf)
         return off if starts_known else np.where(self.shown, 0.0, off)
@@ -123,18 +118,15 @@ class Blocks:
         motor          the fit to all blocks
         starts_known   as ``off_rad``
         """
-        given = replace(problem, cut=self.cut, robust_rad=math.inf, noise=WHITE)
-        whole = solve(begin(given, motor), FOLD_ITERATIONS, COMPARED)  # what all say is near what most of them say
         folds = self.folds()
 
         def left(held: NDArray[np.bool_]) -> Array:
             trained = motor
             if not held.all():
-                others = replace(given, cut=self.cut.only(~held))
-                trained = solve(begun(others, whole.motor, whole.starts[~held]), FOLD_ITERATIONS, COMPARED).motor
+                given = replace(problem, cut=self.cut.only(~held), robust_rad=math.inf, noise=WHITE)
+                trained = solve(begin(given, motor), FOLD_ITERATIONS).motor
             unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
-            off = unseen.off_rad(trained, problem, starts_known=starts_known, starts=whole.starts[held])
-            return unseen.squares(off)
+            return unseen.squares(unseen.off_rad(trained, problem, starts_known=starts_known))
 
         found, helds = np.zeros(self.count), [folds == fold for fold in range(int(folds.max()) + 1)]
         for held, squares in zip(helds, side_by_side(left, helds, self.shown.size), strict=True):

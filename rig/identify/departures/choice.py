@@ -19,7 +19,6 @@ from rig.identify.departures.blocks import Blocks, share_cut
 from rig.identify.departures.departure import NOTHING, Bench, Departure
 from rig.identify.departures.drift import Drift, DriftEach, LevelEach
 from rig.identify.departures.fit import (
-    COMPARED,
     Fit,
     Known,
     Normal,
@@ -194,11 +193,9 @@ class Chooser:
             if not law.shape or len(trials) == 1:
                 continue
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS, COMPARED)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
             for promise in self._starts(law, Columns(bare, bare.problem.rows(bare.motor, bare.starts)))[:RESHAPED]:
-                trial = solve(
-                    self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS, COMPARED
-                )
+                trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
                 if trial.cost < fit.cost:
                     fit = solve(trial)
         return fit
@@ -287,7 +284,7 @@ class Chooser:
         length_s = PREDICTED * cycle_s
         if cut.longest_s > length_s:
             cut = whole.every(length_s)
-        return solve(start(replace(fit.problem, cut=cut, noise=WHITE), fit.motor), TRIAL_ITERATIONS, COMPARED)
+        return solve(start(replace(fit.problem, cut=cut, noise=WHITE), fit.motor), TRIAL_ITERATIONS)
 
     def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
         """The problem of these laws on this cut."""
@@ -357,7 +354,7 @@ class Chooser:
         def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
             law = promise.law
             motor = fit.motor._replace(**promise.first)
-            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS, COMPARED)
+            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
@@ -443,7 +440,7 @@ class Chooser:
                 return loss(normal, fit, law)
             others = [one for one in laws if one is not law]
             bare = self.with_laws(fit, others, without(fit.motor, law))
-            return solve(bare, LEAP_ITERATIONS, COMPARED).cost - fit.cost
+            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
 
         return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
@@ -507,7 +504,7 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
 
     def fitted(other: float) -> tuple[float, Fit]:
-        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS, COMPARED)
+        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS)
         return other, replace(one, problem=fit.problem)
 
     sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.blocks import Blocks, share_cut
 from rig.identify.departures.choice import LAW_BLOCK, Choice, Chooser, Columns
-from rig.identify.departures.fit import COMPARED, solve
+from rig.identify.departures.fit import solve
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.outside import by_coupling
 from rig.identify.departures.pieces import Cut
@@ -40,7 +40,7 @@ def coupling_rad_s(choice: Choice, whole: Cut, chooser: Chooser) -> float:
 
     def cost(rad_s: float) -> float:
         behind = replace(problem, cut=replace(blocks.cut, coupling_rad_s=rad_s))
-        return solve(begin(behind, fit.motor), ITERATIONS, COMPARED).cost
+        return solve(begin(behind, fit.motor), ITERATIONS).cost
 
     fastest = 2.0 * math.pi / (ROWS_OF_SWING * max(window.period_s for window in whole.windows))
     tried = [rad_s for rad_s in FREQUENCIES_RAD_S if rad_s < fastest]

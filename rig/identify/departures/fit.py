@@ -37,7 +37,6 @@ class Enough(NamedTuple):
 
 
 ENOUGH = Enough(0.01, 2e-6)  # the share is that of a model that leaves far more than noise
-COMPARED = Enough(0.05, 3e-5)  # of a fit that is only compared with others
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -334,18 +333,8 @@ class Normal:
         change[-1] = 1.0
         free = np.flatnonzero(~held)
         if free.size:
-            own = left[np.ix_(free, free)]
-            scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-            change[free] = -scale * _solved(own * np.outer(scale, scale), left[free, -1] * scale)
+            change[free] = -np.linalg.lstsq(left[np.ix_(free, free)], left[free, -1], rcond=1e-14)[0]
         return change[:-1], -(solved @ change)
-
-
-def _solved(matrix: Array, wanted: Array) -> Array:
-    """The solution of equations with a diagonal of 1; the shortest one where they do not separate the numbers."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, wanted))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=1e-14)[0])
 
 
 def _bordered(matrix: Array, gradient: Array, squares: float) -> Array:

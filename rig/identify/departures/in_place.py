@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.identify.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Chooser
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import COMPARED, Fit, solve, unit
+from rig.identify.departures.fit import Fit, solve, unit
 from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
 from rig.identify.side_by_side import side_by_side
 
@@ -95,7 +95,7 @@ def _fitted(
     for promise in [one for k, one in enumerate(promises) if k < most or one.law.name in far]:
         one = promise.law
         motor = bare.motor._replace(**promise.first)
-        trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS, COMPARED)
+        trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
         found.append(InPlace(law, one, gained(fit, trial) + _extra(fit, law, one), moves))
     return found
