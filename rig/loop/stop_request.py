@@ -23,7 +23,8 @@ STOP_SIGNALS: Final[tuple[signal.Signals, ...]] = tuple(
     if hasattr(signal, name)
 )
 
-_NOHUP: Final = getattr(signal, "SIGHUP", None)  # whoever has it ignored wants a run that outlives the terminal
+# whoever has it ignored, as nohup, wants a run that outlives the terminal
+_NOHUP: Final = next((number for number in STOP_SIGNALS if number.name == "SIGHUP"), None)
 
 Gone = Callable[[], str]
 

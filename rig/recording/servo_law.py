@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:  # every command knows the options of a servo's log: few of them compute
+    import numpy as np
+    from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+    Floats = NDArray[np.float64]
 
 _COUNTS_RAD: Final = 4096 / (2.0 * math.pi)
 _OF_MANUAL: Final = _COUNTS_RAD / (128.0 * 885)
@@ -71,6 +72,7 @@ class ServoLaw:
         supply_V               at full duty
         Between rows the position is interpolated; each step has the mean of its ramp.
         """
+        import numpy as np
         from scipy.interpolate import PchipInterpolator
 
         steps = np.maximum(np.ceil(np.diff(t_s) / _STEP_S - 1e-6), 1.0).astype(int)
@@ -90,6 +92,8 @@ class ServoLaw:
 
 def _ramped(u_V: Floats, most_V: Floats) -> Floats:
     """Drives that change by no more than ``most_V`` in a step; of each step its mean."""
+    import numpy as np
+
     ends = [float(u_V[0])]
     for wanted, most in zip(u_V.tolist(), most_V.tolist(), strict=True):
         ends.append(min(max(wanted, ends[-1] - most), ends[-1] + most))
