@@ -211,7 +211,7 @@ def _units(test: TimeSeries) -> list[Objection]:
         object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
 
     step = test.resolution_rad()
-    said = SAY_UNIT if test.stage is None else "See calibration in its config"
+    said = _say_unit(test)
     if test.units_stated:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
@@ -332,6 +332,11 @@ def _turns(test: TimeSeries, first: int, stop: int) -> bool:
     return test.noise_rad() <= step and max(float(np.ptp(ahead)), float(np.ptp(behind))) <= TURN_STEPS * step
 
 
+def _say_unit(test: TimeSeries) -> str:
+    """How to say what the unit is: of a run of rig its config does."""
+    return SAY_UNIT if test.stage is None else "See calibration in its config"
+
+
 def _little(test: TimeSeries) -> list[Objection]:
     """So little motion that it may be in another unit."""
     span = float(np.ptp(test.y_rad))
@@ -339,7 +344,7 @@ def _little(test: TimeSeries) -> list[Objection]:
         cause = f"positions span {1e3 * span:.2g} mrad in all: is y_rad in rad? If it is, move further"
         return [Objection("refused", f"{test.name}: {cause}")]
     if 0.0 < span < SMALL_SPAN_RAD and not test.units_stated:
-        cause = f"positions span only {1e3 * span:.2g} mrad: is y_rad in rad? {SAY_UNIT}"
+        cause = f"positions span only {1e3 * span:.2g} mrad: is y_rad in rad? {_say_unit(test)}"
         return [Objection("doubtful", f"{test.name}: {cause}")]
     return []
 

@@ -100,3 +100,11 @@ def test_a_tau_of_no_small_motor_is_the_columns_fault_only_where_the_record_says
     estimate = Estimate("sampled-data", 60.0, 20.0, 0.6, ci95={"tau_s": (60.0 - half_s, 60.0 + half_s)})
     [objection] = judge_motor(estimate, [to_and_fro(0.0)])
     assert (objection.verdict, objection.spoils) == ("refused", spoils)
+
+
+def test_of_a_run_of_rig_nobody_is_asked_to_name_a_columns_unit() -> None:
+    """Its config says it: little motion is little motion."""
+    little = replace(to_and_fro(0.0), y_rad=0.04 * to_and_fro(0.0).y_rad)
+    for series, words in ((little, "--position y_rad:rad"), (replace(little, stage=Stage.relay(1)), "its config")):
+        (reason,) = [one.reason for one in judge_records([series]) if "span only" in one.reason]
+        assert words in reason
