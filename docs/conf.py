@@ -13,7 +13,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parent / "tools")]
 
 from reference_pages import write_pages  # noqa: E402
-from rig.package import VERSION  # noqa: E402 - needs the path above
+from rig.core.package import VERSION  # noqa: E402 - needs the path above
 
 project = "rig"
 author = "the rig contributors"

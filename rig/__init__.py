@@ -6,11 +6,9 @@ take a second, which `import rig` does not.
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 TYPE_CHECKING = False  # as of typing, which takes longer to load than all of this
 if TYPE_CHECKING:
@@ -35,7 +33,7 @@ if TYPE_CHECKING:
         run,
         simulate,
     )
-    from rig.package import VERSION as __version__
+    from rig.core.package import VERSION as __version__
 
 __all__ = [
     "CompareError",
@@ -62,26 +60,11 @@ __all__ = [
 ]
 
 
-class _Package(ModuleType):
-    """`rig.identify`, `rig.replay` and `rig.compare` are functions, although rooms have these names, too.
-
-    Python sets a package's attribute when it loads the room. Here the function stays; `from rig.identify import ...`
-    finds the room all the same.
-    """
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (name in __all__ and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
-
-
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module 'rig' has no attribute {name!r}")
     if name == "__version__":
-        from rig.package import VERSION as value
+        from rig.core.package import VERSION as value
     else:
         value = getattr(import_module("rig.api"), name)
     globals()[name] = value

@@ -6,8 +6,8 @@ import io
 import os
 import sys
 
-from rig import ctrl_c
-from rig.errors import LibraryError
+from rig.core import ctrl_c
+from rig.core.errors import LibraryError
 
 # The matrices here are thin: a second thread of the linear algebra saves nothing, and spins on the loop's core.
 for _library in ("OPENBLAS", "OMP", "MKL"):

@@ -12,33 +12,34 @@ from typing import Any, overload
 
 from numpy.typing import ArrayLike
 
-from rig import experiment, preflight, simulation
 from rig.backends.links.device_file import require_device_file
-from rig.compare.comparison import CompareError, Scatter
-from rig.compare.comparison import compare as compare_folders
 from rig.config import Experiment
 from rig.config import ready as ready_configs
 from rig.config.load import Given
+from rig.control import simulation
 from rig.control.law import OwnLaw, Timed
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
-from rig.identify import identify as identify_recordings
+from rig.control.simulation import Drive, Sampling
+from rig.core.faults import Fault
+from rig.core.signals import Sample
+from rig.identification import identify as identify_recordings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.prediction import predict_cycle
 from rig.model.real_motor import RealMotor
 from rig.notebook import Compared, Found, Prediction, Run
-from rig.recording import reader
-from rig.recording.errors import RecordingError
-from rig.recording.given import recordings_of
-from rig.recording.path_kind import require_distinct
-from rig.recording.recording import Recording
-from rig.replay import Replay
-from rig.replay import replay as replay_folder
-from rig.results import JsonObject
-from rig.session import Outcome
-from rig.signals import Sample
-from rig.simulation import Drive, Sampling
+from rig.output.compare.comparison import CompareError, Scatter
+from rig.output.compare.comparison import compare as compare_folders
+from rig.run_folder.recording import reader
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.given import recordings_of
+from rig.run_folder.recording.path_kind import require_distinct
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.results import JsonObject
+from rig.running import experiment, preflight
+from rig.running.replay import Replay
+from rig.running.replay import replay as replay_folder
+from rig.running.session import Outcome
 
 __all__ = [
     "CompareError",

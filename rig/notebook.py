@@ -13,24 +13,24 @@ from typing import TYPE_CHECKING, Any, Self, cast
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from rig.compare.comparison import Comparison
-from rig.compare.page import write_page
-from rig.identify import Estimate, Identification
-from rig.optional import needed
-from rig.recording.columns import COLUMNS, UNITS
-from rig.recording.errors import RecordingError
-from rig.recording.folder import META
-from rig.recording.given import recordings_of
-from rig.recording.recording import Recording
-from rig.report import source
-from rig.report.fitted import forest_figure, residual_figure
-from rig.report.measured import whole_run_figure
-from rig.report.simulated import Simulated, beyond, drawn, figure_of, predicted_record, simulated
-from rig.report.style import AbsentError, laid_out, style
-from rig.report.tables import estimates as estimate_rows
-from rig.report.words import PARAMETERS, quantity
-from rig.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult
-from rig.results.answer_words import answer_lines
+from rig.core.optional import needed
+from rig.identification import Estimate, Identification
+from rig.output.compare.comparison import Comparison
+from rig.output.compare.page import write_page
+from rig.output.report import source
+from rig.output.report.fitted import forest_figure, residual_figure
+from rig.output.report.measured import whole_run_figure
+from rig.output.report.simulated import Simulated, beyond, drawn, figure_of, predicted_record, simulated
+from rig.output.report.style import AbsentError, laid_out, style
+from rig.output.report.tables import estimates as estimate_rows
+from rig.output.report.words import PARAMETERS, quantity
+from rig.run_folder.recording.columns import COLUMNS, UNITS
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import META
+from rig.run_folder.recording.given import recordings_of
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult
+from rig.run_folder.results.answer_words import answer_lines
 from rig.terminal import (
     BUDGET_HEADINGS,
     MOTOR_LAW_HEADINGS,

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.results import (
+from rig.core.signals import plain
+from rig.run_folder.results import (
     Answer,
     EstimateResult,
     FrictionMapResult,
@@ -24,22 +25,21 @@ from rig.results import (
     TrueMotor,
     known,
 )
-from rig.results.answer_words import answer_lines
-from rig.results.budget_lines import budget_lines, that_matter
-from rig.results.comparison import ComparedRunResult, ComparisonResult
-from rig.results.design import DesignResult
-from rig.results.listed import ListedRun
-from rig.results.meta import REHEARSAL
-from rig.results.tuned import TunedResult
-from rig.signals import plain
+from rig.run_folder.results.answer_words import answer_lines
+from rig.run_folder.results.budget_lines import budget_lines, that_matter
+from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResult
+from rig.run_folder.results.design import DesignResult
+from rig.run_folder.results.listed import ListedRun
+from rig.run_folder.results.meta import REHEARSAL
+from rig.run_folder.results.tuned import TunedResult
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
-    from rig.doctor.finding import Finding
+    from rig.design.tune.servo_loop import ServoLoop
     from rig.model.prediction import PredictedCycle
-    from rig.replay import Replay
-    from rig.session import Outcome
-    from rig.tune.servo_loop import ServoLoop
+    from rig.running.doctor.finding import Finding
+    from rig.running.replay import Replay
+    from rig.running.session import Outcome
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 SHORT = ("tau", "K", "f_c")
@@ -414,7 +414,7 @@ def show_answer(answer: Answer | None, truth: TrueMotor | None = None) -> None:
 
 def law_causes() -> dict[str, tuple[str, str]]:
     """For each law of a motor by its name: its title, and what it may come from."""
-    from rig.identify.departures import DEPARTURES
+    from rig.identification.departures import DEPARTURES
 
     return {law.name: (law.title, law.cause) for law in DEPARTURES}
 

@@ -73,7 +73,10 @@ def _no_drawing() -> Iterator[None]:
 @contextlib.contextmanager
 def _no_figures() -> Iterator[None]:
     """In its block a report says of each figure that there is none: to make them all takes longer than a run, too."""
-    pages = [importlib.import_module(name) for name in ("rig.report.page", "rig.report.identified", "rig.compare.page")]
+    pages = [
+        importlib.import_module(name)
+        for name in ("rig.output.report.page", "rig.output.report.identified", "rig.output.compare.page")
+    ]
     with _no_drawing(), pytest.MonkeyPatch.context() as patch:
         for page in pages:  # loaded now, or one that is loaded in the block keeps this for later tests
             patch.setattr(page, "drawn", lambda make: pages[0].Figure(None, "not in this test"))
@@ -99,7 +102,7 @@ def undrawn() -> Iterator[None]:
 @contextlib.contextmanager
 def _no_laws() -> Iterator[None]:
     """In its block every motor is taken to be a plain one: nobody looks for laws of the motor."""
-    identification = importlib.import_module("rig.identify.identification")
+    identification = importlib.import_module("rig.identification.identification")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(identification, "_add_motor_law", lambda *_: None)
         yield

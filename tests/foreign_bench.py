@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from synthetic import LSB_RAD, dcr, motor
 
-from rig.identify.estimate import Estimate
-from rig.identify.verdict import ASKED
+from rig.identification.estimate import Estimate
+from rig.identification.verdict import ASKED
 from rig.model.motor import Motor, State
 
 Law = Callable[[float, float, float], float]

@@ -27,11 +27,11 @@ from rig.backends.backend import Backend, Unopened, Watchdog
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config.schema import DeviceSetup
+from rig.core.section import Section
 from rig.model.bench import BenchModel, BenchParameters
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.model.real_motor import RealMotor
-from rig.section import Section
 
 STEP_S = 1e-4
 SOLREF = f"{2.0 * STEP_S} 1"  # the shortest time constant that a step bears, and critical damping

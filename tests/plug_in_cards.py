@@ -9,9 +9,9 @@ from simulated_bench import CALIBRATION, DEMO, RAILS
 from rig.backends.clock import VirtualClock
 from rig.backends.driver import DeviceInfo, DriverSettings
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import DriveMap, Scaling
-from rig.faults import Fault
-from rig.signals import Order, Sample
+from rig.core.calibration import DriveMap, Scaling
+from rig.core.faults import Fault
+from rig.core.signals import Order, Sample
 
 
 def settings(**options: Any) -> DriverSettings:

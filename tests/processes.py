@@ -38,8 +38,8 @@ def rows(trace: Path) -> list[dict[str, float]]:
 # `rig` in a process of its own, but no laws are sought and no figure is made, which takes longer than most runs do
 PLAIN_RIG = """
 from rig.cli import main
-from rig.identify import identification
-from rig.report import page
+from rig.identification import identification
+from rig.output.report import page
 
 identification._add_motor_law = lambda *_: None
 page.drawn = lambda make: page.Figure(None, "not in this test")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 
 def fault_of(call: Callable[..., object], *arguments: object) -> Fault:

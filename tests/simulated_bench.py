@@ -7,16 +7,16 @@ from typing import Any
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import Calibration, DriveMap, Scaling
 from rig.control.breakaway import BreakawayCheck, StrokePlan
 from rig.control.guard import Guard, GuardSettings
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
+from rig.core.calibration import Calibration, DriveMap, Scaling
+from rig.core.signals import Limits
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.recording.sink import NullSink, Row
-from rig.signals import Limits
+from rig.run_folder.recording.sink import NullSink, Row
 
 PERIOD_S = 0.01
 LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)

@@ -12,7 +12,7 @@ import numpy as np
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 LSB_RAD = 4.2 / 1024
 

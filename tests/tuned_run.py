@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from rig import run_tuning
-from rig.tune.prediction import Prediction, predict
-from rig.tune.program import Trial
-from rig.tune.tuning import Tuned
+from rig.design.tune.prediction import Prediction, predict
+from rig.design.tune.program import Trial
+from rig.design.tune.tuning import Tuned
+from rig.running import run_tuning
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config/simulated.yaml"
@@ -48,5 +48,5 @@ def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     def predicted(tuned: Tuned, trial: Trial, draws: int, **more: Any) -> Prediction:
         return predict(tuned, trial, min(draws, 5), **more)
 
-    monkeypatch.setattr("rig.tune.prediction.LEAST_DRAWS", 5)
+    monkeypatch.setattr("rig.design.tune.prediction.LEAST_DRAWS", 5)
     monkeypatch.setattr(run_tuning, "predict", predicted)

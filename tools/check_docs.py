@@ -25,7 +25,7 @@ CODE = re.compile(r"```\w*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 PATH = re.compile(r"`((?:rig|tests|tools|firmware|config|docs)/[\w./-]*)`")
 # a Python file by its name alone, perhaps with a test in it: `test_cli_run.py::test_a_run`
 FILE = re.compile(r"`([\w-]+\.py)(?:::(\w+))?`")
-# something in a file: `Loop.armed` in `rig/loop/runner.py`
+# something in a file: `Loop.armed` in `rig/control/loop/runner.py`
 PLACE = re.compile(r"`(?:\w+\.)*(\w+)` in `((?:rig|tests|tools|firmware)/[\w./-]+\.\w+)`")
 # these tell of the project as it was when they were written
 HISTORY = ("docs/evidence/mutant-table.md", "CHANGELOG.md")
@@ -78,7 +78,7 @@ def lost_places(text: str) -> Iterator[str]:
     """Python files that a document names and that are nowhere, and things that are not in the file it names."""
     for name, inside in FILE.findall(text):
         files = [ROOT / file for file in listed(f"*{name}") if Path(file).name == name]
-        if not files and listed(f"rig/export/templates/{name}.j2"):
+        if not files and listed(f"rig/output/export/templates/{name}.j2"):
             continue  # rig writes it
         if not files:
             yield f"names {name}, which is nowhere"

@@ -19,9 +19,9 @@ from paper import sampling
 from paper.drawing import FIRST, MUTED, course, finish, new_figure, shade_stages, style, zero
 from rig.model import describing_function
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
-from rig.report.friction_map import over_position
-from rig.report.source import load
-from rig.report.style import Picture
+from rig.output.report.friction_map import over_position
+from rig.output.report.source import load
+from rig.output.report.style import Picture
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "docs" / "figures"

@@ -22,13 +22,13 @@ import yaml
 from rig.backends.emulated.bench import bench_parameters
 from rig.config.problems import ConfigError
 from rig.config.schema import Experiment
-from rig.experiment.free_running import Free, free_running
-from rig.experiment.stages import breakaway_check
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.bench import BenchModel
-from rig.preflight import check
-from rig.recording.series import TimeSeries
-from rig.signals import Sample
+from rig.run_folder.recording.series import TimeSeries
+from rig.running.experiment.free_running import Free, free_running
+from rig.running.experiment.stages import breakaway_check
+from rig.running.preflight import check
 
 ROOT = Path(__file__).resolve().parent.parent
 SENSORS = {"encoder, 3,200 counts a turn": "encoder.yaml", "10 bits, 3 mrad of noise": "quick.yaml"}

@@ -24,7 +24,7 @@ from rig.backends.serial.frames import (
     pack_drive,
     pack_zero,
 )
-from rig.calibration import ALL_COUNTS
+from rig.core.calibration import ALL_COUNTS
 
 CORPUS = Path(__file__).resolve().parent.parent / "firmware" / "tests" / "corpus"
 

@@ -22,14 +22,15 @@ from typing import Any
 
 import yaml
 
-from rig import config, experiment
-from rig.identify import IdentifyError, identify
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
-from rig.recording.reader import read_run
-from rig.replay import replay
-from rig.results import JsonObject
-from rig.session import Outcome
+from rig import config
+from rig.identification import IdentifyError, identify
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results import JsonObject
+from rig.running import experiment
+from rig.running.replay import replay
+from rig.running.session import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = ROOT / "tests/golden"

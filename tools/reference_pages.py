@@ -12,7 +12,7 @@ from typing import Any
 
 from results_page import in_order, kind, page_text
 from rig import config
-from rig.faults import FAULTS
+from rig.core.faults import FAULTS
 from shared import page
 from shared.table import markdown
 

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from rig.results import Part, RunMeta, RunResult
-from rig.results.json_schema import schema_text
+from rig.run_folder.results import Part, RunMeta, RunResult
+from rig.run_folder.results.json_schema import schema_text
 from shared import page
 from shared.table import markdown
 

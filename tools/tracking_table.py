@@ -16,12 +16,13 @@ from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rig import config, experiment
+from rig import config
 from rig.config import Experiment
-from rig.estimators import LEADING
-from rig.identify import Identification, identify
-from rig.recording.reader import read_run
-from rig.results import TrackingResult, known
+from rig.core.estimators import LEADING
+from rig.identification import Identification, identify
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results import TrackingResult, known
+from rig.running import experiment
 from shared import page
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -25,12 +25,12 @@ from rig import config
 from rig.campaign.grid import draw
 from rig.config.schema import MotorSection as DataSheet
 from rig.control.breakaway import BreakawayCheck
-from rig.experiment.stages import breakaway_check
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
-from rig.signals import Sample
+from rig.running.experiment.stages import breakaway_check
+from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
 
 ROOT = Path(__file__).resolve().parent.parent
 FRICTION_V = (0.05, 1.0)

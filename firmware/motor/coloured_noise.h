@@ -1,4 +1,4 @@
-/* Prediction of noise that is partly white and partly coloured (rig/identify/noise.py), sample by sample. */
+/* Prediction of noise that is partly white and partly coloured (rig/identification/noise.py), sample by sample. */
 #ifndef RIG_COLOURED_NOISE_H
 #define RIG_COLOURED_NOISE_H
 

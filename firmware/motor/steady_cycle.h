@@ -1,7 +1,7 @@
 /* The steady cycle under given edges of the relays, in closed form, with its derivatives, and fits to it.
  *
  * Velocity is linear in the drive, and w = y + tau v moves in straight lines. So a periodic motion under given edges needs
- * no iteration. The reversal needs none either: exp(t1 / tau) solves a linear equation. rig/identify/triple_relay.py uses
+ * no iteration. The reversal needs none either: exp(t1 / tau) solves a linear equation. rig/identification/triple_relay.py uses
  * it. theta is log tau, log K, fc for the conditions, and for the curve also asym, position at the first RC edge, and
  * delay of the edges; columns of a Jacobian are in the same order.
  */

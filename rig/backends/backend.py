@@ -23,14 +23,14 @@ from rig.backends.link_budget import LinkBudget
 from rig.backends.links.inherited_link import InheritedLink
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Emulated
-from rig.section import Section
+from rig.core.section import Section
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
     from rig.backends.links.usb_adapters import Adapter
-    from rig.calibration import DriveMap
+    from rig.core.calibration import DriveMap
+    from rig.core.strict_json import JsonObject
     from rig.model.bench import BenchParameters
-    from rig.strict_json import JsonObject
 
 OwnSection = TypeVar("OwnSection", bound=Section)
 

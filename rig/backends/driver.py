@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from operator import index
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from rig.calibration import Calibration, DriveMap
-from rig.signals import Limits, Order, Sample, plain
+from rig.core.calibration import Calibration, DriveMap
+from rig.core.signals import Limits, Order, Sample, plain
 
 
 @dataclass(frozen=True)

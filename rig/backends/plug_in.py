@@ -19,12 +19,12 @@ from types import MappingProxyType
 
 from typing_extensions import override
 
-from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver, StrokeDriver
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import DeviceSetup
-from rig.plug_ins import PlugInError
+from rig.core import plug_ins
+from rig.core.plug_ins import PlugInError
 
 _ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close": 0}
 

@@ -20,8 +20,8 @@ from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.plug_in import PlugIn, loaded, plug_in, refused
 from rig.config.problems import Problem, printable, wrong
 from rig.config.schema import DeviceSetup
-from rig.faults import Fault
-from rig.plug_ins import PlugInError, offered
+from rig.core.faults import Fault
+from rig.core.plug_ins import PlugInError, offered
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rig.campaign.results import Table
 from rig.campaign.summary import MAIN, VERDICTS, covered, error, over_bound, relative_error, rms
 from rig.config import Campaign
-from rig.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, style
+from rig.output.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, style
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from rig.campaign import picture
 from rig.campaign.results import Table
 from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
-from rig.package import VERSION
-from rig.recording.folder import write_whole
+from rig.core.package import VERSION
+from rig.run_folder.recording.folder import write_whole
 
 PICTURE = "campaign.png"
 REPORT = "report.html"

@@ -25,12 +25,12 @@ from pydantic import JsonValue
 from rig.campaign.grid import CampaignError
 from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
-from rig.package import FOLDER, VERSION
-from rig.plain_file import open_plain, read_plain
-from rig.recording.errors import RecordingError
-from rig.recording.folder import CONFIG, META, write_config, write_meta
-from rig.recording.reader import read_object
-from rig.results import JsonObject
+from rig.core.package import FOLDER, VERSION
+from rig.core.plain_file import open_plain, read_plain
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import CONFIG, META, write_config, write_meta
+from rig.run_folder.recording.reader import read_object
+from rig.run_folder.results import JsonObject
 
 RESULTS: Final = "results.csv"
 _MOST_BYTES: Final = 2**30  # of it: millions of experiments
@@ -48,7 +48,7 @@ def config_hash(campaign: Campaign) -> str:
 def program_hash() -> str:
     """Hash of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
     room = FOLDER
-    files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identify").rglob("*.py"))]
+    files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identification").rglob("*.py"))]
     files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
     return _sha256(b"\0".join(file.read_bytes() for file in files))
 

@@ -14,7 +14,7 @@ from rig.campaign import results, runner, summary
 from rig.campaign.grid import BrokenOffError, CampaignError
 from rig.campaign.trial import FAILED, Row
 from rig.config import Campaign
-from rig.recording.folder import CONFIG, json_text, write_whole
+from rig.run_folder.recording.folder import CONFIG, json_text, write_whole
 
 SUMMARY = "summary.json"
 SYSTEMATIC = 16  # experiments: if the first 16 all fail, the rest will fail too

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.campaign.results import Table
 from rig.campaign.trial import FAILED
-from rig.identify.estimate import PARAMETERS
+from rig.identification.estimate import PARAMETERS
 
 Array = NDArray[np.float64]
 

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from rig.campaign.grid import CampaignError, Draw, draw, simulate
 from rig.config.campaign import Campaign
-from rig.identify import IdentifyError, identify, sampled_data
-from rig.identify.cramer_rao import PositionNoise, cramer_rao
-from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.output_error import refit
+from rig.identification import IdentifyError, identify, sampled_data
+from rig.identification.cramer_rao import PositionNoise, cramer_rao
+from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.output_error import refit
 from rig.model.sampled_relay import SimulatedRelayTest
 from rig.model.sensitivity import Theta
-from rig.recording.errors import RecordingError
-from rig.recording.recording import Recording, from_columns
-from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
-from rig.results import RunMeta
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.recording import Recording, from_columns
+from rig.run_folder.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
+from rig.run_folder.results import RunMeta
 
 Array = NDArray[np.float64]
 Row = dict[str, int | float | str]  # COLUMNS says of which kind each is

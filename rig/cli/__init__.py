@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import click
 
-from rig.package import VERSION
+from rig.core.package import VERSION
 
 _GROUPS = {
     "Try it, without hardware": ("config", "emulate", "predict"),

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import click
 
-from rig.calibrate.dialogue import Ask, Motion, Say, Skipped
-from rig.calibrate.wiring import text as drawn
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.config.problems import ConfigError, key_of
-from rig.live.unrecorded import told
-from rig.recording.folder import json_text
-from rig.signals import plain
+from rig.core.signals import plain
+from rig.run_folder.live.unrecorded import told
+from rig.run_folder.recording.folder import json_text
+from rig.running.calibrate.dialogue import Ask, Motion, Say, Skipped
+from rig.running.calibrate.wiring import text as drawn
 
 
 @click.command()
@@ -41,9 +41,9 @@ def calibrate(
 
     STEP: angles (of an encoder: turn), travel, strokes, dead-band. Default: all.
     """
-    from rig.calibrate.session import NotWrittenError, open_config
-    from rig.calibrate.session import calibrate as go_through
-    from rig.calibrate.steps import steps_for
+    from rig.running.calibrate.session import NotWrittenError, open_config
+    from rig.running.calibrate.session import calibrate as go_through
+    from rig.running.calibrate.steps import steps_for
 
     try:
         with faults():
@@ -115,7 +115,7 @@ class _Terminal:
 
     def ask(self, question: Ask) -> str:
         """The answer as it was typed. Raises Skipped and NotWrittenError."""
-        from rig.calibrate.session import NotWrittenError
+        from rig.running.calibrate.session import NotWrittenError
 
         if any(meaning for _, meaning in question.choices):
             width = max(len(name) for name, _ in question.choices)

@@ -12,8 +12,8 @@ import click
 from rig import config
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
 from rig.cli.options import CONFIG, JSON
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 from rig.terminal import progress, show_campaign
 
 

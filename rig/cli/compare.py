@@ -10,8 +10,8 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.options import JSON
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_comparison
 
 
@@ -68,10 +68,10 @@ def compare(
     if file is not None and file.exists() and not force:
         fail(EXIT_BAD_INPUT, f"{file} is there already", "give another name, or --force")
     with patience("comparing"):
-        from rig.compare.comparison import CompareError, Scatter
-        from rig.compare.comparison import compare as compare_runs
-        from rig.compare.temperatures import read_temperatures
-        from rig.recording.path_kind import require_distinct
+        from rig.output.compare.comparison import CompareError, Scatter
+        from rig.output.compare.comparison import compare as compare_runs
+        from rig.output.compare.temperatures import read_temperatures
+        from rig.run_folder.recording.path_kind import require_distinct
     try:
         require_distinct(folders)
         with patience("comparing"):
@@ -81,7 +81,7 @@ def compare(
                 None if temperatures is None else read_temperatures(temperatures),
             )
         if file is not None:
-            from rig.compare.page import write_page
+            from rig.output.compare.page import write_page
 
             with patience("drawing the report"):
                 write_page(found, file)

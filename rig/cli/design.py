@@ -10,8 +10,8 @@ import click
 from rig.cli.driving import checked
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.options import CONFIG, JSON
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_design
 
 NO_TEST = (
@@ -46,11 +46,11 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
     """
     experiment = checked(config_path)
     from rig.design.design_map import design_map
-    from rig.identify.known_model import known_model
-    from rig.preflight.planned_tests import task_of_run
-    from rig.recording.reader import read_result
-    from rig.report import design_map as picture
-    from rig.results.meta import REHEARSAL
+    from rig.identification.known_model import known_model
+    from rig.output.report import design_map as picture
+    from rig.run_folder.recording.reader import read_result
+    from rig.run_folder.results.meta import REHEARSAL
+    from rig.running.preflight.planned_tests import task_of_run
 
     if file is not None and file.suffix.lower() not in picture.FORMATS:
         fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(picture.FORMATS)}")

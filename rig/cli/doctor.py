@@ -43,7 +43,7 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
     With --loopback: PWM, watchdog, e-stop, reset, session and timing, measured on the board itself through three wires,
     and a report to send in (docs/loopback.md). Exit status 1 if anything is bad.
     """
-    from rig.doctor.visit import with_config, without_config
+    from rig.running.doctor.visit import with_config, without_config
 
     if loopback is not None:
         if config_path is not None:
@@ -72,8 +72,8 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
 def _loop_back(port: str, baud: int, out: Path, *, as_json: bool) -> None:
     from datetime import datetime
 
-    from rig.doctor import loopback
-    from rig.live.unrecorded import told
+    from rig.run_folder.live.unrecorded import told
+    from rig.running.doctor import loopback
 
     if not as_json:
         click.echo(loopback.DRAWING + "\n")

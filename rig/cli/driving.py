@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 from rich.console import Console
 
-from rig import preflight
 from rig.backends.serial.ports import CHIP_PORTS
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
 from rig.config import ConfigError, Experiment, read
-from rig.recording.folder import json_text
+from rig.run_folder.recording.folder import json_text
+from rig.running import preflight
 from rig.terminal import show_run
 
 if TYPE_CHECKING:  # scipy comes with it
-    from rig.session import OnStart, Outcome
+    from rig.running.session import OnStart, Outcome
 
 
 def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_checked: str | None = None) -> Experiment:
@@ -64,7 +64,7 @@ def say_chip_starts(port: str | None) -> None:
 
 def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool = True) -> Outcome:
     """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
-    from rig.recording.follow import following
+    from rig.run_folder.recording.follow import following
 
     with faults(), contextlib.ExitStack() as stack:
 

@@ -41,7 +41,7 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
     backend = backend_of(d)
     if chip and not backend.has_chip:
         fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
-    from rig.loop.stop_request import stop_on_signals
+    from rig.control.loop.stop_request import stop_on_signals
 
     if chip:
         say_chip_starts("emulated-chip")

@@ -9,7 +9,7 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import JSON, ROWS
-from rig.recording.errors import RecordingError
+from rig.run_folder.recording.errors import RecordingError
 
 
 @click.command()
@@ -49,7 +49,7 @@ def export(
     .csv file holds the samples. A model has the numbers of the motor with units and intervals, its laws, and where it
     comes from.
     """
-    from rig.export import FORMATS, TOOLS
+    from rig.output.export import FORMATS, TOOLS
 
     if to in TOOLS:
         if stage is not None or rows is not None:
@@ -77,7 +77,7 @@ def _whole_run(
     as_json: bool,
 ) -> None:
     """Write the run to one file; ``chosen``: stage and rows."""
-    from rig.export import export as export_run
+    from rig.output.export import export as export_run
 
     try:
         run = export_run(run_folder, file, *chosen, overwrite=force)
@@ -96,7 +96,7 @@ def _model(
     run_folder: Path, tool: str, into: Path, stated: tuple[float | None, float | None], force: bool, as_json: bool
 ) -> None:
     """Write the model for a tool; ``stated``: torque of a volt, N m, and resistance of the winding, ohm."""
-    from rig.export import ExportError, export_model
+    from rig.output.export import ExportError, export_model
 
     try:
         torque_N_m_V, R_ohm = stated

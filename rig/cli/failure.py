@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from rig.backends.emulated.errors import EmulationError
-from rig.faults import Fault
-from rig.live.unrecorded import BusyError
-from rig.recording.errors import CannotWriteError, RecordingError
+from rig.core.faults import Fault
+from rig.run_folder.live.unrecorded import BusyError
+from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.config import ConfigError
-    from rig.identify import IdentifyError
+    from rig.identification import IdentifyError
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2

@@ -177,7 +177,7 @@ def _told(config_path: Path, asked: _Options) -> _Options:
 def _port_of(port: str | None, usb_serial: str | None) -> str | None:
     """The port that is given, or the one with that number on USB. Raises Fault OTHER_BOARD, LINK_OPEN."""
     from rig.backends.links.usb_port import check_board, port_of
-    from rig.faults import Fault
+    from rig.core.faults import Fault
 
     if usb_serial is None:
         return port

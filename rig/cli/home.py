@@ -9,7 +9,7 @@ import click
 from rig.cli.driving import checked_bench
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 from rig.cli.options import CONFIG, JSON, OUT, PACE
-from rig.recording.folder import json_text
+from rig.run_folder.recording.folder import json_text
 
 
 @click.command()
@@ -28,7 +28,7 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
     none. Nothing is recorded: --out is the folder of the panels that can stop it.
     """
     experiment = checked_bench(config_path, pace)
-    from rig.experiment import zero
+    from rig.running.experiment import zero
 
     encoder = experiment.sensor.encoder
     if encoder is None:

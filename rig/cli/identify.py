@@ -14,16 +14,16 @@ import click
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS
-from rig.estimators import ESTIMATORS
-from rig.recording.errors import CannotWriteError, RecordingError
-from rig.recording.folder import json_text
-from rig.recording.log_format import LogFormat
-from rig.results.meta import REHEARSAL
+from rig.core.estimators import ESTIMATORS
+from rig.run_folder.recording.errors import CannotWriteError, RecordingError
+from rig.run_folder.recording.folder import json_text
+from rig.run_folder.recording.log_format import LogFormat
+from rig.run_folder.results.meta import REHEARSAL
 from rig.terminal import MOST_NOTES, patience, show_answer, show_details
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.identify import Identification
-    from rig.recording.recording import Recording
+    from rig.identification import Identification
+    from rig.run_folder.recording.recording import Recording
 
 Wanted = tuple[Path | None, tuple[str, ...]]
 
@@ -91,10 +91,10 @@ def identify(
     3:counts numbers it. A log without a line of names has time, drive and position, in this order.
     """
     _require_new((picture, (".png",)), (report, (".html", ".htm")), force)
-    from rig.identify import IdentifyError
-    from rig.identify import identify as identify_recordings
-    from rig.recording.path_kind import require_distinct
-    from rig.recording.reader import read_all
+    from rig.identification import IdentifyError
+    from rig.identification import identify as identify_recordings
+    from rig.run_folder.recording.path_kind import require_distinct
+    from rig.run_folder.recording.reader import read_all
 
     if rows is not None and len(paths) > 1:
         fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
@@ -115,7 +115,7 @@ def identify(
         if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
             _keep(paths[0], recordings[0], found)
         if report is not None:
-            from rig.report.identified import write_identified
+            from rig.output.report.identified import write_identified
 
             with patience("drawing the report"):
                 write_identified(found, records, report)
@@ -175,9 +175,9 @@ def _keep(path: Path, recording: Recording, found: Identification) -> None:
 
     Where the disk does not take them, a line says so.
     """
-    from rig.recording.curves import read_curves, write_curves
-    from rig.recording.path_kind import is_run
-    from rig.recording.reader import read_result
+    from rig.run_folder.recording.curves import read_curves, write_curves
+    from rig.run_folder.recording.path_kind import is_run
+    from rig.run_folder.recording.reader import read_result
 
     result, curves = read_result(path)[0] if is_run(path) else None, found.curves
     if result is None or result.answer is None or curves is None or not curves.is_of(result.answer):
@@ -193,8 +193,8 @@ def _keep(path: Path, recording: Recording, found: Identification) -> None:
 
 def _draw(found: Identification, path: Path) -> str:
     """Write the picture; why there is none, in words, else empty. Raises CannotWriteError."""
-    from rig.report.simulated import write_picture
-    from rig.report.style import AbsentError
+    from rig.output.report.simulated import write_picture
+    from rig.output.report.style import AbsentError
 
     try:
         write_picture(found, path)

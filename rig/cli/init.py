@@ -84,10 +84,10 @@ def init(
         )  # fmt: skip
         _init_servo(file, servo, port, servo_id, supply_V, no_load_rpm)
         return
-    from rig import preflight
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
-    from rig.preflight.room_to_stop import longest_watchdog_s
+    from rig.running import preflight
+    from rig.running.preflight.room_to_stop import longest_watchdog_s
 
     asks = not yes
     if yes:
@@ -207,11 +207,11 @@ def _init_servo(
     file: Path, name: str, port: str | None, id: int, supply_V: float | None, no_load_rpm: float | None
 ) -> None:
     """A servo's config: what its registers tell is read where it has a port."""
-    from rig import preflight
     from rig.backends.links.usb_port import is_usb_name, usb_port
     from rig.backends.servo import first_config
     from rig.backends.servo.scan import USUAL_BAUDS, scan
     from rig.cli.servo import opened
+    from rig.running import preflight
 
     if file.exists():
         fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")

@@ -10,7 +10,7 @@ from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
 from rig.config import Experiment
-from rig.results import known
+from rig.run_folder.results import known
 
 USUAL_S, LONGEST_S = 0.3, 5.0
 USUAL_LEASED_S, LONGEST_LEASED_S = 60.0, 600.0
@@ -54,7 +54,7 @@ def jog(
     if duration_s > longest_s:
         fail(EXIT_BAD_INPUT, f"--seconds {duration_s:g} is too long", f"ask for at most {longest_s:g}")
     experiment = checked_bench(config_path, pace, as_checked)
-    from rig import experiment as script
+    from rig.running import experiment as script
 
     if u_V is None:
         outcome = perform(lambda on_start: script.jog_leased(experiment, duration_s, out, on_start), as_json)

@@ -9,8 +9,8 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import JSON
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 from rig.terminal import show_runs
 
 
@@ -32,8 +32,8 @@ def list_runs(folder: Path, where: Sequence[str], sort: Sequence[str], as_json: 
     Default: runs. The fields for --where and --sort are the keys of --json. The file .rig-index.jsonl in the folder
     holds what was read, so that the next time is quicker. You may delete it at any time.
     """
-    from rig.catalogue.index import catalogue
-    from rig.catalogue.query import QueryError, selected
+    from rig.run_folder.catalogue.index import catalogue
+    from rig.run_folder.catalogue.query import QueryError, selected
 
     try:
         found = catalogue(folder)

@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail
-from rig.recording.log_format import UNITS, LogColumn, LogFormat, LogFormatError, parse_period
-from rig.recording.servo_law import ServoLaw, scale_of
+from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, LogFormatError, parse_period
+from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 
 _COLUMN = "[COLUMN:]UNIT"
 

@@ -11,9 +11,9 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.options import JSON
-from rig.newton_metres import Load, NewtonMetres, Quantity, newton_metres
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.output.newton_metres import Load, NewtonMetres, Quantity, newton_metres
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 
 _PERCENT, _ARM_M, _R_PERCENT = 1.0, 0.001, 2.0  # half widths at 95 % where nobody says better
 
@@ -76,7 +76,7 @@ def newton_metres_command(
     LOADED is a run with that mass on the shaft, which lies level: a run folder, or what `rig identify --json` printed
     into a file; FREE is one without it.
     """
-    from rig.identify.known_model import answer_in
+    from rig.identification.known_model import answer_in
 
     try:
         load = Load(mass_kg, arm_m, rod_kg)

@@ -80,7 +80,7 @@ def panel(
 
 def _sort_out(path: Path | None) -> tuple[Path | None, Path | None]:
     """The config, or the run folder, that ``path`` is. A config that must not be run is no reason to show nothing."""
-    from rig.recording.path_kind import is_run
+    from rig.run_folder.recording.path_kind import is_run
 
     if path is None:
         return None, None

@@ -10,9 +10,9 @@ import click
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS
-from rig.recording.errors import IdentifyError, RecordingError
-from rig.recording.folder import json_text
-from rig.recording.log_format import LogFormat
+from rig.run_folder.recording.errors import IdentifyError, RecordingError
+from rig.run_folder.recording.folder import json_text
+from rig.run_folder.recording.log_format import LogFormat
 from rig.terminal import patience
 
 
@@ -52,10 +52,10 @@ def predict_run(
     """
     if picture is not None and picture.exists() and not force:
         fail(EXIT_BAD_INPUT, f"{picture} is there already", "give another name, or --force")
-    from rig.identify.known_model import answer_in
-    from rig.recording.reader import read_all
-    from rig.report.simulated import beyond, predicted_record, write_drawn
-    from rig.report.style import AbsentError
+    from rig.identification.known_model import answer_in
+    from rig.output.report.simulated import beyond, predicted_record, write_drawn
+    from rig.output.report.style import AbsentError
+    from rig.run_folder.recording.reader import read_all
 
     try:
         answer = answer_in(model)

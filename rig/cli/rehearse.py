@@ -7,10 +7,11 @@ from pathlib import Path
 
 import click
 
-from rig import config, preflight
+from rig import config
 from rig.cli.driving import finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
 from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.running import preflight
 
 
 @click.command()
@@ -63,7 +64,7 @@ def rehearse(
         fail(EXIT_BAD_INPUT, error.cause, error.cure)
     if not as_json:
         _show_motor(experiment)
-    from rig import experiment as script
+    from rig.running import experiment as script
 
     with faults():
         finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)

@@ -10,8 +10,8 @@ import click
 from rig import config
 from rig.cli.failure import EXIT_FAILED, fail_config, fail_input
 from rig.cli.options import JSON
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 from rig.terminal import progress, show_replay
 
 
@@ -24,7 +24,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     The recorded samples go through laws and guard again. Prints that each drive is the same, tick for tick, or the
     first difference.
     """
-    from rig.replay import replay as replay_run
+    from rig.running.replay import replay as replay_run
 
     try:
         with progress(f"replaying {run_folder.name}", as_json) as on_progress:

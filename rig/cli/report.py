@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli.failure import EXIT_FAILED, fail, fail_input
-from rig.recording.errors import RecordingError
+from rig.run_folder.recording.errors import RecordingError
 from rig.terminal import patience
 
 
@@ -15,8 +15,8 @@ from rig.terminal import patience
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 def report(run_folder: Path) -> None:
     """Write the report of a run again, and print its path."""
-    from rig.recording.path_kind import require_run
-    from rig.report import write_report
+    from rig.output.report import write_report
+    from rig.run_folder.recording.path_kind import require_run
 
     try:
         require_run(run_folder)

@@ -12,8 +12,8 @@ from rich.console import Console
 from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
 from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 from rig.terminal import show_scatter
 
 
@@ -59,7 +59,7 @@ def run(
                 f"--model needs relay.until in {config_path}: only there the tests depend on what is known",
                 "set relay.until (docs/until.md), or leave --model out",
             )
-        from rig.identify.known_model import known_model
+        from rig.identification.known_model import known_model
 
         try:
             known = known_model(model_run, experiment.drive.max_V)
@@ -67,7 +67,7 @@ def run(
             fail_input(error)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
-    from rig import experiment as script
+    from rig.running import experiment as script
 
     with faults():
         shown = partial(perform, as_json=as_json, verbose=verbose)

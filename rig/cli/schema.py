@@ -8,7 +8,7 @@ import click
 
 from rig import config
 from rig.cli.failure import EXIT_BAD_INPUT, fail
-from rig.results import RunMeta, RunResult
+from rig.run_folder.results import RunMeta, RunResult
 
 
 @click.command()
@@ -27,7 +27,7 @@ def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool)
     if of_campaign and of not in ("config", "campaign"):
         fail(EXIT_BAD_INPUT, f"--campaign and --of {of} name two schemas", "leave one of them out")
     if of in ("meta", "result"):
-        from rig.results.json_schema import schema_text
+        from rig.run_folder.results.json_schema import schema_text
 
         text = schema_text(RunMeta if of == "meta" else RunResult)
     else:

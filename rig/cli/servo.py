@@ -11,7 +11,7 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 from rig.cli.options import JSON
-from rig.recording.folder import json_text
+from rig.run_folder.recording.folder import json_text
 
 if TYPE_CHECKING:  # pyserial comes with it
     from rig.backends.links.serial_port import SerialPort

@@ -10,7 +10,7 @@ import click
 from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import CONFIG, JSON, OUT, PACE
-from rig.recording.errors import RecordingError
+from rig.run_folder.recording.errors import RecordingError
 
 
 @click.command()
@@ -28,10 +28,10 @@ from rig.recording.errors import RecordingError
 def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_json: bool) -> None:
     """Run the tracking check with the models of an earlier run."""
     experiment = checked_bench(config_path, pace)
-    from rig import experiment as script
-    from rig.identify import IdentifyError, identify
-    from rig.identify.known_model import kept_models
-    from rig.recording.reader import read_run
+    from rig.identification import IdentifyError, identify
+    from rig.identification.known_model import kept_models
+    from rig.run_folder.recording.reader import read_run
+    from rig.running import experiment as script
 
     if experiment.tracking is None:
         fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")

@@ -14,12 +14,12 @@ from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
 from rig.cli.options import JSON, OUT, PACE
 from rig.config import ConfigError
-from rig.recording.errors import RecordingError
-from rig.recording.folder import json_text
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import json_text
 
 if TYPE_CHECKING:
     from rig.config import Experiment
-    from rig.session import Outcome
+    from rig.running.session import Outcome
 
 
 @click.command()
@@ -98,10 +98,10 @@ def tune(
     from rig.terminal import patience, progress, show_tuned
 
     with patience("loading"):
-        from rig.report import tuned_loop
-        from rig.results.meta import REHEARSAL
-        from rig.run_tuning import Asked, tune_run, written_up
-        from rig.tune.tuning import TuneError
+        from rig.design.tune.tuning import TuneError
+        from rig.output.report import tuned_loop
+        from rig.run_folder.results.meta import REHEARSAL
+        from rig.running.run_tuning import Asked, tune_run, written_up
 
     if file is not None and file.suffix.lower() not in tuned_loop.FORMATS:
         fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(tuned_loop.FORMATS)}")
@@ -161,10 +161,10 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
                 EXIT_BAD_INPUT, f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out"
             )
     from rig.backends.servo.models import MODELS
-    from rig.run_tuning import servo_loop_of
+    from rig.design.tune.margins import Margins
+    from rig.design.tune.tuning import TuneError
+    from rig.running.run_tuning import servo_loop_of
     from rig.terminal import show_servo_loop
-    from rig.tune.margins import Margins
-    from rig.tune.tuning import TuneError
 
     if model not in MODELS:
         fail(EXIT_BAD_INPUT, f"{model} is no servo that rig knows", f"give one of {', '.join(MODELS)}")
@@ -183,6 +183,6 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
 
 def _tried(experiment: Experiment, out: Path, as_json: bool) -> Outcome:
     """The run on the bench."""
-    from rig import experiment as script
+    from rig.running import experiment as script
 
     return perform(partial(script.run, experiment, out), as_json)

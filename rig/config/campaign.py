@@ -9,8 +9,8 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from rig.section import NonNegative, Positive
-from rig.section import Section as _Section
+from rig.core.section import NonNegative, Positive
+from rig.core.section import Section as _Section
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:

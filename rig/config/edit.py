@@ -15,10 +15,10 @@ import yaml
 
 from rig.config.problems import Path, key_of
 from rig.config.yaml12 import compose, parse
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 Value = bool | int | float | str | Sequence["Value"] | Mapping[str, "Value"]
 

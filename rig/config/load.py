@@ -15,10 +15,10 @@ from rig.config.messages import explain
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import MOST_BYTES, Document, emit, parse
-from rig.plain_file import UnfitError, read_plain
+from rig.core.plain_file import UnfitError, read_plain
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 Given = str | PathLike[str] | Mapping[str, Any] | Document  # a file, its keys with their values, or what was read of it
 IN_PYTHON = "config"  # what a config is called that is in no file
@@ -32,7 +32,7 @@ def load(path: Given, *, follows_links: bool = True) -> Experiment:
     follows_links  whether the file may be a link: not in a run folder
 
     Raises ConfigError, and nothing else, if there is none in it.
-    What is loaded need not be safe to run: that is ``rig.preflight.check``.
+    What is loaded need not be safe to run: that is ``rig.running.preflight.check``.
     """
     return load_with_places(path, follows_links=follows_links)[0]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rig.config import ready
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 _EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the examples: their limits, speed and amplitudes go with it
 _MARGIN_RAD: Final = 0.2  # from the hard limits to the mechanical stops

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from rig.errors import RigError
-from rig.signals import plain
+from rig.core.errors import RigError
+from rig.core.signals import plain
 
 Path = tuple[str | int, ...]  # keys and list indices from the top, e.g. ("relay", "gains", 0, "h1_V")
 

@@ -6,7 +6,7 @@ import difflib
 from itertools import takewhile
 from pathlib import Path
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SUFFIX = ".yaml"

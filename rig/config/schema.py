@@ -1,7 +1,7 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
 Strict: an unknown key is an error, numbers are finite, objects are frozen. The schema checks each key by itself;
-``rig.preflight.rules`` checks keys together (room to stop, link budget, ...).
+``rig.running.preflight.rules`` checks keys together (room to stop, link budget, ...).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pydantic import (
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
 from rig.backends.servo.section import ServoKeys
-from rig.calibration import (
+from rig.core.calibration import (
     ALL_COUNTS,
     CALIBRATION_ERROR_RAD,
     LINEARITY_PERCENT,
@@ -36,10 +36,10 @@ from rig.calibration import (
     Scaling,
     TachometerScale,
 )
-from rig.estimators import ESTIMATORS
-from rig.section import Interval, NonNegative, Positive
-from rig.section import Section as _Section
-from rig.signals import Limits
+from rig.core.estimators import ESTIMATORS
+from rig.core.section import Interval, NonNegative, Positive
+from rig.core.section import Section as _Section
+from rig.core.signals import Limits
 
 if TYPE_CHECKING:
     Method = str

@@ -19,7 +19,7 @@ from rig.config.problems import ConfigError, Path, Problem, printable
 if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
 
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 MOST_BYTES = 2**20  # of a config; ours have some thousands
 _DEEPEST = 20  # sections within sections; the schema needs 5

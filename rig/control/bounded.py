@@ -7,8 +7,8 @@ import math
 from rig.control.law import Law
 from rig.control.motion import Swings
 from rig.control.unshown import UnshownMotion
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 
 class Bounds:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Literal, NamedTuple
 
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 _QUEUED = 1.5  # periods; a device that acts later keeps drives waiting, and its reports may leave one out
 _SEEN_PERIODS = 4  # that a stroke and the report of its end have, at least, before the next one
@@ -134,7 +134,8 @@ class BreakawayCheck(RestingCheck):
     With a stuck or uncoupled sensor the shaft turns unseen. So an equal stroke in the other direction takes each stroke
     back, and every other pair begins in the other direction. The shaft then moves only as far as friction differs
     between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
-    sensor fails. ``rig.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
+    sensor fails. ``rig.running.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md
+    10.1).
 
     A late tick makes its stroke longer, by a period at most where the device ends it itself (``pulse_s``), or shorter
     where it begins late. The stroke back lasts as long as that stroke really acted. If the stroke back itself is off,

@@ -10,10 +10,10 @@ from rig.control.guard import VelocityWindow
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.unshown import UnshownMotion
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
 from rig.model.describing_function import Oscillation, gains_for, linear_part
-from rig.signals import Sample
 
 
 @dataclass(frozen=True)

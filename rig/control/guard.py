@@ -7,8 +7,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from rig.control.motion import Gain, Standstill
-from rig.faults import Fault
-from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
+from rig.core.faults import Fault
+from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections import deque
 from statistics import fmean
 
 from rig.control.breakaway import BreakawayFound
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 
 class Homing:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from rig.control.relay import HystereticRelay
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 
 class HystereticRun:

@@ -6,9 +6,9 @@ import math
 from types import FrameType
 from typing import Protocol, runtime_checkable
 
-from rig.faults import Fault
-from rig.plug_ins import in_words
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.plug_ins import in_words
+from rig.core.signals import Sample
 
 
 class Law(Protocol):

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 
 from rig.control.law import OwnLaw
-from rig.plug_ins import PlugInError, described, in_words, offered
+from rig.core.plug_ins import PlugInError, described, in_words, offered
 
 GROUP = "rig.laws"
 TUNED = "tuned"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from rig.control.law import Rest
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 IDLE_S = 30.0
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.cycle_detector import DetectedCycle
-from rig.signals import Sample
 
 
 class Gaps:

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from rig.control.known_motor import MotorState, known
+from rig.core.signals import Sample
 from rig.model.linear import input_vector, transition
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
-from rig.signals import Sample
 
 _GAP_PERIODS = 2.5  # a longer time between two samples is a gap
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 
 def keep_sign(value: float, previous: int) -> int:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from rig.control.excitation import RelayLaw, SearchStep
 from rig.control.motion import Swings
 from rig.control.relay import DualChannelRelay
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
-from rig.signals import Sample
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class RisingGains(RelayLaw[DualChannelRelay]):
     after it. From then on a wide and a small cycle take turns, ``TURNS`` turning points
     each: two sizes tell a drag from another K, should nobody decide to end this law.
 
-    It never finishes by itself, and never gives up: ``rig.experiment.until`` ends it.
+    It never finishes by itself, and never gives up: ``rig.running.experiment.until`` ends it.
     """
 
     START = 0.15  # of the breakaway level: first x

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from rig.control.guard import WINDOW_S, Guard, velocity_noise_rad_s
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 LATEST_PERIODS = 2.0  # of the guard's delay
 CLEAR = 2.5  # standard deviations of the guard's velocity: slower than that the shaft does not coast far

@@ -11,9 +11,9 @@ from typing import Literal
 from rig.control.known_motor import known
 from rig.control.observer import MotorObserver
 from rig.control.set_point import Program
+from rig.core.signals import Sample
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
-from rig.signals import Sample
 
 Loop = Literal["position", "velocity"]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from rig.control.motion import Standstill
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 
 class Stroke(NamedTuple):

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 
 class CountedTimes(NamedTuple):

@@ -13,8 +13,8 @@ from rig.control.disturbance_observer import DisturbanceObserver
 from rig.control.motion import Standstill
 from rig.control.sweep_plan import SweepPlan, fastest_loop_1_s
 from rig.control.trajectory import Reference, SumOfSines
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 SLOWEST_1_S = 0.5
 OBSERVER = 3.0  # its bandwidth over the loop's

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from rig.control.known_motor import KnownMotor, MotorState, known
 from rig.control.observer import MotorObserver
 from rig.control.trajectory import Reference
+from rig.core.signals import Sample
 from rig.model.error_decay import ErrorDecay
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
-from rig.signals import Sample
 
 
 class Trajectory(Protocol):

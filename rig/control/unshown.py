@@ -10,8 +10,8 @@ import math
 from collections import deque
 
 from rig.control.motion import Gaps, Standstill
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 STILL_S = 0.3  # as the guard's: for which a drive above friction may leave the reading where it is
 FRICTION = 0.5  # of the level that moves the shaft, at least

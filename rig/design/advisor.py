@@ -16,14 +16,14 @@ from rig.design.planned_test import Design, PlannedTest, RelayGains
 from rig.design.rest_noise import RestNoise
 from rig.design.room import Reading, Room
 from rig.design.stop_rule import StopRule
-from rig.identify.breakaway import breakaway
-from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
-from rig.identify.preprocessing import from_recording
+from rig.identification.breakaway import breakaway
+from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.identification.preprocessing import from_recording
 from rig.model.step import State
-from rig.recording.errors import IdentifyError
-from rig.recording.recording import Recording
-from rig.recording.stage import Stage, StageKind
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.stage import Stage, StageKind
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from rig.design.outlook import AT_REST, Task, driven, law_of, told
 from rig.design.planned_test import Design, RelayGains, Strokes
 from rig.design.relay_search import GainGrid, best_of, gain_grid
 from rig.design.stroke_search import best_strokes
-from rig.results.design import (
+from rig.run_folder.results.design import (
     BelievedMotor,
     DesignedGains,
     DesignedMap,

@@ -14,7 +14,7 @@ DOUBT_SIGMAS = 4.0  # by which the ratio may be larger, and the noise be to blam
 
 
 class Judged(Protocol):
-    """What the rule looks at; ``rig.identify.live.LiveEstimate`` has it."""
+    """What the rule looks at; ``rig.identification.live.LiveEstimate`` has it."""
 
     @property
     def worst_percent(self) -> float:

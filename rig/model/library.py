@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import LibraryError
+from rig.core.errors import LibraryError
+from rig.core.package import FOLDER
 from rig.model.library_build import NAME, CompileError, compiled, sources_in
-from rig.package import FOLDER
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -12,7 +12,7 @@ from rig.model.describing_function import Oscillation
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, limit_cycle
 
 if TYPE_CHECKING:
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 LARGEST = 1e6  # of any parameter: no motor has a larger one
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Final, Literal
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 from rig.panel.errors import RefusedError
 
 Kind = Literal["read", "write", "socket"]

@@ -23,7 +23,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from rig.package import FOLDER, VERSION
+from rig.core.package import FOLDER, VERSION
 from rig.panel.access import Access, Kind, security_headers
 from rig.panel.aside import answer_of
 from rig.panel.bench import Bench
@@ -32,7 +32,7 @@ from rig.panel.messages import Answer, Refusal, Refused, State, Stop
 from rig.panel.runs import Runs
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S, MOST_SOCKETS, Meter
 from rig.panel.watch import Follower, Watch
-from rig.results import JsonObject
+from rig.run_folder.results import JsonObject
 
 STATIC: Final = FOLDER / "panel" / "static"
 UPLOT: Final = STATIC / "vendor" / "uPlot.esm.js"

@@ -13,7 +13,7 @@ from typing import Final, Literal, overload
 
 from rig.panel.errors import RefusedError
 from rig.panel.messages import Compared, Drawn, Prospect, Refusal
-from rig.recording.errors import RecordingError
+from rig.run_folder.recording.errors import RecordingError
 
 _PATIENCE_S: Final = 60.0
 _LESS_URGENT: Final = 10

@@ -12,10 +12,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from rig.calibrate.refusal import ALONE
-from rig.live.lease import HeldLease, Leaser
-from rig.live.own_folder import OwnFolder
-from rig.loop.stop_request import Gone
+from rig.control.loop.stop_request import Gone
+from rig.run_folder.live.lease import HeldLease, Leaser
+from rig.run_folder.live.own_folder import OwnFolder
+from rig.running.calibrate.refusal import ALONE
 
 EVERY_S: Final = 0.05  # between two promises, each of 150 ms
 

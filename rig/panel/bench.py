@@ -17,16 +17,16 @@ from pathlib import Path
 from typing import Final
 
 from rig.config.yaml12 import MOST_BYTES
-from rig.live.lease import Leaser
-from rig.live.running import Lookout, Running, Seen, running
-from rig.live.stop_flag import Runner, StopError, command_of, is_recorded, request_stop, runner_of
+from rig.core.plain_file import read_plain
 from rig.panel import attendance, processes
 from rig.panel.aside import answer_of
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
 from rig.panel.messages import Checked, Started
 from rig.panel.processes import Ended, StartedProcess
-from rig.plain_file import read_plain
+from rig.run_folder.live.lease import Leaser
+from rig.run_folder.live.running import Lookout, Running, Seen, running
+from rig.run_folder.live.stop_flag import Runner, StopError, command_of, is_recorded, request_stop, runner_of
 
 HOLD_ENDS_S: Final = 0.3  # without a renewal: two leases
 CALIBRATION: Final = Path("the calibration")  # stands for one of this panel that has no flag yet

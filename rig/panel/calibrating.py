@@ -18,18 +18,18 @@ from pathlib import Path
 from typing import Literal
 
 from rig.backends.emulated.errors import EmulationError
-from rig.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
-from rig.calibrate.refusal import Refusal
-from rig.calibrate.session import NotWrittenError, calibrate, open_config
-from rig.calibrate.steps import steps_for
-from rig.calibrate.wiring import svg
 from rig.config.problems import ConfigError
-from rig.faults import Fault
-from rig.live.unrecorded import BusyError, told
-from rig.loop.stop_request import Gone
+from rig.control.loop.stop_request import Gone
+from rig.core.faults import Fault
 from rig.panel.attendance import watched
 from rig.panel.messages import Answer, CalibrationEnd, Doing, Question, Said
-from rig.recording.errors import RecordingError
+from rig.run_folder.live.unrecorded import BusyError, told
+from rig.run_folder.recording.errors import RecordingError
+from rig.running.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
+from rig.running.calibrate.refusal import Refusal
+from rig.running.calibrate.session import NotWrittenError, calibrate, open_config
+from rig.running.calibrate.steps import steps_for
+from rig.running.calibrate.wiring import svg
 
 
 class _Page:

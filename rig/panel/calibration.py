@@ -13,10 +13,10 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
+from rig.core.signals import plain
 from rig.panel.attendance import Attendance
 from rig.panel.errors import RefusedError
 from rig.panel.messages import Answer, CalibrationEnd, CalibrationShown, Question, Said
-from rig.signals import plain
 
 _LAST_WORDS_LINES: Final = 12
 _MOST_SAID: Final = 500

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.compare.comparison import CompareError, compare
+from rig.output.compare.comparison import CompareError, compare
 from rig.panel.aside import give
 from rig.panel.messages import Compared
 

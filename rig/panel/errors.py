@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.errors import RigError
+from rig.core.errors import RigError
 
 
 class RefusedError(RigError):

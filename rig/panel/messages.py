@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NotRequired, TypedDict
 
-from rig.live.view import Estimate, SeenFault
-from rig.results import JsonObject
+from rig.run_folder.live.view import Estimate, SeenFault
+from rig.run_folder.results import JsonObject
 
 
 class Plan(TypedDict):

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rig.live.born import born
-from rig.live.own_folder import START_LOCK, HeldError, NotOwnError, OwnFolder
+from rig.core.signals import plain
 from rig.panel.errors import RefusedError
-from rig.signals import plain
+from rig.run_folder.live.born import born
+from rig.run_folder.live.own_folder import START_LOCK, HeldError, NotOwnError, OwnFolder
 
 _LAST_WORDS_BYTES: Final = 2000
 _LAST_WORDS_LINES: Final = 12

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig import preflight
 from rig.config import ConfigError, Experiment, is_campaign, read
 from rig.panel.aside import give
 from rig.panel.messages import Plan, Prospect
-from rig.preflight.plan import lasts_s
-from rig.preflight.room_to_stop import stopping_terms
+from rig.running import preflight
+from rig.running.preflight.plan import lasts_s
+from rig.running.preflight.room_to_stop import stopping_terms
 
 
 def prospect(config: Path) -> Prospect:

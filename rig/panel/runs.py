@@ -15,17 +15,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from rig.core.plain_file import read_plain
+from rig.core.signals import plain
 from rig.panel.errors import RefusedError
 from rig.panel.messages import RunRow
-from rig.plain_file import read_plain
-from rig.recording.errors import RecordingError
-from rig.recording.folder import CONFIG, META, RESULT
-from rig.recording.path_kind import is_run
-from rig.recording.reader import read_meta, read_result
-from rig.recording.writer import EVENTS, SAMPLES
-from rig.results import EstimateResult, RunMeta, RunResult
-from rig.results.answer_words import graded_words, validity
-from rig.signals import plain
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import CONFIG, META, RESULT
+from rig.run_folder.recording.path_kind import is_run
+from rig.run_folder.recording.reader import read_meta, read_result
+from rig.run_folder.recording.writer import EVENTS, SAMPLES
+from rig.run_folder.results import EstimateResult, RunMeta, RunResult
+from rig.run_folder.results.answer_words import graded_words, validity
 
 REPORT: Final = "report.html"
 MOST_RUNS: Final = 300

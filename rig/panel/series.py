@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rig.panel.aside import give
 from rig.panel.messages import Drawn
-from rig.recording.reader import read_run
-from rig.recording.recording import Recording
-from rig.recording.stage import kind_of
-from rig.results import JsonObject, RunEvent
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.stage import kind_of
+from rig.run_folder.results import JsonObject, RunEvent
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from rig.live.stop_flag import Unrecorded, command_of, is_recorded
-from rig.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot
 from rig.panel.bench import CALIBRATION, Bench, StopAnswer
 from rig.panel.messages import Live, Message, News, RunEnded, Stop
 from rig.panel.processes import Ended
 from rig.panel.runs import Runs
+from rig.run_folder.live.stop_flag import Unrecorded, command_of, is_recorded
+from rig.run_folder.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot
 
 PERIOD_S: Final = 0.04
 ALIVE_S: Final = 0.25  # a page that hears nothing for longer says that it is not connected

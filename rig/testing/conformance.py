@@ -26,9 +26,9 @@ from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog, Driver
 from rig.backends.link_budget import LINK_SHARE
 from rig.backends.plug_in import PlugIn
 from rig.backends.registry import backend_of, unopened
-from rig.faults import Fault
-from rig.preflight import check
-from rig.signals import Limits, Sample
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Sample
+from rig.running.preflight import check
 
 TEST_SHARE = 0.1  # of drive.max_V: the default of drive_V
 _TICKS = 40

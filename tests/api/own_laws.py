@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 
 class Spring:

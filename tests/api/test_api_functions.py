@@ -17,9 +17,9 @@ from rig.backends.serial.flash import FlashError
 from rig.campaign.grid import CampaignError
 from rig.config import ConfigError
 from rig.config.ready import UnknownConfigError
-from rig.identify import IdentifyError
-from rig.plug_ins import PlugInError
-from rig.recording.errors import RecordingError
+from rig.core.plug_ins import PlugInError
+from rig.identification import IdentifyError
+from rig.run_folder.recording.errors import RecordingError
 
 pytestmark = pytest.mark.drawn
 
@@ -243,12 +243,12 @@ def test_a_function_stays_one_whatever_was_imported_before() -> None:
     """In one process, which forgets rig, and nothing else, before each."""
     code = """
 import importlib, sys
-for first in ("rig.identify.cycles", "rig.replay", "rig.api"):
+for first in ("rig.identification.cycles", "rig.running.replay", "rig.api"):
     for name in [name for name in sys.modules if name.partition(".")[0] == "rig"]:
         del sys.modules[name]
     rig = importlib.import_module("rig")
     importlib.import_module(first)
-    from rig.identify import METHODS
+    from rig.identification import METHODS
     print(callable(rig.identify), callable(rig.replay))
 """
     said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

@@ -14,7 +14,7 @@ from own_laws import Spring, Stumbles
 
 import rig
 from rig.control import laws
-from rig.signals import FLAG_GUARD_CLIPPED, Sample
+from rig.core.signals import FLAG_GUARD_CLIPPED, Sample
 
 
 @pytest.fixture(autouse=True)

@@ -15,8 +15,8 @@ from own_laws import Spring, Stumbles
 import rig
 from rig import config
 from rig.control.law import OwnLaw
+from rig.core.signals import FLAG_GUARD_CLIPPED, FLAG_SKIPPED, Sample
 from rig.notebook import Run
-from rig.signals import FLAG_GUARD_CLIPPED, FLAG_SKIPPED, Sample
 from rig.testing.devices import VirtualBoard, bench_parameters, emulated_chip
 from rig.testing.line import on_device
 

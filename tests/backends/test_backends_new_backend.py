@@ -23,8 +23,8 @@ from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config import load
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Experiment
-from rig.plug_ins import PlugInError
-from rig.section import Positive, Section
+from rig.core.plug_ins import PlugInError
+from rig.core.section import Positive, Section
 from rig.testing import conformance
 
 CARD = Path(__file__).parents[1] / "testing" / "virtual-card.yaml"

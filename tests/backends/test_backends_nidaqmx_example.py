@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from rig import experiment
 from rig.backends.driver import DriverSettings
 from rig.backends.registry import connect
 from rig.config import Experiment
-from rig.faults import Fault
-from rig.preflight import check
+from rig.core.faults import Fault
+from rig.running import experiment
+from rig.running.preflight import check
 from rig.testing import conformance
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from rig.backends.plug_in import driver_settings_of
 from rig.backends.registry import connect
 from rig.cli import main
 from rig.config.load import json_schema
-from rig.faults import Fault
-from rig.preflight import check
+from rig.core.faults import Fault
+from rig.running.preflight import check
 
 SOURCE = Path(__file__).parent.parent / "testing/virtual-card.yaml"
 

@@ -14,8 +14,8 @@ from rig.backends.driver import Driver, DriverSettings
 from rig.backends.plug_in import PlugIn
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import load
-from rig.faults import Fault
-from rig.plug_ins import PlugInError
+from rig.core.faults import Fault
+from rig.core.plug_ins import PlugInError
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, *pairs: tuple[str, str]) -> None:

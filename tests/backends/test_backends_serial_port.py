@@ -20,7 +20,7 @@ from rig.backends.links import serial_port
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.registry import unopened
 from rig.config import Experiment, load
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 _HOLDS = """
 import sys

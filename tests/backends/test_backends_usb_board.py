@@ -15,12 +15,12 @@ from serial.tools import list_ports
 
 from rig.backends.links import usb_port as module
 from rig.backends.registry import connect, unopened
-from rig.calibrate.session import open_config
 from rig.config import Experiment, load, ready
 from rig.config.edit import Value, with_values
 from rig.config.problems import Path as Keys
-from rig.preflight import check, preflight
-from rig.preflight.plan import notes
+from rig.running.calibrate.session import open_config
+from rig.running.preflight import check, preflight
+from rig.running.preflight.plan import notes
 
 CONFIGS = Path(__file__).parents[2] / "config"
 MINE, OTHER = "55736313838351E0F1A1", "A9007Uqe"

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 from rig.backends.registry import Bench, connect
-from rig.calibrate import bench as module
-from rig.calibrate.bench import HandBench
-from rig.calibrate.dialogue import Hold, Read
-from rig.calibrate.refusal import Refusal
 from rig.config import Experiment, load, ready
 from rig.config.schema import DeviceSetup
 from rig.config.yaml12 import parse
-from rig.faults import Fault
-from rig.live.stop_flag import StopFlag
+from rig.core.faults import Fault
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.running.calibrate import bench as module
+from rig.running.calibrate.bench import HandBench
+from rig.running.calibrate.dialogue import Hold, Read
+from rig.running.calibrate.refusal import Refusal
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,26 @@ from typing import Any
 
 import pytest
 
-from rig.calibrate.dialogue import Ask, Hold, Read, Reading, Request, Say, SetZero, Skipped, Strokes, StrokesSeen
-from rig.calibrate.draft import Draft
-from rig.calibrate.refusal import Refusal
-from rig.calibrate.steps import calibration
-from rig.calibrate.wiring import drive, sensor, svg, swapped_motor, text
 from rig.config import ready
 from rig.config.load import load
 from rig.config.yaml12 import parse
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.running.calibrate.dialogue import (
+    Ask,
+    Hold,
+    Read,
+    Reading,
+    Request,
+    Say,
+    SetZero,
+    Skipped,
+    Strokes,
+    StrokesSeen,
+)
+from rig.running.calibrate.draft import Draft
+from rig.running.calibrate.refusal import Refusal
+from rig.running.calibrate.steps import calibration
+from rig.running.calibrate.wiring import drive, sensor, svg, swapped_motor, text
 
 
 @dataclass

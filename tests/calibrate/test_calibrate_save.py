@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from rig.calibrate.save import read_text, save
-from rig.calibrate.session import open_config
 from rig.config import ready
 from rig.config.edit import EditError, Value
-from rig.recording.errors import CannotWriteError
+from rig.run_folder.recording.errors import CannotWriteError
+from rig.running.calibrate.save import read_text, save
+from rig.running.calibrate.session import open_config
 
 TEXT = "\ufeffdrive:  # the bridge\r\n  max_V: 3.0  # little\r\n"
 VALUES: dict[tuple[str | int, ...], Value] = {("drive", "max_V"): 2.5}
@@ -65,7 +65,7 @@ def test_what_is_calibrated_is_what_was_read_once(tmp_path: Path, monkeypatch: p
     def changes(_: object) -> None:
         file.write_bytes(text.replace("max_V: 3.0", "max_V: 2.0").encode())
 
-    monkeypatch.setattr("rig.calibrate.session.require_device_file", changes)
+    monkeypatch.setattr("rig.running.calibrate.session.require_device_file", changes)
     opened = open_config(file)
     assert (opened.text, opened.draft.original.drive.max_V) == (text, 3.0)
     with pytest.raises(EditError, match="has changed since it was read"):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from rig.calibration import Calibration, DriveMap, TachometerScale, polarity
+from rig.core.calibration import Calibration, DriveMap, TachometerScale, polarity
 
 DEMO = [(24, -2.0015625), (1000, 2.0015625)]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.campaign.trial import COLUMNS
 from rig.config import Campaign
-from rig.identify.estimate import PARAMETERS
+from rig.identification.estimate import PARAMETERS
 
 # What two runs of one experiment may differ in.
 UNREPEATABLE = ("seconds",)

@@ -18,7 +18,7 @@ from small_campaign import small, table
 from rig.campaign import picture, summary
 from rig.campaign.report import HEADINGS, sentences, table_rows, write_report
 from rig.config import Campaign
-from rig.identify.estimate import PARAMETERS
+from rig.identification.estimate import PARAMETERS
 
 pytestmark = pytest.mark.drawn
 

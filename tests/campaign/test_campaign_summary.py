@@ -9,7 +9,7 @@ import pytest
 from small_campaign import table
 
 from rig.campaign import summary
-from rig.identify.estimate import PARAMETERS
+from rig.identification.estimate import PARAMETERS
 
 
 def test_errors_of_twice_the_bound_are_twice_the_bound() -> None:

@@ -13,9 +13,9 @@ from small_campaign import UNREPEATABLE, small
 from rig.campaign import grid
 from rig.campaign.trial import COLUMNS, run_trial
 from rig.config import Campaign
-from rig.identify import identify, sampled_data
-from rig.identify.estimate import PARAMETERS
-from rig.recording.csv_file import read_csv
+from rig.identification import identify, sampled_data
+from rig.identification.estimate import PARAMETERS
+from rig.run_folder.recording.csv_file import read_csv
 
 
 def test_a_row_has_the_columns_in_their_order_and_kinds() -> None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from rig.cli import main
 from rig.config import load, ready
-from rig.preflight import check
+from rig.running.preflight import check
 
 RPC, CENTRE = 0.0043, 500.0  # the true sensor, for 10 bits
 COMMENT = re.compile(r"#.*")

@@ -16,9 +16,9 @@ import pytest
 from command_line import rig
 from evidence import evidence
 
-from rig import ctrl_c
 from rig.cli import main
-from rig.loop.stop_request import stop_on_signals
+from rig.control.loop.stop_request import stop_on_signals
+from rig.core import ctrl_c
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -195,7 +195,7 @@ def test_ctrl_c_outside_of_the_loop_says_that_nothing_drives(monkeypatch: pytest
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rig.preflight.check", interrupted)
+    monkeypatch.setattr("rig.running.preflight.check", interrupted)
     result = rig("check", ROOT / "config/demo.yaml")
     assert (result.exit_code, result.stderr) == (1, "rig: interrupted; no drive is on\n")
 

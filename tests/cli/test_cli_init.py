@@ -11,10 +11,10 @@ from click.testing import CliRunner
 from command_line import rig
 from evidence import evidence
 
-from rig import preflight
 from rig.cli import main
 from rig.config import new_bench, ready
 from rig.config.load import load
+from rig.running import preflight
 
 ANSWERED = ("--yes", "--bridge", "l298n", "--no-load-rpm", 590, "--port", "/dev/ttyUSB0")
 

@@ -12,8 +12,8 @@ from command_line import rig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.newton_metres import GRAVITY_M_S2, Load, Quantity, inertia_V_s2_rad, newton_metres
-from rig.results import Answer, FoundLawResult
+from rig.output.newton_metres import GRAVITY_M_S2, Load, Quantity, inertia_V_s2_rad, newton_metres
+from rig.run_folder.results import Answer, FoundLawResult
 
 # the XL330 of Rhoban/bam, model M1
 KT, R_OHM, INERTIA, VISCOUS, FRICTION = 0.386696, 4.017129, 1.814167e-3, 3.661672e-3, 1.283272e-2

@@ -16,8 +16,8 @@ from command_line import rig
 from rich.console import Console
 
 from rig import terminal
-from rig.recording.csv_file import read_csv
-from rig.results import (
+from rig.run_folder.recording.csv_file import read_csv
+from rig.run_folder.results import (
     Answer,
     EstimateResult,
     IdentificationResult,
@@ -27,8 +27,8 @@ from rig.results import (
     TrackingResult,
     TrueMotor,
 )
-from rig.results.result import Quantiles
-from rig.session import Outcome
+from rig.run_folder.results.result import Quantiles
+from rig.running.session import Outcome
 from rig.terminal import plain_table, show_details, show_estimates, show_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -156,10 +156,10 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
         "numpy",
         "scipy",
         "serial",
-        "rig.preflight.loop_settings",
+        "rig.running.preflight.loop_settings",
         "rig.backends.links.serial_port",
-        "rig.experiment",
-        "rig.loop.runner",
+        "rig.running.experiment",
+        "rig.control.loop.runner",
     }
     assert not slow & set(json.loads(modules))
     assert not (tmp_path / "runs").exists()
@@ -167,7 +167,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
 
 def test_ports_that_are_there_are_named_where_one_is_missing(tmp_path: Path) -> None:
     from rig.backends.links.device_file import require_device_file
-    from rig.faults import Fault
+    from rig.core.faults import Fault
 
     (tmp_path / "ttyUSB3").touch()
     with pytest.raises(Fault, match=rf"/dev/ttyNONE: no such device; there is {tmp_path}/ttyUSB3"):
@@ -199,10 +199,10 @@ def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tm
     path = tmp_path / "quick.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     program = """
-import rig.session
+import rig.running.session
 from rig.cli import main
-from rig.identify import identification
-rig.session.write_report = identification._add_motor_law = lambda *_: None
+from rig.identification import identification
+rig.running.session.write_report = identification._add_motor_law = lambda *_: None
 main()
 """
     done = subprocess.run(

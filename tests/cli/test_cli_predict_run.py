@@ -10,7 +10,7 @@ import pytest
 from command_line import rig as command
 
 import rig
-from rig.results import Answer, FoundLawResult, HoldsResult, IdentificationResult, LawFrameResult
+from rig.run_folder.results import Answer, FoundLawResult, HoldsResult, IdentificationResult, LawFrameResult
 
 MOTOR = rig.RealMotor(0.17, 6.5, 0.48, sag_per_V=0.05)
 

@@ -10,11 +10,12 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from rig import config, experiment
+from rig import config
 from rig.backends.driver import DeviceInfo
 from rig.backends.modbus.requests import identity_of
 from rig.cli import main
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.running import experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 CLEAR = "\x1b[2J\x1b]0;owned\x07"

@@ -12,10 +12,10 @@ import yaml
 from command_line import rig
 from tuned_run import few_draws
 
+from rig.output.report.source import load
+from rig.output.report.words import headline
 from rig.panel.runs import Runs
-from rig.report.source import load
-from rig.report.words import headline
-from rig.results.meta import REHEARSAL
+from rig.run_folder.results.meta import REHEARSAL
 
 ROOT = Path(__file__).resolve().parents[2]
 

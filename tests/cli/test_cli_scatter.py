@@ -2,7 +2,7 @@
 
 import pytest
 
-from rig.results import EstimateResult, RunResult
+from rig.run_folder.results import EstimateResult, RunResult
 from rig.terminal import show_scatter
 
 

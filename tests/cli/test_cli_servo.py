@@ -13,7 +13,7 @@ from rig import config
 from rig.backends.servo.emulated.servo import ServoOptions
 from rig.backends.servo.emulated.servo_board import ServoBoard
 from rig.cli import main
-from rig.preflight import check
+from rig.running.preflight import check
 
 pytestmark = pytest.mark.realtime
 

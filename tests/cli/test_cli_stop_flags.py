@@ -22,12 +22,12 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.cli import main
 from rig.config import ready
-from rig.faults import Fault
-from rig.live.running import Running, running
-from rig.live.stop_flag import NAME, StopFlag, command_of, is_recorded, runner_of
-from rig.live.unrecorded import BusyError, told
+from rig.core.faults import Fault
 from rig.panel import processes
 from rig.panel.bench import Bench
+from rig.run_folder.live.running import Running, running
+from rig.run_folder.live.stop_flag import NAME, StopFlag, command_of, is_recorded, runner_of
+from rig.run_folder.live.unrecorded import BusyError, told
 
 # What of each command that drives is tried: its arguments, and which arming of its device is looked at
 DRIVES: dict[str, list[tuple[int, str]]] = {
@@ -161,7 +161,7 @@ def test_a_stop_while_a_device_is_opened_lets_nothing_drive(
 _DIES = """
 import os, sys
 from pathlib import Path
-from rig.live.stop_flag import StopFlag
+from rig.run_folder.live.stop_flag import StopFlag
 flag = StopFlag()
 flag.open(Path(sys.argv[1]), "home")
 flag.tell_drive(is_on=True)
@@ -196,7 +196,7 @@ def test_the_flag_of_a_killed_command_stands_in_nobodys_way_and_is_cleared(tmp_p
 def test_a_command_that_records_nothing_begins_beside_nothing_and_not_while_a_panel_starts_something(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.live.unrecorded._WAIT_S", 0.05)
+    monkeypatch.setattr("rig.run_folder.live.unrecorded._WAIT_S", 0.05)
     with (
         processes.one_at_a_time(tmp_path),
         pytest.raises(BusyError, match="starts something"),

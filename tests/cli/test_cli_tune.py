@@ -12,7 +12,7 @@ from tuned_run import GOLDEN, few_draws, tuned_run
 
 import rig
 from rig import config
-from rig.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
+from rig.running.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
 
 CONFIG = rig.ready("simulated")
 

@@ -16,7 +16,7 @@ from command_line import rig
 
 from rig import config
 from rig.cli import main
-from rig.faults import FAULTS
+from rig.core.faults import FAULTS
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = re.compile(r"`rig (?P<name>[a-z-]+)(?P<rest>[^`]*)`(?P<after>(?: --[a-zA-Z-]+)*)")
@@ -137,7 +137,7 @@ def test_advice_to_record_anew_names_a_key_or_a_command() -> None:
     silent = [
         (place, text)
         for place, text in sentences()
-        if place.startswith(("rig/identify/", "rig/recording/series.py"))
+        if place.startswith(("rig/identification/", "rig/run_folder/recording/series.py"))
         and advice.match(text)
         and "`rig" not in text
         and not named_keys(text)

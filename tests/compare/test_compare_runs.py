@@ -12,7 +12,7 @@ from command_line import rig
 from compared_runs import Told, write_run, write_samples
 
 import rig as api
-from rig.results.comparison import ComparisonResult, Difference, ScatterResult, TrendResult
+from rig.run_folder.results.comparison import ComparisonResult, Difference, ScatterResult, TrendResult
 from rig.terminal import comparison_words
 
 DRIFTED = Told(fc_V=0.48 * 1.02)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from rig.compare.statistics import agreement, between_runs, holm, odd_ones, off_the_others, slope
+from rig.output.compare.statistics import agreement, between_runs, holm, odd_ones, off_the_others, slope
 
 Array = NDArray[np.float64]
 SHAPE = np.array([[1.0, 0.6, 0.3], [0.6, 1.0, -0.2], [0.3, -0.2, 1.0]])

@@ -10,7 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 from rig.config import Experiment
-from rig.preflight import preflight
+from rig.running.preflight import preflight
 
 READY = Path(__file__).parents[2] / "config" / "least-squares.yaml"
 PAPER = [{"d_V": 0.8, "eps_rad": 0.5}, {"d_V": 1.0, "eps_rad": 0.3}]

@@ -16,8 +16,8 @@ from rig.config import ConfigError, Experiment, dump, load
 from rig.config.problems import Problem
 from rig.config.units import converted, stem_of, unit_of
 from rig.config.yaml12 import emit, parse
-from rig.preflight import check
-from rig.results import JsonObject
+from rig.run_folder.results import JsonObject
+from rig.running.preflight import check
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")

@@ -24,10 +24,10 @@ from rig.backends.modbus.link_budget import transactions
 from rig.backends.modbus.section import tcp_address
 from rig.backends.registry import backend_of
 from rig.config import Experiment, load
-from rig.preflight import notes, preflight
-from rig.preflight.loop_settings import guard_settings_of
-from rig.preflight.plan import plan
-from rig.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
+from rig.running.preflight import notes, preflight
+from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.plan import plan
+from rig.running.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."

@@ -10,7 +10,7 @@ import yaml
 
 from rig import config
 from rig.config import ConfigError
-from rig.preflight import check
+from rig.running.preflight import check
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

@@ -8,8 +8,8 @@ import pytest
 
 from rig.control.bounded import Bounded, Bounds
 from rig.control.law import Constant
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 
 def sample(t_s: float, y_rad: float = 0.0) -> Sample:

@@ -15,17 +15,18 @@ import pytest
 from evidence import evidence
 from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 
-from rig import config, experiment
+from rig import config
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.breakaway import BreakawayCheck
-from rig.experiment.stages import breakaway_check as check_of
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Sample
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import plain
-from rig.preflight.breakaway_strokes import UNSEEN_RAD, _sheet, _unseen_rad, breakaway_strokes, has_strokes
-from rig.recording.reader import read_run
-from rig.signals import Limits, Sample
+from rig.run_folder.recording.reader import read_run
+from rig.running import experiment
+from rig.running.experiment.stages import breakaway_check as check_of
+from rig.running.preflight.breakaway_strokes import UNSEEN_RAD, _sheet, _unseen_rad, breakaway_strokes, has_strokes
 from unseen_travel import check, suited, trials, with_late_tick
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, break_away, sim
 
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
+from rig.core.faults import Fault
 from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.model.motor import Motor

@@ -10,10 +10,10 @@ import pytest
 
 from rig.control.excitation import CycleTarget, GainSearch, SearchRange
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
 from rig.model.describing_function import predict
-from rig.signals import Sample
 
 PERIOD_S = 0.01
 FRICTION_V = 0.5

@@ -16,11 +16,11 @@ from rig.backends.simulated.driver import SimulatedLatency
 from rig.control.guard import Guard, VelocityWindow
 from rig.control.law import Constant, Timed
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
 from rig.model.bench import DriveWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
 
 
 def reading(t_s: float, y_rad: float, counts: int | None = None) -> Sample:

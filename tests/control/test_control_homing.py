@@ -9,10 +9,10 @@ from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, BenchModel, bre
 
 from rig.control.breakaway import BreakawayFound
 from rig.control.homing import Homing
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.signals import Sample
 
 LSB_RAD = CALIBRATION.lsb_rad
 OFFSET_RAD = 0.02

@@ -12,10 +12,10 @@ from simulated_bench import DEMO, LIMITS, simulated_bench
 
 from rig.control.hysteretic import HystereticRun
 from rig.control.relay import HystereticRelay
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.signals import Sample
 
 
 def sample(y_rad: float, t_s: float = 0.0) -> Sample:

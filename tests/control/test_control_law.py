@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rig.control.law import Timed
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 
 class Pushes:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from rig.control.leased import LeasedDrive
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 
 @pytest.mark.parametrize(

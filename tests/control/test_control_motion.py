@@ -21,11 +21,11 @@ from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRan
 from rig.control.guard import Guard
 from rig.control.motion import CycleWatch, Gain, Standstill
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector, DetectedCycle
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.signals import Sample
 
 # ---------------------------------------------------------------------- the rules by themselves
 

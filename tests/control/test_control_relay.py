@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.relay import DualChannelRelay, keep_sign
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 
 def at(t_s: float, y_rad: float) -> Sample:

@@ -13,9 +13,9 @@ from rig.config.campaign import Campaign
 from rig.control.motion import Swings
 from rig.control.relay import DualChannelRelay
 from rig.control.rising_gains import RisingGains, SwingRoom
+from rig.control.simulation import Sampling, simulate
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
-from rig.signals import Sample
-from rig.simulation import Sampling, simulate
 
 GRID = Campaign(name="grid", experiments=1)
 PERIOD_S = 0.01

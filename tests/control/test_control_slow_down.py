@@ -9,7 +9,7 @@ from simulated_bench import GUARD, PERIOD_S
 
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.slow_down import SlowDown
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 SPEED_RAD_S = 4.0
 

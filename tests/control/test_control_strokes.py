@@ -7,8 +7,8 @@ import math
 import pytest
 
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 PLAN = (Stroke(1.0, 0.3), Stroke(-0.8, -0.1), Stroke(0.6, 0.2), Stroke(-1.2, -0.4))
 TIMING = StrokeTiming(longest_s=0.3, stroke_s=1.0, still_s=0.3)

@@ -12,11 +12,11 @@ from simulated_bench import GUARD, LIMITS, PERIOD_S, RAD_PER_COUNT, BenchModel, 
 
 from rig.control.sweep_plan import Room, SweepPlan, sweep_plan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s, scatter
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, RealMotor
-from rig.signals import Sample
 
 NOISE_RAD = math.hypot(0.003, RAD_PER_COUNT / math.sqrt(12.0))
 CRUDE = CrudeMotor(0.16, 6.8, 0.54, 0.50)

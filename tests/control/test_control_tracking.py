@@ -16,10 +16,10 @@ from rig.config.schema import TrackingSection
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
+from rig.core.signals import Sample
 from rig.model.error_decay import K1_1_S, K2_1_S2, ErrorDecay
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.signals import Sample
 
 YD = [(0.5, 1.5), (0.2, 3.1)]
 

@@ -13,8 +13,8 @@ from rig.control.bounded import Bounded
 from rig.control.law import Constant
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.control.unshown import FRICTION, START, STILL_S, STRONGEST, Flicker, Pushes, UnshownMotion
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 PERIOD_S = 0.01
 MOVES_V = 0.6

@@ -18,9 +18,9 @@ from rig.design.best_test import Kind
 from rig.design.outlook import Task
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
 from rig.design.room import Reading, Room
-from rig.identify.live import LiveEstimate, LiveSettings
+from rig.identification.live import LiveEstimate, LiveSettings
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
-from rig.recording.recording import Recording, assembled
+from rig.run_folder.recording.recording import Recording, assembled
 
 MOTOR = FramedMotor(RealMotor(0.17, 6.5, 0.48, 0.0), Frame())
 RELAY, STROKES = RelayGains(0.4, 0.8), Strokes((Stroke(1.0, 0.3), Stroke(-1.0, -0.3)), 0.5)

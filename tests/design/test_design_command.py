@@ -14,10 +14,10 @@ from evidence import evidence
 
 from rig.config import load
 from rig.model.real_motor import RealMotor
-from rig.preflight.planned_tests import room_of_tests, task_of_run
-from rig.report import design_map as picture
-from rig.results import BreakawayResult, RunResult
-from rig.results.design import DesignResult
+from rig.output.report import design_map as picture
+from rig.run_folder.results import BreakawayResult, RunResult
+from rig.run_folder.results.design import DesignResult
+from rig.running.preflight.planned_tests import room_of_tests, task_of_run
 
 pytestmark = pytest.mark.drawn
 

@@ -11,13 +11,13 @@ from evidence import evidence
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rig.control.simulation import Sampling, simulate
 from rig.control.strokes import StrokeTest, StrokeTiming
 from rig.design.best_test import best_test
 from rig.design.planned_test import Strokes
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.sensitivity import Theta, position_and_jacobian
-from rig.simulation import Sampling, simulate
 
 MOTORS = {"demo": DEMO, "slow": (0.41, 1.23, 0.42, 0.02), "high gain": (0.092, 17.8, 0.29, 0.0)}
 FITS = 40

@@ -12,16 +12,16 @@ from design_tasks import DEMO, READING, ROOM, task
 
 from rig.control.law import OwnLaw
 from rig.control.relay import DualChannelRelay
+from rig.control.simulation import Sampling, simulate
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.design import compiled
 from rig.design.outlook import information_of, law_of, outcome, told
 from rig.design.planned_test import RelayGains
-from rig.identify.cramer_rao import PositionNoise, cramer_rao
+from rig.identification.cramer_rao import PositionNoise, cramer_rao
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.model.sensitivity import Theta
-from rig.recording.series import Steps
-from rig.simulation import Sampling, simulate
+from rig.run_folder.recording.series import Steps
 
 STROKES = (Stroke(1.1, 0.2), Stroke(-0.8, -0.3), Stroke(0.65, 0.35), Stroke(-1.6, 0.1))
 GAINS = RelayGains(0.4, 0.7)

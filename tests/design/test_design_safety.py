@@ -18,6 +18,7 @@ from rig.control.guard import velocity_noise_rad_s
 from rig.control.law import Law, Rest
 from rig.control.relay import DualChannelRelay
 from rig.control.strokes import StrokeTest, StrokeTiming
+from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED
 from rig.design.belief import Belief
 from rig.design.best_test import Kind, best_test
 from rig.design.outlook import Task
@@ -25,7 +26,6 @@ from rig.design.planned_test import Design, RelayGains
 from rig.design.room import Reading, Room
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED
 
 pytestmark = pytest.mark.long
 

@@ -25,8 +25,8 @@ from click.testing import CliRunner
 
 from check_docs import listed
 from rig.cli import main
-from rig.recording.reader import read_run
-from rig.recording.recording import Recording
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)

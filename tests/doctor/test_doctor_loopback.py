@@ -14,7 +14,7 @@ from evidence import evidence
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.cli import main
-from rig.doctor.loopback import Visit, emulated_board, visit_board
+from rig.running.doctor.loopback import Visit, emulated_board, visit_board
 
 CORE, BOARDS = "core/rig_core.c", {"uno": "emulated-chip", "pico": "emulated-pico"}
 NEVER_TRIPS = (CORE, "silent_us >= core->setup.watchdog_ms * US_PER_MS", "silent_us > 0x7FFFFFFFu")

@@ -8,7 +8,7 @@ import pytest
 from serial.tools import list_ports
 
 from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_delay_s
-from rig.doctor import machine
+from rig.running.doctor import machine
 
 
 def put(root: Path, name: str, text: str) -> Path:
@@ -139,7 +139,7 @@ def test_workers_that_a_killed_run_left_raised_are_found_with_what_to_type(tmp_p
     assert found.state == "poor"
     assert found.words.startswith("2 of the kernel's workers have real-time priority, and no run that raised them")
     assert "chrt --other --pid 0" in found.cure
-    put(tmp_path, "proc/77/cmdline", "python\0-I\0-S\0/x/rig/loop/kernel_workers.py\00059\0/proc")
+    put(tmp_path, "proc/77/cmdline", "python\0-I\0-S\0/x/rig/control/loop/kernel_workers.py\00059\0/proc")
     going_on = machine.kernel_workers(tmp_path)
     assert (going_on.state, going_on.cure) == ("note", "")
     for worker in (31, 33):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from rig.backends.clock import VirtualClock
-from rig.doctor import measured
+from rig.running.doctor import measured
 
 
 class SleepyClock(VirtualClock):

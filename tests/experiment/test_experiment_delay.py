@@ -11,8 +11,8 @@ import yaml
 from command_line import rig
 from evidence import evidence
 
-from rig.recording.reader import read_run
-from rig.replay import replay
+from rig.run_folder.recording.reader import read_run
+from rig.running.replay import replay
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,18 +18,18 @@ from command_line import rig
 from evidence import evidence
 
 from rig import config as configs
-from rig import session
 from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench, connect
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config.schema import DeviceSetup
 from rig.control.law import Constant
-from rig.experiment import script, stages
-from rig.faults import Fault
-from rig.identify import Identification, identify
-from rig.recording.reader import read_run
-from rig.recording.recording import Recording
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
+from rig.identification import Identification, identify
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recording import Recording
+from rig.running import session
+from rig.running.experiment import script, stages
 
 pytestmark = pytest.mark.long
 

@@ -11,10 +11,10 @@ import yaml
 
 from free_running_rates import main, shown
 from rig.config.schema import Experiment
-from rig.experiment import script
-from rig.experiment.free_running import Free, free_running
-from rig.preflight import check
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
+from rig.running.experiment import script
+from rig.running.experiment.free_running import Free, free_running
+from rig.running.preflight import check
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = {"tau_s": 0.05, "K_rad_s_V": 4.1, "fc_plus_V": 0.34, "fc_minus_V": 0.36, "fs_plus_V": 0.39, "fs_minus_V": 0.4}

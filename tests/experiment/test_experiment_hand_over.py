@@ -12,14 +12,14 @@ from rig.config.load import load
 from rig.control.strokes import Stroke
 from rig.design.advisor import Advice, AdvisorSettings
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
-from rig.experiment.advisers import AtTurns
-from rig.experiment.script import BREAKAWAY_LAW
-from rig.experiment.until import drive_until
-from rig.recording.reader import read_run
-from rig.recording.recording import Recording
-from rig.replay import replay
-from rig.results import ScriptCall
-from rig.session import Session, record
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.results import ScriptCall
+from rig.running.experiment.advisers import AtTurns
+from rig.running.experiment.script import BREAKAWAY_LAW
+from rig.running.experiment.until import drive_until
+from rig.running.replay import replay
+from rig.running.session import Session, record
 
 pytestmark = pytest.mark.long
 

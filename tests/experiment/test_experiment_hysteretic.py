@@ -14,7 +14,7 @@ import yaml
 from click.testing import Result
 from command_line import rig
 
-from rig.recording.reader import read_run
+from rig.run_folder.recording.reader import read_run
 
 pytestmark = pytest.mark.made
 

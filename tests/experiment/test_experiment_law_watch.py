@@ -27,16 +27,16 @@ import rig
 from faults import hanging_laws
 from rig.config import load
 from rig.control.law import Rest, Timed
-from rig.experiment import law_watch
-from rig.experiment.law_watch import WatchedLaw, law_times
-from rig.faults import Fault
-from rig.keeper import process as law_keeper
-from rig.keeper.process import LOOK_EVERY_S, Charge
-from rig.keeper.terms import LawTimes, asks
-from rig.live.law_lease import LawLease
-from rig.live.stop_flag import request_stop
-from rig.recording.errors import RecordingError
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
+from rig.run_folder.live.law_lease import LawLease
+from rig.run_folder.live.stop_flag import request_stop
+from rig.run_folder.recording.errors import RecordingError
+from rig.running.experiment import law_watch
+from rig.running.experiment.law_watch import WatchedLaw, law_times
+from rig.running.keeper import process as law_keeper
+from rig.running.keeper.process import LOOK_EVERY_S, Charge
+from rig.running.keeper.terms import LawTimes, asks
 
 ROOT = Path(__file__).resolve().parents[2]
 HUNG_S = 180.0  # far beyond what a loaded machine needs
@@ -146,7 +146,7 @@ def test_a_law_that_comes_back_before_the_keeper_looks_keeps_the_link(monkeypatc
     lease.begin(7)
     step = lease.at_work
     # it comes back between the claim and the look
-    monkeypatch.setattr("rig.live.law_lease.time", SimpleNamespace(sleep=lambda _: lease.end()))
+    monkeypatch.setattr("rig.run_folder.live.law_lease.time", SimpleNamespace(sleep=lambda _: lease.end()))
     assert lease.take(step) is False and not lease.is_taken
     lease.begin(8)
     assert lease.take(step) is False, "another step is no step that is over"
@@ -417,7 +417,7 @@ def hanging(folder: Path, way: str) -> subprocess.Popen[str]:
 def keepers_of(pid: int) -> list[int]:
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
     named = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
-    return [child for child, line in named.items() if b"rig.keeper" in line]
+    return [child for child, line in named.items() if b"rig.running.keeper" in line]
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,10 @@ from processes import PATIENCE_S
 from rig.design.advisor import Advice, AdvisorSettings
 from rig.design.planned_test import Design, Reach, RelayGains
 from rig.design.room import Reading, Room
-from rig.experiment import live_process
-from rig.experiment.live_process import LiveProcess
-from rig.identify.live import LiveSettings
-from rig.recording.writer import SAMPLES
+from rig.identification.live import LiveSettings
+from rig.run_folder.recording.writer import SAMPLES
+from rig.running.experiment import live_process
+from rig.running.experiment.live_process import LiveProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = ROOT / "tests/golden/simulated"

@@ -13,7 +13,7 @@ import yaml
 from command_line import rig
 from evidence import evidence
 
-from rig.recording.reader import read_run
+from rig.run_folder.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS = [{"h1_V": 0.43, "h2_V": 0.80}, {"h1_V": 0.33, "h2_V": 0.74}]  # such as its own search finds

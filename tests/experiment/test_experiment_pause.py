@@ -14,7 +14,6 @@ import yaml
 from command_line import rig
 from evidence import evidence
 
-from rig import session
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.serial.backend import SerialBackend
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
@@ -22,12 +21,13 @@ from rig.backends.serial.opening import emulated_chip
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import load
 from rig.config.schema import DeviceSetup
-from rig.experiment import script, stages
-from rig.identify import identify
-from rig.loop.pause_watch import PauseWatch
-from rig.recording.reader import read_run
-from rig.recording.recorder import Recorder
-from rig.session import Session
+from rig.control.loop.pause_watch import PauseWatch
+from rig.identification import identify
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recorder import Recorder
+from rig.running import session
+from rig.running.experiment import script, stages
+from rig.running.session import Session
 from rig.testing.line import on_device
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,8 +14,8 @@ from click.testing import Result
 from command_line import rig
 from evidence import evidence
 
-from rig.recording.reader import read_run
-from rig.results import MotorLawResult
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results import MotorLawResult
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
 
@@ -215,7 +215,7 @@ def test_track_alone_uses_the_models_that_an_earlier_run_kept(
 ) -> None:
     """Nothing is identified anew; a number that no motor has is refused before anything drives."""
     _, outcome = demo_run
-    monkeypatch.setattr(import_module("rig.identify"), "identify", lambda *_: pytest.fail("identified anew"))
+    monkeypatch.setattr(import_module("rig.identification"), "identify", lambda *_: pytest.fail("identified anew"))
     result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
     assert result.exit_code == 0, result.output
     tracked = json.loads(result.stdout)

@@ -13,10 +13,10 @@ from command_line import rig
 from survey_config import ROOT, written
 
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.control.loop.runner import Loop
 from rig.control.sweeps import Sweeps
-from rig.loop.runner import Loop
-from rig.recording.reader import read_run
-from rig.signals import Sample
+from rig.core.signals import Sample
+from rig.run_folder.recording.reader import read_run
 
 pytestmark = [pytest.mark.long, pytest.mark.made]
 NARROW = {"soft_rad": [-0.05, 0.05], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 4.9, "coast_tau_s": 0.2}

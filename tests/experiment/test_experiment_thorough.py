@@ -11,7 +11,7 @@ from command_line import rig
 from intervals import reaches
 from survey_config import written
 
-from rig.recording.reader import read_run
+from rig.run_folder.recording.reader import read_run
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
 

@@ -11,15 +11,16 @@ import pytest
 from command_line import rig
 from evidence import evidence
 
-from rig import config, experiment
-from rig.estimators import LEADING
-from rig.identify import Identification, identify
-from rig.identify.departures import DEPARTURES
-from rig.identify.motor_law import FoundLaw
+from rig import config
+from rig.core.estimators import LEADING
+from rig.identification import Identification, identify
+from rig.identification.departures import DEPARTURES
+from rig.identification.motor_law import FoundLaw
 from rig.model.real_motor import FramedMotor
-from rig.recording.recording import Recording
-from rig.replay import replay
-from rig.results import HoldsResult, known
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.results import HoldsResult, known
+from rig.running import experiment
+from rig.running.replay import replay
 from tracking_table import BENCHES, SEEDS, bench, compare
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
@@ -31,7 +32,7 @@ PLAIN = next(name for name in BENCHES if name.startswith("none"))
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each run's page takes longer than the run, and is tested elsewhere."""
-    monkeypatch.setattr("rig.session.write_report", lambda *_: None)
+    monkeypatch.setattr("rig.running.session.write_report", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +48,8 @@ def sagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Ident
         return found[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rig.session.write_report", lambda *_: None)
-        patch.setattr("rig.experiment.stages.identify", kept)
+        patch.setattr("rig.running.session.write_report", lambda *_: None)
+        patch.setattr("rig.running.experiment.stages.identify", kept)
         run = experiment.run(config.load(path), folder).folder
     (models,) = found
     return path, run, models

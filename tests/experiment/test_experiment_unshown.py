@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from evidence import evidence
 
-import rig.experiment
-import rig.session
+import rig.running.experiment
+import rig.running.session
 from campaign_real.departing_bench import DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench
 from campaign_real.kinds import KINDS, departures_of
@@ -29,16 +29,16 @@ from rig.config.schema import RelayGainsSection, RelaySection, UntilSection
 from rig.control.law import Law
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.control.unshown import FRICTION, START, STILL_S
+from rig.core.faults import Fault
 from rig.design.advisor import Advice
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
-from rig.experiment import stages, until
-from rig.experiment.stages import armed_check, prepared
-from rig.faults import Fault
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
-from rig.recording.reader import read_run
-from rig.session import Session
+from rig.run_folder.recording.reader import read_run
+from rig.running.experiment import stages, until
+from rig.running.experiment.stages import armed_check, prepared
+from rig.running.session import Session
 from stopping.in_memory import driven
 from stopping.rows import Asked, checked, row
 
@@ -235,7 +235,7 @@ def test_pushes_after_a_test_that_was_broken_off_are_a_stage_of_their_own_so_tha
 
 
 def test_tests_that_are_all_broken_off_end_before_their_numbers_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (until, rig.session):
+    for module in (until, rig.running.session):
         monkeypatch.setattr(module, "MOST_TESTS", 3)
     e, bench, _ = opened("simulated")
     weak = Strokes((Stroke(0.3, 0.2), Stroke(-0.3, -0.2)), 2.0)
@@ -286,12 +286,12 @@ def test_a_relay_test_whose_first_cycle_never_comes_ends_with_a_stuck_sensor(
     e = config.load(ROOT / "config/device-relay.yaml")
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.15, h2_V=0.5),), cycles=5)
     e = e.model_copy(update={"relay": relay})
-    check = read_run(rig.experiment.run_breakaway(e, tmp_path).folder)
+    check = read_run(rig.running.experiment.run_breakaway(e, tmp_path).folder)
     fails_s = float(check.t_s[-1])
     assert e.emulated is not None
     wires = e.emulated.wiring.model_copy(update={"sensor": "stuck", "fault_after_s": fails_s})
     e = e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wires})})
-    outcome = rig.experiment.run_relay(e, tmp_path)
+    outcome = rig.running.experiment.run_relay(e, tmp_path)
     run = read_run(outcome.folder)
     assert outcome.failure.startswith("SENSOR_STUCK"), outcome.failure
     rows = run.stage_rows("relay-1")

@@ -13,10 +13,10 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig.experiment.advisers import InTheLoop
-from rig.recording.reader import read_run
-from rig.replay import replay
-from rig.results import RunResult
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results import RunResult
+from rig.running.experiment.advisers import InTheLoop
+from rig.running.replay import replay
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
 
@@ -83,10 +83,10 @@ def test_no_test_leaves_the_soft_limits(known: tuple[Path, RunResult]) -> None:
 
 IN_A_PROCESS_OF_ITS_OWN = """
 import sys
-import rig.session
+import rig.running.session
 from rig.cli import main
 
-rig.session.write_report = lambda *_: None  # to draw it takes as long as the run
+rig.running.session.write_report = lambda *_: None  # to draw it takes as long as the run
 main(sys.argv[1:])
 """
 

@@ -10,12 +10,12 @@ import pytest
 import yaml
 from evidence import evidence
 
-from rig.experiment import script
-from rig.experiment.which_way import moves_against
-from rig.preflight import check
-from rig.recording.series import TimeSeries
-from rig.replay import replay
-from rig.session import Outcome
+from rig.run_folder.recording.series import TimeSeries
+from rig.running.experiment import script
+from rig.running.experiment.which_way import moves_against
+from rig.running.preflight import check
+from rig.running.replay import replay
+from rig.running.session import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 LATE_S = 0.14

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.known_model import known_model
+from rig.identification.known_model import known_model
 from rig.model.real_motor import PARTS, FramedMotor, MovingMotor
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from run_with_laws import LAWS, PERIOD_S, PLAIN, motor_of, run_with
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking
 from rig.control.trajectory import Reference, SumOfSines
-from rig.export import export_model
+from rig.core.signals import Sample
 from rig.model.real_motor import FramedMotor, MovingMotor
-from rig.signals import Sample
+from rig.output.export import export_model
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent / "c"

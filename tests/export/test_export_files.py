@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import loadmat
 
-from rig.export import export, matlab_names
-from rig.identify import identify
-from rig.recording.columns import COLUMNS
-from rig.recording.folder import write_result
-from rig.recording.reader import read, read_run
+from rig.identification import identify
+from rig.output.export import export, matlab_names
+from rig.run_folder.recording.columns import COLUMNS
+from rig.run_folder.recording.folder import write_result
+from rig.run_folder.recording.reader import read, read_run
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 RUN = GOLDEN / "simulated-fault"

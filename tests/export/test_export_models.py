@@ -25,13 +25,13 @@ from wpimath.controller import ArmFeedforward, SimpleMotorFeedforwardRadians
 
 from rig.control.known_motor import known
 from rig.control.relay import DualChannelRelay
-from rig.export import TOOLS, export_model
-from rig.export.tool import IN_NONE
-from rig.identify import identify
+from rig.core.signals import Sample
+from rig.identification import identify
 from rig.model.cycle_detector import CycleDetector
 from rig.model.real_motor import PARTS
-from rig.recording.reader import read_run
-from rig.signals import Sample
+from rig.output.export import TOOLS, export_model
+from rig.output.export.tool import IN_NONE
+from rig.run_folder.recording.reader import read_run
 
 IN_VOLTS = [tool for tool in TOOLS if tool != "bam"]  # it takes newton metres: test_export_newton_metres.py
 RIGID = [law for law in LAWS if law not in ("backlash", "bristle", *IN_NONE)]

@@ -13,7 +13,7 @@ from command_line import rig
 from run_with_laws import LAWS, PERIOD_S, PLAIN, drive, motor_of, own_motion, run_with
 from test_export_models import module
 
-from rig.export import export_model
+from rig.output.export import export_model
 
 A, R_OHM = 0.05, 2.0  # N m/V, ohm
 TAU_S, K, FC_V = (PLAIN[name] for name in ("tau_s", "K_rad_s_V", "fc_V"))

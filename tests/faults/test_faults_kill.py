@@ -24,7 +24,7 @@ from evidence import evidence
 from processes import wait_until
 
 from rig.cli import main
-from rig.recording.reader import read_run
+from rig.run_folder.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
 RIG = [sys.executable, "-m", "rig"]

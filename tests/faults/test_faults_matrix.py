@@ -270,8 +270,8 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
 
 
 def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    from rig.recording import sink
-    from rig.recording.recorder import Recorder
+    from rig.run_folder.recording import sink
+    from rig.run_folder.recording.recorder import Recorder
 
     original = Recorder.sample
 

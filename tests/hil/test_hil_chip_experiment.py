@@ -19,9 +19,9 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 
 pytestmark = pytest.mark.long

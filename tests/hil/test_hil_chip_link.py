@@ -29,8 +29,8 @@ from rig.backends.serial.frames import (
     Nack,
     encode,
 )
-from rig.calibration import DriveMap, Scaling, TachometerScale
-from rig.faults import Fault
+from rig.core.calibration import DriveMap, Scaling, TachometerScale
+from rig.core.faults import Fault
 
 FULL = 400
 SUPPLY_V = 12.0

@@ -19,7 +19,7 @@ from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.config.schema import Experiment
-from rig.preflight import check
+from rig.running.preflight import check
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

@@ -14,7 +14,7 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_chip import Contact, Hang, VirtualChip
 from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
-from rig.faults import Fault
+from rig.core.faults import Fault
 from rig.model.bench import SensorWiring
 
 PHASES = 20

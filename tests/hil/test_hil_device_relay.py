@@ -16,8 +16,8 @@ from raised import fault_of
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
 
-import rig.experiment
-import rig.session
+import rig.running.experiment
+import rig.running.session
 from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -39,15 +39,15 @@ from rig.config.schema import RelayGainsSection, RelaySection
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Constant
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import RelayOnCounts
-from rig.faults import Fault
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.core.faults import Fault
 from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.recording.reader import read_run
+from rig.run_folder.recording.reader import read_run
 
 GAINS_V = (0.4, 0.85)
 RELAY = RelaySetup((-80, 30, -30, 80), 512 * 16, 5_000_000, 1, 10)
@@ -522,7 +522,7 @@ def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
 def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.4, h2_V=0.85),), cycles=5)
-    outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
+    outcome = rig.running.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""
     recording = read_run(outcome.folder)
     rows = recording.stage_rows("relay-1")

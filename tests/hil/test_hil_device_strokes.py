@@ -15,7 +15,7 @@ from raised import fault_of
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
 
-import rig.experiment
+import rig.running.experiment
 from rig.backends.driver import RelayRow, StrokeDriver, StrokesCommand, StrokeTimes
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -38,22 +38,22 @@ from rig.config.schema import RelaySection, UntilSection
 from rig.control.bounded import Bounded
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Law, Rest
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.strokes import Stroke
 from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
+from rig.core.faults import Fault
 from rig.design.advisor import Advice, AdvisorSettings
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
-from rig.experiment.script import BREAKAWAY_LAW
-from rig.experiment.until import drive_until
-from rig.faults import Fault
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.recording.reader import read_run
-from rig.replay import replay
-from rig.results import ScriptCall
-from rig.session import record
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results import ScriptCall
+from rig.running.experiment.script import BREAKAWAY_LAW
+from rig.running.experiment.until import drive_until
+from rig.running.replay import replay
+from rig.running.session import record
 
 STROKES = StrokesSetup(((80, 600), (-90, 420), (60, 560), (-70, 470)), 2000, 2000, 5, 10)
 LEVELS_V = ((0.9, 0.35), (-1.0, -0.35), (0.8, 0.2), (-0.7, -0.2))  # drive, V; turning point, rad
@@ -475,6 +475,6 @@ def test_old_firmware_is_refused_before_anything_is_driven(tmp_path: Path, monke
     unpack = Hello.unpack
     monkeypatch.setattr(Hello, "unpack", lambda body: unpack(body)._replace(features=0))
     with pytest.raises(Fault) as caught:
-        rig.experiment.run_relay(config.model_copy(update={"relay": relay}), tmp_path)
+        rig.running.experiment.run_relay(config.model_copy(update={"relay": relay}), tmp_path)
     assert caught.value.code == "CONFIG_MISMATCH" and "rig flash" in str(caught.value)
     assert not list(tmp_path.iterdir())

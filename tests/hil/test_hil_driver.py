@@ -10,12 +10,12 @@ from virtual_host import BoardOptions
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import Truth, VirtualBoard
-from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
-from rig.faults import Fault
+from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Sample
 from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.signals import Limits, Sample
 
 MOTOR = Motor(0.17, 6.5, Friction(0.5, 0.46, 0.54, 0.5), 0.01)
 RAD_PER_COUNT = 4.2 / 1024

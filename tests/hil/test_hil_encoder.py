@@ -25,7 +25,7 @@ from rig.backends.serial.frames import (
     Setup,
     pack_zero,
 )
-from rig.calibration import ALL_COUNTS
+from rig.core.calibration import ALL_COUNTS
 from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor

@@ -25,12 +25,12 @@ from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.cli import main
 from rig.config.load import load
 from rig.config.schema import Experiment
-from rig.experiment import zero
-from rig.faults import Fault
-from rig.live.stop_flag import StopFlag
-from rig.recording.reader import read_run
-from rig.replay import replay
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.run_folder.recording.reader import read_run
+from rig.running.experiment import zero
+from rig.running.replay import replay
 from rig.testing.line import lines_opened_by
 
 pytestmark = pytest.mark.long

@@ -14,9 +14,9 @@ from virtual_host import HELD
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
-from rig.faults import Fault
-from rig.preflight.breakaway_strokes import UNSEEN_RAD
-from rig.preflight.room_to_stop import longest_watchdog_s, room_rad, stopping_terms
+from rig.core.faults import Fault
+from rig.running.preflight.breakaway_strokes import UNSEEN_RAD
+from rig.running.preflight.room_to_stop import longest_watchdog_s, room_rad, stopping_terms
 from stalls.hostile_host import HostileHost, Stalls
 from stalls.rows import config_of, row
 

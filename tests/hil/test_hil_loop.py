@@ -16,10 +16,10 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.core.faults import Fault
 from rig.model.bench import SensorWiring
 from rig.model.cycle_detector import CycleDetector
 

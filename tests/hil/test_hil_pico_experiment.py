@@ -18,7 +18,7 @@ from processes import PATIENCE_S, rows, wait_until
 from rig.backends.driver import Timeouts
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
-from rig.preflight import check
+from rig.running.preflight import check
 
 pytestmark = pytest.mark.long
 

@@ -35,8 +35,8 @@ from rig.backends.serial.frames import (
     StrokesSetup,
     encode,
 )
-from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
-from rig.faults import Fault
+from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
+from rig.core.faults import Fault
 from rig.model.bench import BenchParameters
 
 SUPPLY_V = 12.0

@@ -12,10 +12,10 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.fit import Board
-from rig.calibration import Calibration, DriveMap, Scaling
 from rig.config.schema import Emulated
-from rig.faults import Fault
-from rig.signals import Limits
+from rig.core.calibration import Calibration, DriveMap, Scaling
+from rig.core.faults import Fault
+from rig.core.signals import Limits
 
 pytestmark = pytest.mark.realtime
 

@@ -24,8 +24,8 @@ from rig.backends.serial.frames import (
     pack_pulse,
     pack_zero,
 )
-from rig.calibration import Calibration, DriveMap, Scaling
-from rig.signals import Limits
+from rig.core.calibration import Calibration, DriveMap, Scaling
+from rig.core.signals import Limits
 from stalls.hostile_host import HostileHost
 
 LIMITS = Limits((-1.1, 1.1), (-1.9, 1.9), 3.0, 0.25)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control.relay import DualChannelRelay
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 H1, H2 = 1.0, 3.0  # V; the four sums differ
 DRIVE = (-4, 2, -2, 4)  # -h1 sgn(y) - h2 sgn(z), by state

@@ -15,7 +15,7 @@ from processes import PATIENCE_S
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.registry import emulated_board
 from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
-from rig.preflight import check
+from rig.running.preflight import check
 
 pytestmark = pytest.mark.realtime
 

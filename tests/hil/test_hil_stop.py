@@ -22,9 +22,6 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.opening import emulated_chip
-from rig.calibrate.bench import HandBench
-from rig.calibrate.dialogue import Hold, Strokes, StrokesSeen
-from rig.calibrate.refusal import ALONE, Refusal
 from rig.config import Experiment, load, ready
 from rig.config.yaml12 import parse
 from rig.control.bounded import Bounded, Bounds
@@ -32,23 +29,26 @@ from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Constant, Law
 from rig.control.leased import LeasedDrive
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay, RelayOnCounts
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.control.sweep_plan import Room, sweep_plan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
-from rig.experiment import zero
-from rig.faults import Fault
-from rig.live.lease import LONGEST_NS, HeldLease, Leaser
-from rig.live.stop_flag import StopFlag, request_stop
-from rig.live.unrecorded import told
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.core.faults import Fault
 from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.panel import bench as panel_bench
 from rig.panel.bench import Bench as PanelBench
 from rig.panel.runs import Runs
 from rig.panel.watch import Watch
+from rig.run_folder.live.lease import LONGEST_NS, HeldLease, Leaser
+from rig.run_folder.live.stop_flag import StopFlag, request_stop
+from rig.run_folder.live.unrecorded import told
+from rig.running.calibrate.bench import HandBench
+from rig.running.calibrate.dialogue import Hold, Strokes, StrokesSeen
+from rig.running.calibrate.refusal import ALONE, Refusal
+from rig.running.experiment import zero
 from rig.testing.line import on_device
 
 FRAME_S = 0.0025  # of 14 bytes on the wire with the time until the program has acted on it

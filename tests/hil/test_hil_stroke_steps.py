@@ -24,13 +24,13 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.opening import emulated_chip, emulated_pico, serial_driver
 from rig.config import Experiment
 from rig.control.guard import Guard
-from rig.experiment.stages import breakaway_check
-from rig.faults import Fault
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
-from rig.preflight.breakaway_strokes import breakaway_strokes, has_strokes
-from rig.preflight.loop_settings import guard_settings_of
-from rig.signals import FLAG_GUARD_CLIPPED, Limits, Sample
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
+from rig.core.faults import Fault
+from rig.core.signals import FLAG_GUARD_CLIPPED, Limits, Sample
+from rig.running.experiment.stages import breakaway_check
+from rig.running.preflight.breakaway_strokes import breakaway_strokes, has_strokes
+from rig.running.preflight.loop_settings import guard_settings_of
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SENSORS = {"potentiometer": CONFIG / "demo-chip.yaml", "encoder": CONFIG / "encoder.yaml"}

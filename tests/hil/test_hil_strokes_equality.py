@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 Plan = Sequence[tuple[int, int]]  # drive in units, by the position's sign; turning point in counts
 

@@ -17,12 +17,12 @@ from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
-from rig.calibration import Calibration, DriveMap, Scaling
 from rig.control.guard import Guard, GuardSettings
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.sweep_plan import Room, sweep_plan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.core.calibration import Calibration, DriveMap, Scaling
 
 Device = VirtualBoard | VirtualChip | VirtualPico
 PLAN = sweep_plan(Room(LIMITS.soft_rad, GUARD.max_speed_rad_s, 0.2, 8.0, 60.0), (0.6,))

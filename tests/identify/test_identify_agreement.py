@@ -10,8 +10,8 @@ import pytest
 from command_line import rig
 from synthetic import Bench, Samples, dcr, motor, record, simulate, write_csv
 
-from rig.identify.agreement import disagreement, estimates_of_each
-from rig.identify.opinion import RecordingEstimate
+from rig.identification.agreement import disagreement, estimates_of_each
+from rig.identification.opinion import RecordingEstimate
 
 MOTORS = {
     "a": (motor(), 0.8, 1.0), "b": (motor(), 0.7, 0.95), "c": (motor(), 0.6, 0.9),

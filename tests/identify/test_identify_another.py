@@ -18,19 +18,19 @@ import pytest
 
 from campaign_real.kinds import KINDS, case
 from rig.config.campaign import Campaign
-from rig.estimators import ESTIMATORS, EstimatorEntry
-from rig.export import export
-from rig.identify import Identification, identification, identify
-from rig.identify.departures import DEPARTURES
-from rig.identify.departures.gain_by_sign import GainBySign
-from rig.identify.estimate import Estimate
-from rig.identify.estimator import Estimator
-from rig.identify.measurements import Measurements
+from rig.core.estimators import ESTIMATORS, EstimatorEntry
+from rig.identification import Identification, identification, identify
+from rig.identification.departures import DEPARTURES
+from rig.identification.departures.gain_by_sign import GainBySign
+from rig.identification.estimate import Estimate
+from rig.identification.estimator import Estimator
+from rig.identification.measurements import Measurements
 from rig.notebook import Found
-from rig.recording.errors import IdentifyError
-from rig.recording.reader import read_run
-from rig.report import write_report
-from rig.results import RunResult
+from rig.output.export import export
+from rig.output.report import write_report
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results import RunResult
 from rig.terminal import show_motor_law
 
 pytestmark = pytest.mark.long
@@ -109,10 +109,10 @@ def test_its_line_alone_puts_it_on_the_command_line_into_configs_and_into_the_re
     script = f"""
 import json
 from click.testing import CliRunner
-from rig.estimators import ESTIMATORS, EstimatorEntry
+from rig.core.estimators import ESTIMATORS, EstimatorEntry
 ESTIMATORS.append(EstimatorEntry(*{tuple(LINE)!r}))
 from rig.cli import main
-from rig.identify import identification
+from rig.identification import identification
 identification._add_motor_law = lambda *_: None
 print(json.dumps([CliRunner().invoke(main, words).output for words in {commands!r}]))
 """

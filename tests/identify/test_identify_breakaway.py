@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, record, simulate
 
-from rig.identify.breakaway import Ramp, breakaway, split
-from rig.identify.estimate import Estimate
+from rig.identification.breakaway import Ramp, breakaway, split
+from rig.identification.estimate import Estimate
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 NOISE = 0.003
 

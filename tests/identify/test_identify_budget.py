@@ -16,26 +16,26 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from campaign_real.kinds import KINDS, case
 from rig.config.campaign import Campaign
-from rig.identify import identify, sampled_data
-from rig.identify.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
-from rig.identify.departures.dead_band import DeadBand
-from rig.identify.departures.departure import Departure
-from rig.identify.departures.drag import Drag
-from rig.identify.departures.in_place import InPlace
-from rig.identify.departures.nuisances import Nuisance
-from rig.identify.departures.profile import Profile
-from rig.identify.departures.sag import Sag
-from rig.identify.departures.stribeck import Stribeck
-from rig.identify.identification import Identification, other_times_explain
-from rig.identify.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
+from rig.control.simulation import Sampling
+from rig.control.simulation import simulate as simulate_real
+from rig.core.signals import Sample
+from rig.identification import identify, sampled_data
+from rig.identification.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
+from rig.identification.departures.dead_band import DeadBand
+from rig.identification.departures.departure import Departure
+from rig.identification.departures.drag import Drag
+from rig.identification.departures.in_place import InPlace
+from rig.identification.departures.nuisances import Nuisance
+from rig.identification.departures.profile import Profile
+from rig.identification.departures.sag import Sag
+from rig.identification.departures.stribeck import Stribeck
+from rig.identification.identification import Identification, other_times_explain
+from rig.identification.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
 from rig.model.real_motor import RealMotor
-from rig.recording.recording import from_columns
-from rig.recording.series import TimeSeries
-from rig.results import RunMeta, SensorBelieved, SupplyBelieved
-from rig.results.budget_lines import BudgetLine, that_matter
-from rig.signals import Sample
-from rig.simulation import Sampling
-from rig.simulation import simulate as simulate_real
+from rig.run_folder.recording.recording import from_columns
+from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.results import RunMeta, SensorBelieved, SupplyBelieved
+from rig.run_folder.results.budget_lines import BudgetLine, that_matter
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 STATED = RunMeta(
@@ -313,7 +313,7 @@ def test_without_a_budget_nothing_is_ok(monkeypatch: pytest.MonkeyPatch) -> None
     def fails(*given: object, **named: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr(sys.modules["rig.identify.identification"], "motor_law", fails)
+    monkeypatch.setattr(sys.modules["rig.identification.identification"], "motor_law", fails)
     estimate = identified(relay_test(), relay_test(0.55, 0.8), methods=("sampled-data",)).estimates["sampled-data"]
     assert estimate.verdict == "doubtful"
     assert any("there is no u95: these tests give no answer (SVD did not converge)" in r for r in estimate.reasons)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy import special
 
-from rig.identify.chance import chi_squared_beyond, chi_squared_quantile, log_normal_below, normal_below, student_975
+from rig.identification.chance import (
+    chi_squared_beyond,
+    chi_squared_quantile,
+    log_normal_below,
+    normal_below,
+    student_975,
+)
 
 FREEDOMS = (0.7, 1.0, 2.0, 3.4, 10.0, 29.9, 30.0, 55.5, 1e3, 1e6)
 

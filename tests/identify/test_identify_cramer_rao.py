@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
-from rig.identify import sampled_data
-from rig.identify.cramer_rao import DELAY, PositionNoise, cramer_rao
-from rig.identify.starts import Start
+from rig.identification import sampled_data
+from rig.identification.cramer_rao import DELAY, PositionNoise, cramer_rao
+from rig.identification.starts import Start
 from rig.model.sensitivity import Theta, position_and_jacobian
-from rig.recording.series import Steps, TimeSeries, steps_of
+from rig.run_folder.recording.series import Steps, TimeSeries, steps_of
 
 TRUE = Theta(0.17, 6.5, 0.5, 0.02, 0.004, 0.0, 0.0)
 

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import Bench, dcr, motor, record, simulate
 
-from rig.identify.cycles import equivalent_edge, find_cycle, relay_gains
-from rig.identify.mean_cycle import Bins, Cycle, average
+from rig.identification.cycles import equivalent_edge, find_cycle, relay_gains
+from rig.identification.mean_cycle import Bins, Cycle, average
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 
 
 def relay_record(h1: float = 0.8, h2: float = 1.0, rows: int = 1200, first: int = 0, **bench: Any) -> TimeSeries:

@@ -17,10 +17,10 @@ from foreign_bench import PAPER, Columns, motor, plain_csv, relay, sampled, tick
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.identify import identify
-from rig.identify.identification import METHODS
-from rig.recording.errors import IdentifyError, RecordingError
-from rig.recording.reader import read
+from rig.identification import identify
+from rig.identification.identification import METHODS
+from rig.run_folder.recording.errors import IdentifyError, RecordingError
+from rig.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.long
 

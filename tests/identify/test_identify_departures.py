@@ -16,19 +16,19 @@ from synthetic import dcr, record, simulate
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_test
 from campaign_real.kinds import KINDS, Case, case
 from rig.config.campaign import Campaign
-from rig.identify import sampled_data
-from rig.identify.departures import DEPARTURES
-from rig.identify.departures.choice import Columns
-from rig.identify.departures.fit import CORE, Known, Normal, Problem, limits_of, solve, start
-from rig.identify.departures.pieces import Cut
-from rig.identify.estimate import Estimate
-from rig.identify.identification import Identification, identify
-from rig.identify.motor_law import motor_law
-from rig.identify.thinning import thinned
+from rig.identification import sampled_data
+from rig.identification.departures import DEPARTURES
+from rig.identification.departures.choice import Columns
+from rig.identification.departures.fit import CORE, Known, Normal, Problem, limits_of, solve, start
+from rig.identification.departures.pieces import Cut
+from rig.identification.estimate import Estimate
+from rig.identification.identification import Identification, identify
+from rig.identification.motor_law import motor_law
+from rig.identification.thinning import thinned
 from rig.model.friction import coulomb, tustin
 from rig.model.motor import Motor
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 pytestmark = pytest.mark.long
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from rig.identify.departures import DEPARTURES
-from rig.identify.departures.fit import Rows, sums_of_pieces
-from rig.identify.departures.prediction import Evidence
+from rig.identification.departures import DEPARTURES
+from rig.identification.departures.fit import Rows, sums_of_pieces
+from rig.identification.departures.prediction import Evidence
 
 BACKLASH = next(law for law in DEPARTURES if law.name == "backlash")
 FREE = ("tau_s", "K_rad_s_V", "backlash_rad")

@@ -17,17 +17,17 @@ from hypothesis import strategies as st
 from scipy.optimize import fsolve
 from synthetic import LSB_RAD, Bench, dcr, drawn, motor, record, simulate
 
-from rig.identify import describing_function
-from rig.identify.cycles import find_cycle
-from rig.identify.describing_function import DescribingFunction
-from rig.identify.mean_cycle import Cycle
-from rig.identify.measurements import Measurements
+from rig.identification import describing_function
+from rig.identification.cycles import find_cycle
+from rig.identification.describing_function import DescribingFunction
+from rig.identification.mean_cycle import Cycle
+from rig.identification.measurements import Measurements
 from rig.model.describing_function import Oscillation, predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 
 
 def cycle_of(h1: float, h2: float, rows: int = 1600, **bench: Any) -> Cycle:

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
-from rig.identify import identify
-from rig.identify.estimate import Estimate
-from rig.identify.identification import Identification
-from rig.identify.motions import in_parts, motions
+from rig.identification import identify
+from rig.identification.estimate import Estimate
+from rig.identification.identification import Identification
+from rig.identification.motions import in_parts, motions
 from rig.model.motor import State
-from rig.recording.reader import read
-from rig.recording.recording import Recording
-from rig.recording.series import TimeSeries, Window
-from rig.recording.stage import StageKind
-from rig.results import RunEvent
+from rig.run_folder.recording.reader import read
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.series import TimeSeries, Window
+from rig.run_folder.recording.stage import StageKind
+from rig.run_folder.results import RunEvent
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
 LED_BY = ("sampled-data",)

@@ -19,16 +19,16 @@ from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, break_away, simulated
 
 from rig.control.law import Rest
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
-from rig.estimators import LEADING
-from rig.faults import Fault
-from rig.identify import Identification, IdentifyError, identify
-from rig.identify.departures.budget import TYPE_A
-from rig.identify.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.core.estimators import LEADING
+from rig.core.faults import Fault
+from rig.identification import Identification, IdentifyError, identify
+from rig.identification.departures.budget import TYPE_A
+from rig.identification.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.recording.recording import Recording, assembled
-from rig.recording.series import FEWEST_ROWS
-from rig.results import RunEvent
+from rig.run_folder.recording.recording import Recording, assembled
+from rig.run_folder.recording.series import FEWEST_ROWS
+from rig.run_folder.results import RunEvent
 from stopping.in_memory import NAMES, MemoryRecord
 
 ENOUGH_PERCENT = 1.0

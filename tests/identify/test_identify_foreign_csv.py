@@ -33,16 +33,16 @@ from foreign_bench import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.identify import identify
-from rig.identify.departures.cogging import Cogging
-from rig.identify.departures.departure import Bench
-from rig.identify.estimate import Estimate
-from rig.identify.plausibility import judge_records
-from rig.identify.preprocessing import from_recording
-from rig.recording.columns import COLUMNS
-from rig.recording.errors import IdentifyError, RecordingError
-from rig.recording.log_format import LogColumn, LogFormat
-from rig.recording.reader import read
+from rig.identification import identify
+from rig.identification.departures.cogging import Cogging
+from rig.identification.departures.departure import Bench
+from rig.identification.estimate import Estimate
+from rig.identification.plausibility import judge_records
+from rig.identification.preprocessing import from_recording
+from rig.run_folder.recording.columns import COLUMNS
+from rig.run_folder.recording.errors import IdentifyError, RecordingError
+from rig.run_folder.recording.log_format import LogColumn, LogFormat
+from rig.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.long
 

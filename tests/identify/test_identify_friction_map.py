@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from evidence import evidence
 
+from rig.control.simulation import Sampling, simulate
 from rig.control.sweep_plan import SweepPlan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
-from rig.identify.friction_map import FrictionMap, friction_map
+from rig.core.signals import Sample
+from rig.identification.friction_map import FrictionMap, friction_map
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
-from rig.signals import Sample
-from rig.simulation import Sampling, simulate
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 
 PLAIN = RealMotor(0.17, 6.5, 0.48, 0.02)
 FRAME = Frame(0.0, 1.1)

@@ -12,9 +12,9 @@ import pytest
 from evidence import evidence
 from synthetic import LSB_RAD, Bench, Samples, dcr, motor, simulate, write_csv
 
-from rig.identify import METHODS, IdentifyError, identify
-from rig.identify.identification import Identification
-from rig.recording.csv_file import read_csv
+from rig.identification import METHODS, IdentifyError, identify
+from rig.identification.identification import Identification
+from rig.run_folder.recording.csv_file import read_csv
 
 pytestmark = pytest.mark.long
 

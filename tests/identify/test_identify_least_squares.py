@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, Samples, motor, record, simulate, write_csv
 
 from rig.control.relay import HystereticRelay
-from rig.identify import IdentifyError, identify
-from rig.identify.estimate import Estimate
-from rig.identify.least_squares import Transient, batch, compared_with, fit, recursive, total
+from rig.core.signals import Sample
+from rig.identification import IdentifyError, identify
+from rig.identification.estimate import Estimate
+from rig.identification.least_squares import Transient, batch, compared_with, fit, recursive, total
 from rig.model.motor import Motor, State
-from rig.recording.csv_file import read_csv
-from rig.recording.series import TimeSeries
-from rig.signals import Sample
+from rig.run_folder.recording.csv_file import read_csv
+from rig.run_folder.recording.series import TimeSeries
 
 PAPER = ((0.8, 0.5), (1.0, 0.3))  # d in V, eps in rad: the runs of the paper's comparison
 BOTH_WAYS = (*PAPER, (-0.8, 0.5), (-1.0, 0.3))

@@ -12,15 +12,15 @@ from evidence import evidence
 from synthetic import LSB_RAD, Bench, Samples, dcr, simulate
 
 from rig.control.relay import DualChannelRelay
-from rig.identify.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.control.simulation import Sampling
+from rig.control.simulation import simulate as simulate_real
+from rig.core.signals import Sample
+from rig.identification.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
-from rig.recording.reader import read_run
-from rig.recording.recording import Recording
-from rig.signals import Sample
-from rig.simulation import Sampling
-from rig.simulation import simulate as simulate_real
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recording import Recording
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 TRUTH = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}

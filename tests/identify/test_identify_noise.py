@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky, solve_triangular
 
-from rig.identify.noise import WHITE, Noise, noise_of
-from rig.identify.repetition import repeated_share, repetitions, with_repetition
-from rig.recording.series import TimeSeries, Window
+from rig.identification.noise import WHITE, Noise, noise_of
+from rig.identification.repetition import repeated_share, repetitions, with_repetition
+from rig.run_folder.recording.series import TimeSeries, Window
 
 PERIOD_S = 0.01
 

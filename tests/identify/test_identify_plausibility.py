@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.identify.estimate import Estimate
-from rig.identify.plausibility import judge_motor, judge_records
-from rig.recording.series import TimeSeries
-from rig.recording.stage import Stage
+from rig.identification.estimate import Estimate
+from rig.identification.plausibility import judge_motor, judge_records
+from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.stage import Stage
 
 Array = NDArray[np.float64]
 STEP_RAD = 2.0 * np.pi / 3200.0

@@ -10,25 +10,25 @@ import numpy as np
 import pytest
 from evidence import evidence
 
-from rig.identify import identify
-from rig.identify.departures import DEPARTURES
-from rig.identify.departures.blocks import Blocks, HeldOut, held_out, share_cut
-from rig.identify.departures.choice import Columns, levels
-from rig.identify.departures.cogging import Cogging
-from rig.identify.departures.departure import Bench
-from rig.identify.departures.fit import CORE, Problem, limits_of, solve, start
-from rig.identify.departures.outside import by_current, by_friction_waves, outside
-from rig.identify.departures.pieces import Cut
-from rig.identify.estimate import Estimate
-from rig.identify.identification import Identification, by_prediction
-from rig.identify.in_pieces import fit_in_pieces
-from rig.identify.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
-from rig.identify.noise import Noise
-from rig.identify.plausibility import judge_records
+from rig.identification import identify
+from rig.identification.departures import DEPARTURES
+from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
+from rig.identification.departures.choice import Columns, levels
+from rig.identification.departures.cogging import Cogging
+from rig.identification.departures.departure import Bench
+from rig.identification.departures.fit import CORE, Problem, limits_of, solve, start
+from rig.identification.departures.outside import by_current, by_friction_waves, outside
+from rig.identification.departures.pieces import Cut
+from rig.identification.estimate import Estimate
+from rig.identification.identification import Identification, by_prediction
+from rig.identification.in_pieces import fit_in_pieces
+from rig.identification.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
+from rig.identification.noise import Noise
+from rig.identification.plausibility import judge_records
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
-from rig.recording.recording import from_columns
-from rig.recording.series import TimeSeries
-from rig.results import Answer
+from rig.run_folder.recording.recording import from_columns
+from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.results import Answer
 
 pytestmark = pytest.mark.long
 

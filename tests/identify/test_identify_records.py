@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.identify import IdentifyError, identify
-from rig.identify.identification import Identification
-from rig.identify.measurements import Measurements
-from rig.identify.records import sound_rows
-from rig.recording.reader import read
-from rig.recording.recording import Recording
-from rig.recording.series import TimeSeries
-from rig.results import RunEvent, RunMeta
+from rig.identification import IdentifyError, identify
+from rig.identification.identification import Identification
+from rig.identification.measurements import Measurements
+from rig.identification.records import sound_rows
+from rig.run_folder.recording.reader import read
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.results import RunEvent, RunMeta
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
 LED_BY = ("sampled-data",)

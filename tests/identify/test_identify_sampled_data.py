@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
-from rig.identify import sampled_data
-from rig.identify.starts import Start, ridge_starts
+from rig.identification import sampled_data
+from rig.identification.starts import Start, ridge_starts
 from rig.model.sensitivity import Theta, position_and_jacobian
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 
 NAMES = ("tau_s", "K_rad_s_V", "fc_V")
 

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from rig.identify.side_by_side import FEWEST_ROWS, on_all_cores, side_by_side
+from rig.identification.side_by_side import FEWEST_ROWS, on_all_cores, side_by_side
 
 
 def test_they_run_at_once_stay_in_order_and_spread_no_further(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,11 +10,11 @@ import pytest
 from evidence import evidence
 from simulated_bench import DEMO, LIMITS, PERIOD_S, breakaway_check, simulated_bench
 
-from rig.faults import Fault
-from rig.identify.stroke_delay import LONGEST_S, StrokeDelay, stroke_delay
+from rig.core.faults import Fault
+from rig.identification.stroke_delay import LONGEST_S, StrokeDelay, stroke_delay
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 
 def strokes(seed: int = 1, **changes: Any) -> tuple[TimeSeries, float]:

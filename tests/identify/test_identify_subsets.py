@@ -21,12 +21,12 @@ from foreign_bench import (
     ticks,
 )
 
-from rig.identify import identify
-from rig.identify.estimate import Estimate
-from rig.recording.columns import COLUMNS
-from rig.recording.errors import IdentifyError
-from rig.recording.reader import read
-from rig.recording.recording import Recording
+from rig.identification import identify
+from rig.identification.estimate import Estimate
+from rig.run_folder.recording.columns import COLUMNS
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.reader import read
+from rig.run_folder.recording.recording import Recording
 
 pytestmark = pytest.mark.long
 

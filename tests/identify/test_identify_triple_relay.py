@@ -14,19 +14,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, drawn, motor
 
-from rig.identify import describing_function, triple_relay
-from rig.identify.cycles import find_cycle
-from rig.identify.identification import identify
-from rig.identify.mean_cycle import Cycle, average
-from rig.identify.starts import Start, ridge_starts
-from rig.identify.triple_relay import Features, residuals, solve, solve_cycle
+from rig.identification import describing_function, triple_relay
+from rig.identification.cycles import find_cycle
+from rig.identification.identification import identify
+from rig.identification.mean_cycle import Cycle, average
+from rig.identification.starts import Start, ridge_starts
+from rig.identification.triple_relay import Features, residuals, solve, solve_cycle
 from rig.model.describing_function import predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.csv_file import read_csv
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.csv_file import read_csv
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 
 TRUTH = (0.17, 6.5, 0.5)
 FINE_S = 2e-4

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
-from rig.identify import sampled_data, sampled_data_verdict
-from rig.identify.cycles import find_cycle
-from rig.identify.estimate import Estimate
-from rig.identify.measurements import Measurements
-from rig.identify.triple_relay import TripleRelay
+from rig.identification import sampled_data, sampled_data_verdict
+from rig.identification.cycles import find_cycle
+from rig.identification.estimate import Estimate
+from rig.identification.measurements import Measurements
+from rig.identification.triple_relay import TripleRelay
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TIMES_ERROR_S, TimeSeries
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TIMES_ERROR_S, TimeSeries
 
 NOISY: dict[str, Any] = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 

@@ -15,7 +15,7 @@ import pytest
 from rig.backends.links.held_endpoint import HeldEndpoint
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
-from rig.live.shared_page import MappedPage, OthersPage
+from rig.run_folder.live.shared_page import MappedPage, OthersPage
 
 
 @contextmanager

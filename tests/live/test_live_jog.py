@@ -13,10 +13,10 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import main
-from rig.live.lease import NAME, Leaser
-from rig.live.running import running
-from rig.live.view import LiveView, Snapshot
-from rig.replay import replay
+from rig.run_folder.live.lease import NAME, Leaser
+from rig.run_folder.live.running import running
+from rig.run_folder.live.view import LiveView, Snapshot
+from rig.running.replay import replay
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.live.lease import LONGEST_NS, NAME, HeldLease, Leaser
-from rig.live.shared_page import SIZE, OthersPage
+from rig.run_folder.live.lease import LONGEST_NS, NAME, HeldLease, Leaser
+from rig.run_folder.live.shared_page import SIZE, OthersPage
 
 
 class Clock:

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from rig.live.born import born
-from rig.live.lease import HeldLease, Leaser
-from rig.live.own_folder import NAME, START_LOCK, HeldError, NotOwnError, OwnFolder
 from rig.panel import processes
 from rig.panel.attendance import Attendance, watched
 from rig.panel.errors import RefusedError
+from rig.run_folder.live.born import born
+from rig.run_folder.live.lease import HeldLease, Leaser
+from rig.run_folder.live.own_folder import NAME, START_LOCK, HeldError, NotOwnError, OwnFolder
 
 NOTE = f"{'a' * 16}.json"
 OVER = json.dumps({"command": "run", "pid": 2**22 + 1, "born": "long ago"})  # no process has this number
@@ -233,7 +233,7 @@ def test_a_lease_deletes_its_own_file_and_not_what_stands_in_its_place(tmp_path:
 
 def test_the_lock_is_for_one_and_free_again_when_its_process_is_killed(tmp_path: Path) -> None:
     code = (
-        "import sys, time; from pathlib import Path; from rig.live.own_folder import OwnFolder\n"
+        "import sys, time; from pathlib import Path; from rig.run_folder.live.own_folder import OwnFolder\n"
         "with OwnFolder(Path(sys.argv[1])) as folder, folder.locked('start.lock', 0.0):\n"
         "    print('has it', flush=True); time.sleep(60)\n"
     )

@@ -14,22 +14,22 @@ from typing import Any
 import pytest
 import yaml
 
-from rig import experiment as script
-from rig import session
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import Experiment, load
-from rig.experiment import stages
-from rig.identify import Identification, IdentifyError, identify
-from rig.live import shared_page
-from rig.live.running import Seen, running
-from rig.live.stop_flag import NAME, StopError, StopFlag, Unrecorded, request_stop, runner_of
-from rig.recording.reader import read_run
-from rig.recording.recorder import Recorder
-from rig.recording.recording import Recording
-from rig.replay import replay
-from rig.report import write_report
-from rig.session import Outcome
-from rig.signals import Sample
+from rig.core.signals import Sample
+from rig.identification import Identification, IdentifyError, identify
+from rig.output.report import write_report
+from rig.run_folder.live import shared_page
+from rig.run_folder.live.running import Seen, running
+from rig.run_folder.live.stop_flag import NAME, StopError, StopFlag, Unrecorded, request_stop, runner_of
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.recording import Recording
+from rig.running import experiment as script
+from rig.running import session
+from rig.running.experiment import stages
+from rig.running.replay import replay
+from rig.running.session import Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -242,7 +242,7 @@ def test_nothing_is_driven_where_a_stop_would_read_that_nothing_drives(
 HOLDS = """
 import sys, time
 from pathlib import Path
-from rig.live.stop_flag import StopFlag
+from rig.run_folder.live.stop_flag import StopFlag
 with StopFlag() as flag:
     flag.begin(Path(sys.argv[1]))
     flag.tell(time.monotonic(), 0.01)

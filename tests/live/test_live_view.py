@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from rig.live.running import Lookout, running
-from rig.live.stop_flag import Runner, StopFlag
-from rig.live.view import KEPT_ROWS, Cycle, Estimate, LiveView, Planes
-from rig.recording.columns import HEADER, SampleRow, format_row
+from rig.run_folder.live.running import Lookout, running
+from rig.run_folder.live.stop_flag import Runner, StopFlag
+from rig.run_folder.live.view import KEPT_ROWS, Cycle, Estimate, LiveView, Planes
+from rig.run_folder.recording.columns import HEADER, SampleRow, format_row
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -180,7 +180,7 @@ def test_a_look_sees_each_run_though_it_does_not_look_at_each_old_folder_each_ti
         looked.append(folder.name)
         return Runner(1, 0.0, 0.01)
 
-    monkeypatch.setattr("rig.live.running.runner_of", runner_of)
+    monkeypatch.setattr("rig.run_folder.live.running.runner_of", runner_of)
     for number in range(700):
         (tmp_path / f"2026-{number:04}").mkdir()
     (tmp_path / "2026-link").symlink_to(tmp_path / "2026-0000")

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from processes import wait_until
 
-from rig.loop import kernel_workers
-from rig.loop.kernel_workers import PF_KTHREAD, Worker, main, raised_workers, workers
+from rig.control.loop import kernel_workers
+from rig.control.loop.kernel_workers import PF_KTHREAD, Worker, main, raised_workers, workers
 
 RUN = """
 import sys, time
 from pathlib import Path
-from rig.loop.kernel_workers import raised_workers
+from rig.control.loop.kernel_workers import raised_workers
 with raised_workers(7, Path(sys.argv[1])) as said:
     print(*said, flush=True)
     time.sleep(3600)

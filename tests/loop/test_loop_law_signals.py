@@ -19,10 +19,10 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
-from rig.faults import Fault
-from rig.loop.runner import Loop
-from rig.loop.stop_request import STOP_SIGNALS, StopRequest, stop_on_signals
-from rig.signals import Sample
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import STOP_SIGNALS, StopRequest, stop_on_signals
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 Device = VirtualBoard | VirtualChip
 FROM_TICK = 30

@@ -13,12 +13,12 @@ from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.guard import Guard
 from rig.control.law import Law
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay
-from rig.identify import sampled_data
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
-from rig.recording.series import TimeSeries
-from rig.signals import FLAG_SATURATED, Order, Sample
+from rig.core.signals import FLAG_SATURATED, Order, Sample
+from rig.identification import sampled_data
+from rig.run_folder.recording.series import TimeSeries
 
 
 class Steps:

@@ -11,9 +11,9 @@ from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
 from rig.backends.clock import MonotonicClock, VirtualClock
 from rig.control.law import Rest
-from rig.faults import Fault
-from rig.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
-from rig.signals import Sample
+from rig.control.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 RAILS = (5, 1018)
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 from simulated_bench import CALIBRATION, DEMO_MOTOR, GUARD, LIMITS, PERIOD_S, RAILS
 
-from rig.calibration import DriveMap
+from rig.control.loop.pre_run import PreRunBench, pre_run
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking
 from rig.control.trajectory import Reference
-from rig.loop.pre_run import PreRunBench, pre_run
+from rig.core.calibration import DriveMap
 
 
 class Ramp:

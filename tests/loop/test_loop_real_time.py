@@ -18,7 +18,7 @@ import yaml
 from processes import PLAIN_RIG
 
 from rig.backends.clock import MonotonicClock
-from rig.loop.real_time import RealTimeSettings, real_time
+from rig.control.loop.real_time import RealTimeSettings, real_time
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,10 +32,10 @@ resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
 if os.getuid() == 0:
     os.setgid(65534)
     os.setuid(65534)
-from rig.loop.real_time import RealTimeSettings, real_time
+from rig.control.loop.real_time import RealTimeSettings, real_time
 """
     # rig is imported before the process may no longer read this folder
-    command = [sys.executable, "-c", f"import rig.loop.real_time\n{preamble}\n{code}"]
+    command = [sys.executable, "-c", f"import rig.control.loop.real_time\n{preamble}\n{code}"]
     return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
 
 

@@ -18,13 +18,13 @@ from rig.backends.clock import MonotonicClock, VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
-from rig.faults import Fault
-from rig.live.running import running
-from rig.live.stop_flag import StopFlag
-from rig.loop.runner import Loop
-from rig.loop.statistics import LoopStatistics, Times, quantiles
-from rig.loop.stop_request import StopRequest, stop_on_signals
-from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Sample
+from rig.control.loop.runner import Loop
+from rig.control.loop.statistics import LoopStatistics, Times, quantiles
+from rig.control.loop.stop_request import StopRequest, stop_on_signals
+from rig.core.faults import Fault
+from rig.core.signals import FLAG_SATURATED, FLAG_SKIPPED, Sample
+from rig.run_folder.live.running import running
+from rig.run_folder.live.stop_flag import StopFlag
 
 P = ParamSpec("P")
 R = TypeVar("R")

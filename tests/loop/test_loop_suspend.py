@@ -18,10 +18,10 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
-from rig.faults import Fault
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
-from rig.loop.suspend import EXPLAINED, SuspendWatch
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
+from rig.control.loop.suspend import EXPLAINED, SuspendWatch
+from rig.core.faults import Fault
 
 MINUTES = 60.0
 LONGEST_S = 71.6 * MINUTES  # then the device's clock wraps

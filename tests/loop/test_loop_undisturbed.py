@@ -25,14 +25,14 @@ from rig.backends.clock import MonotonicClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
-from rig.faults import Fault
-from rig.live.stop_flag import StopFlag
-from rig.loop.real_time import real_time
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
-from rig.recording.reader import read_run
-from rig.recording.recorder import Recorder
-from rig.recording.sink import NullSink, Row
+from rig.control.loop.real_time import real_time
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
+from rig.core.faults import Fault
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sink import NullSink, Row
 
 ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("rest", "jog")
@@ -148,7 +148,7 @@ def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_pa
     while not results():
         assert run.poll() is None, "the run ended without a report"
         for child in children(run.pid):
-            if not hung and "rig.recording.follow" in command_of(child):
+            if not hung and "rig.run_folder.recording.follow" in command_of(child):
                 os.kill(child, signal.SIGSTOP)
                 hung = child
         time.sleep(0.002)
@@ -220,7 +220,9 @@ def stopped_writer(recorder: Recorder) -> Iterator[None]:
 def progress_into_a_full_pipe(recorder: Recorder) -> Iterator[None]:
     reading, writing = full_pipe()
     viewer = subprocess.Popen(
-        [sys.executable, "-m", "rig.recording.follow", str(recorder.folder)], stdin=subprocess.PIPE, stderr=writing
+        [sys.executable, "-m", "rig.run_folder.recording.follow", str(recorder.folder)],
+        stdin=subprocess.PIPE,
+        stderr=writing,
     )
     try:
         yield

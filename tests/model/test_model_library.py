@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from real_motors import CASES, FRAME, relay, with_parts
 
+from rig.core.errors import LibraryError
 from rig.design import compiled as design
-from rig.errors import LibraryError
-from rig.identify.noise import noise_of
+from rig.identification.noise import noise_of
 from rig.model import library, library_build, stribeck
 from rig.model.compiled import coloured_noise, motion, real_motion, sampled_relay, steady_cycle
 from rig.model.library import LIBRARY

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control.relay import DualChannelRelay
+from rig.core.signals import Sample
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.signals import Sample
 
 
 def by_hand(

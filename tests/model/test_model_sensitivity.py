@@ -11,7 +11,7 @@ from synthetic import Bench, dcr, motor, simulate
 
 from rig.model.motor import State
 from rig.model.sensitivity import Theta, position, position_and_jacobian
-from rig.recording.series import steps_of
+from rig.run_folder.recording.series import steps_of
 
 STEP = 1e-6
 

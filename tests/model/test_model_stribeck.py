@@ -16,7 +16,7 @@ from scipy.integrate import quad, solve_ivp
 from rig.model import stribeck
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Arc, Glide, Motor, State
-from rig.recording.series import steps_of
+from rig.run_folder.recording.series import steps_of
 
 taus = st.floats(0.05, 0.5)
 gains = st.floats(1.0, 20.0)

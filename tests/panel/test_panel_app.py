@@ -19,10 +19,6 @@ from processes import PATIENCE_S, wait_until
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
-from rig.live.born import born
-from rig.live.own_folder import NAME
-from rig.live.running import Running, Seen
-from rig.live.stop_flag import Runner, StopFlag
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel, make_app
 from rig.panel.bench import StopAnswer
@@ -30,6 +26,10 @@ from rig.panel.messages import Checked, Compared, Drawn, RunRow, State, Stop
 from rig.panel.processes import StartedProcess
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
 from rig.panel.watch import Follower
+from rig.run_folder.live.born import born
+from rig.run_folder.live.own_folder import NAME
+from rig.run_folder.live.running import Running, Seen
+from rig.run_folder.live.stop_flag import Runner, StopFlag
 
 HERE = Address("127.0.0.1", 8470)
 ORIGIN = {"origin": "http://127.0.0.1:8470"}

@@ -19,11 +19,6 @@ from typing import Any
 import pytest
 from processes import PATIENCE_S
 
-from rig.live import running as running_module
-from rig.live.born import born
-from rig.live.own_folder import NAME
-from rig.live.running import Running, running
-from rig.live.stop_flag import Runner, StopFlag
 from rig.panel import bench as module
 from rig.panel import processes
 from rig.panel.access import Access, Address
@@ -33,6 +28,11 @@ from rig.panel.errors import RefusedError
 from rig.panel.messages import Stop
 from rig.panel.processes import StartedProcess
 from rig.panel.watch import ALIVE_S, PERIOD_S, Follower
+from rig.run_folder.live import running as running_module
+from rig.run_folder.live.born import born
+from rig.run_folder.live.own_folder import NAME
+from rig.run_folder.live.running import Running, running
+from rig.run_folder.live.stop_flag import Runner, StopFlag
 
 SILENCE = Path(__file__).parent / "browser" / "silence.mjs"
 
@@ -128,7 +128,7 @@ def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[tuple[int, int]] = []
-    monkeypatch.setattr("rig.live.stop_flag.os.kill", lambda *given: sent.append(given))
+    monkeypatch.setattr("rig.run_folder.live.stop_flag.os.kill", lambda *given: sent.append(given))
     bench = Bench(None, tmp_path)
     (folder := tmp_path / "20260101T000000Z-run-goes").mkdir()
     with StopFlag() as flag:
@@ -154,7 +154,7 @@ def test_a_run_that_died_goes_on_in_no_process_that_has_its_number(
 ) -> None:
     """As of a run in a container: its number is that of a strange process here."""
     sent: list[int] = []
-    monkeypatch.setattr("rig.live.stop_flag.os.kill", lambda pid, number: sent.append(pid))
+    monkeypatch.setattr("rig.run_folder.live.stop_flag.os.kill", lambda pid, number: sent.append(pid))
     bench = Bench(None, tmp_path)
     (folder := tmp_path / "20260101T000000Z-run-dies").mkdir()
     with StopFlag() as flag:
@@ -240,7 +240,7 @@ class Stopped:
             (folder / "events.jsonl").write_text('{"kind": "stage", "t_s": 0, "name": "relay-1"}\n')
             self.flags[name] = stack.enter_context(ExitStack())
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr("rig.live.stop_flag.os.getpid", lambda pid=self.runners[name].pid: pid)
+                patch.setattr("rig.run_folder.live.stop_flag.os.getpid", lambda pid=self.runners[name].pid: pid)
                 self.flags[name].enter_context(StopFlag()).begin(folder)
         self.out = tmp_path
         self.look()
@@ -331,7 +331,7 @@ def test_a_view_that_fails_says_so_and_ends_no_look(tmp_path: Path, monkeypatch:
 
     with ExitStack() as stack:
         bench = Stopped(tmp_path, stack, "a")
-        monkeypatch.setattr("rig.live.view.LiveView.read", fails)
+        monkeypatch.setattr("rig.run_folder.live.view.LiveView.read", fails)
         bench.panel.watch.look()
         [(_, told)] = bench.panel.watch.scene.news
         assert told["type"] == "trouble" and "cannot be shown (OverflowError: cannot convert)" in told["what"]

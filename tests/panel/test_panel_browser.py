@@ -23,8 +23,8 @@ from processes import PATIENCE_S
 
 from rig.config import load
 from rig.config.yaml12 import parse
-from rig.live.running import running
-from rig.live.stop_flag import request_stop
+from rig.run_folder.live.running import running
+from rig.run_folder.live.stop_flag import request_stop
 
 pytestmark = [pytest.mark.realtime, pytest.mark.long]
 

@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 from processes import wait_until
 
-from rig.calibrate import session
-from rig.calibrate.save import save
 from rig.config import ready
-from rig.live.stop_flag import command_of
 from rig.panel import calibrating, processes
 from rig.panel.bench import CALIBRATION, Bench
 from rig.panel.calibration import Calibration
 from rig.panel.errors import RefusedError
+from rig.run_folder.live.stop_flag import command_of
+from rig.running.calibrate import session
+from rig.running.calibrate.save import save
 
 
 def begun(bench: Bench) -> Calibration:

@@ -26,9 +26,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from rig.live.running import running
-from rig.live.stop_flag import is_recorded
 from rig.panel.sockets import MOST_CONNECTIONS
+from rig.run_folder.live.running import running
+from rig.run_folder.live.stop_flag import is_recorded
 
 pytestmark = [pytest.mark.realtime, pytest.mark.long]
 

@@ -142,10 +142,10 @@ def main(arguments: list[str]) -> None:
         rest.pop(0)
     assert rest[0] == "-m", rest
     sys.path.pop(0)  # this file's folder
-    if not rest[1].startswith("rig.recording"):  # these load nothing but Python's own
+    if not rest[1].startswith("rig.run_folder.recording"):  # these load nothing but Python's own
         for module in LOADED_BEFORE:
             importlib.import_module(module)
-    elif rest[1] == "rig.recording.follow":
+    elif rest[1] == "rig.run_folder.recording.follow":
         importlib.import_module("rich.live")
     pretend(name)
     # what this process starts is started the same way

@@ -80,7 +80,7 @@ def test_on_macos_a_run_is_recorded(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("platform", "name"), [("win32", "Windows"), ("darwin", "macOS")])
 def test_real_time_says_what_it_cannot_promise(platform: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from rig.loop.real_time import real_time
+    from rig.control.loop.real_time import real_time
 
     monkeypatch.setattr(sys, "platform", platform)
     with real_time() as done:

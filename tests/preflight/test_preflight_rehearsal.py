@@ -14,7 +14,7 @@ from rig import config
 from rig.config import ConfigError, Experiment
 from rig.config.edit import Value, changed
 from rig.config.problems import Path as Key
-from rig.preflight import DataSheet, SheetError, check, rehearsed
+from rig.running.preflight import DataSheet, SheetError, check, rehearsed
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTHING = DataSheet()

@@ -17,14 +17,14 @@ from pydantic import ValidationError
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
 from rig.backends.serial.link_budget import REPLY_SHARE
-from rig.calibration import Calibration
 from rig.config import ConfigError, Experiment, load
+from rig.core.calibration import Calibration
+from rig.core.signals import BenchDelay
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.preflight import check, preflight
-from rig.preflight.loop_settings import guard_settings_of
-from rig.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
-from rig.signals import BenchDelay
+from rig.running.preflight import check, preflight
+from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
 
 pytestmark = pytest.mark.long
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.recording.curves import Curves, read_curves, write_curves
-from rig.recording.errors import CannotWriteError, RecordingError
-from rig.recording.recording import Recording, from_columns
-from rig.results import Answer, FoundLawResult
+from rig.run_folder.recording.curves import Curves, read_curves, write_curves
+from rig.run_folder.recording.errors import CannotWriteError, RecordingError
+from rig.run_folder.recording.recording import Recording, from_columns
+from rig.run_folder.results import Answer, FoundLawResult
 
 ANSWER = Answer(method="sampled-data", tau_s=0.17, K_rad_s_V=6.5, fc_V=0.48, law=(FoundLawResult(name="dead_band"),))
 

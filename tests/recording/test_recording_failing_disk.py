@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from rig.faults import Fault
-from rig.recording import layout
-from rig.recording.errors import RecordingError
-from rig.recording.layout import ROW, SharedMemory
-from rig.recording.reader import read_run
-from rig.recording.recorder import Recorder
-from rig.recording.text_file import MOST_PARTS
-from rig.recording.writer import AppendOnlyFile, Writer
-from rig.report.source import load
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
+from rig.output.report.source import load
+from rig.run_folder.recording import layout
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.layout import ROW, SharedMemory
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.text_file import MOST_PARTS
+from rig.run_folder.recording.writer import AppendOnlyFile, Writer
 
 EIO = OSError(errno.EIO, os.strerror(errno.EIO))
 OS_WRITE, OS_FSYNC, OS_OPEN = os.write, os.fsync, os.open
@@ -151,7 +151,7 @@ def test_rows_are_put_on_the_disk_every_second(bench: Bench, monkeypatch: pytest
             counters[layout.ROW_COMPLETED] = counters[layout.ROWS_OPENED] = counters[layout.ROWS_OPENED] + 1
             return len(synced) >= 3 or looks[0] > 20.0
 
-    monkeypatch.setattr("rig.recording.writer.time.monotonic", later)
+    monkeypatch.setattr("rig.run_folder.recording.writer.time.monotonic", later)
     bench.writer.serve(Over(), os.getppid())
     assert synced.count("samples.csv") >= 4  # three in the run, and the last
     assert looks[0] < 20.0

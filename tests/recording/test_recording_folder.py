@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.recording.errors import CannotWriteError, RecordingError
-from rig.recording.folder import create_run, write_config, write_meta, write_result
+from rig.run_folder.recording.errors import CannotWriteError, RecordingError
+from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
 
 NOW = datetime(2025, 1, 31, 9, 30, 0, tzinfo=UTC)
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from rig.recording.columns import HEADER
-from rig.recording.follow import Progress, Tail, stage_line
-from rig.results import JsonObject
+from rig.run_folder.recording.columns import HEADER
+from rig.run_folder.recording.follow import Progress, Tail, stage_line
+from rig.run_folder.results import JsonObject
 
 EVENTS: list[JsonObject] = [
     {"t_s": 0.0, "kind": "stage", "name": "breakaway"},
@@ -80,7 +80,7 @@ def test_a_stage_that_has_several_laws_is_shown_once(tmp_path: Path) -> None:
     assert [stage for _, stage, _ in progress.done] == ["search"]
     (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
     told = subprocess.run(
-        [sys.executable, "-m", "rig.recording.follow", str(tmp_path)],
+        [sys.executable, "-m", "rig.run_folder.recording.follow", str(tmp_path)],
         input="",
         capture_output=True,
         text=True,
@@ -150,7 +150,9 @@ def test_the_viewer_ends_when_the_one_who_started_it_is_gone(tmp_path: Path) -> 
     (tmp_path / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in EVENTS[:-1]))
     (tmp_path / "samples.csv").write_text(HEADER)
     viewer = subprocess.Popen(
-        [sys.executable, "-m", "rig.recording.follow", str(tmp_path)], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-m", "rig.run_folder.recording.follow", str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
     _, error = viewer.communicate()  # closes its standard input
     assert viewer.returncode == 0
@@ -162,7 +164,7 @@ def test_files_of_the_folder_that_rig_is_called_in_are_not_its_modules(tmp_path:
     (tmp_path / "samples.csv").write_text(HEADER)
     (tmp_path / "queue.py").write_text("raise SystemExit(7)\n")
     (tmp_path / "rich.py").write_text("raise SystemExit(7)\n")
-    follow = "from rig.recording.follow import Path, following\nwith following(Path('.')): pass"
+    follow = "from rig.run_folder.recording.follow import Path, following\nwith following(Path('.')): pass"
     done = subprocess.run([sys.executable, "-P", "-c", follow], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0 and "POLARITY" in done.stderr.decode()
 
@@ -172,7 +174,7 @@ def test_on_a_terminal_it_draws_what_there_is(tmp_path: Path) -> None:
     (tmp_path / "samples.csv").write_text(HEADER)
     ours, theirs = pty.openpty()
     viewer = subprocess.Popen(
-        [sys.executable, "-m", "rig.recording.follow", str(tmp_path)], stdin=subprocess.PIPE, stderr=theirs
+        [sys.executable, "-m", "rig.run_folder.recording.follow", str(tmp_path)], stdin=subprocess.PIPE, stderr=theirs
     )
     os.close(theirs)
     assert viewer.stdin is not None

@@ -14,18 +14,18 @@ from typing import Any
 
 import pytest
 
-from rig import strict_json
-from rig.catalogue.index import INDEX, catalogue
-from rig.compare.comparison import CompareError, compare
 from rig.config import ConfigError, load
-from rig.live.view import LiveView
+from rig.core import strict_json
+from rig.core.plain_file import NotPlainError, TooLargeError, open_plain, read_plain
+from rig.core.strict_json import MOST_DIGITS, MOST_LEVELS, MOST_VALUES, JsonError
+from rig.output.compare.comparison import CompareError, compare
+from rig.output.report.source import load as load_for_report
 from rig.panel.runs import Runs
 from rig.panel.watch import Follower, Scene
-from rig.plain_file import NotPlainError, TooLargeError, open_plain, read_plain
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read_meta, read_result, read_run
-from rig.report.source import load as load_for_report
-from rig.strict_json import MOST_DIGITS, MOST_LEVELS, MOST_VALUES, JsonError
+from rig.run_folder.catalogue.index import INDEX, catalogue
+from rig.run_folder.live.view import LiveView
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read_meta, read_result, read_run
 
 GOOD = Path(__file__).parents[2] / "tools" / "fuzz" / "run"
 NAME = "20260101T000000Z-run"
@@ -314,7 +314,7 @@ def test_a_folder_that_cannot_be_looked_into_hides_no_run(tmp_path: Path, monkey
             raise PermissionError(errno.EACCES, "Permission denied", str(path))
         return path.name == NAME
 
-    monkeypatch.setattr("rig.catalogue.index.is_run", looks)
+    monkeypatch.setattr("rig.run_folder.catalogue.index.is_run", looks)
     found = catalogue(tmp_path)
     assert [run.name for run in found.runs] == [NAME]
     assert len(found.notes) == 1 and "locked cannot be looked into: Permission denied" in found.notes[0]

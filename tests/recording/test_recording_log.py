@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.recording.errors import RecordingError
-from rig.recording.log_format import LogColumn, LogFormat, LogFormatError
-from rig.recording.reader import read
-from rig.recording.recording import Recording
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError
+from rig.run_folder.recording.reader import read
+from rig.run_folder.recording.recording import Recording
 
 TURN = 2.0 * math.pi
 COUNTED = LogFormat(LogColumn("ms"), LogColumn("pwm"), LogColumn("counts"), counts_per_turn=1440, full=255, supply_V=12)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.recording.errors import RecordingError
-from rig.recording.log_format import LogColumn, LogFormat, LogFormatError, parse_period
-from rig.recording.reader import read, read_all
-from rig.recording.recording import Floats, Recording
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError, parse_period
+from rig.run_folder.recording.reader import read, read_all
+from rig.run_folder.recording.recording import Floats, Recording
 
 PERIOD_S, TURN = 0.005, 2.0 * np.pi
 COUNTED = LogFormat(LogColumn("ms"), LogColumn("pwm"), LogColumn("counts"), counts_per_turn=1440, full=255, supply_V=12)

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import main
-from rig.recording.path_kind import is_run, no_recording, no_run, require_distinct
+from rig.run_folder.recording.path_kind import is_run, no_recording, no_run, require_distinct
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = ROOT / "tests/golden/simulated-fault"

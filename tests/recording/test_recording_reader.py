@@ -14,14 +14,14 @@ from evidence import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.recording import csv_table
-from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
-from rig.recording.csv_file import read_csv
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read, read_run
-from rig.recording.recording import Recording, from_columns
-from rig.recording.text_file import MAX_BYTES
-from rig.results import RunMeta
+from rig.run_folder.recording import csv_table
+from rig.run_folder.recording.columns import COLUMNS, HEADER, SampleRow, format_row
+from rig.run_folder.recording.csv_file import read_csv
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read, read_run
+from rig.run_folder.recording.recording import Recording, from_columns
+from rig.run_folder.recording.text_file import MAX_BYTES
+from rig.run_folder.results import RunMeta
 
 PLAIN = "t_s,u_V,y_rad\n0.00,1.8,0.1\n0.01,-0.2,0.2\n0.02,-0.2,0.3\n"
 

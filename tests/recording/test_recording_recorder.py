@@ -26,15 +26,15 @@ from pathlib import Path
 import pytest
 from processes import wait_until
 
-from rig.faults import Fault
-from rig.recording import layout
-from rig.recording.columns import COLUMNS, HEADER, KINDS
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read_run
-from rig.recording.recorder import Recorder
-from rig.recording.sink import JsonScalar
-from rig.recording.writer import AppendOnlyFile, KeptRoom, Writer
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
+from rig.run_folder.recording import layout
+from rig.run_folder.recording.columns import COLUMNS, HEADER, KINDS
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sink import JsonScalar
+from rig.run_folder.recording.writer import AppendOnlyFile, KeptRoom, Writer
 
 STAGES = ("breakaway", "relay-1", "track:sampled-data")
 
@@ -42,8 +42,8 @@ STAGES = ("breakaway", "relay-1", "track:sampled-data")
 LOOP = """
 import os, sys, time
 from pathlib import Path
-from rig.recording.recorder import Recorder
-from rig.signals import Sample
+from rig.run_folder.recording.recorder import Recorder
+from rig.core.signals import Sample
 recorder = Recorder(Path(sys.argv[1]), ["relay-1"], capacity_rows=1024)
 os.write(1, b"%d\\n" % recorder.writer_pid)
 for tick in range(1_000_000):

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate, write_csv
 
-from rig.identify.preprocessing import clock_ratio, from_recording
-from rig.recording.csv_file import read_csv
-from rig.recording.errors import IdentifyError
-from rig.recording.recording import Recording
-from rig.recording.series import TIMES_ERROR_S, TimeSeries, steps_of
-from rig.results import RunMeta
+from rig.identification.preprocessing import clock_ratio, from_recording
+from rig.run_folder.recording.csv_file import read_csv
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.series import TIMES_ERROR_S, TimeSeries, steps_of
+from rig.run_folder.results import RunMeta
 
 N = 50
 T = np.arange(N, dtype=float) * 0.01

@@ -13,12 +13,12 @@ import pytest
 import servo_log
 from command_line import rig
 
-from rig.identify import identify
-from rig.recording.errors import RecordingError
-from rig.recording.log_format import LogColumn, LogFormat, LogFormatError
-from rig.recording.reader import read, read_all
-from rig.recording.servo_law import SCALES, Scale, ServoLaw, scale_of
-from rig.results import Answer
+from rig.identification import identify
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError
+from rig.run_folder.recording.reader import read, read_all
+from rig.run_folder.recording.servo_law import SCALES, Scale, ServoLaw, scale_of
+from rig.run_folder.results import Answer
 
 KNOWN = Scale(1.0, 1.0, "stated")
 TAU_S, K, FC_V = 0.0444, 2.354, 0.133  # of the emulated XL330

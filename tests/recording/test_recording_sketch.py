@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.identify import identify
-from rig.recording.log_format import LogColumn, LogFormat
-from rig.recording.reader import read
+from rig.identification import identify
+from rig.run_folder.recording.log_format import LogColumn, LogFormat
+from rig.run_folder.recording.reader import read
 
 ROOT = Path(__file__).resolve().parents[2]
 SKETCH = ROOT / "docs/examples/log_motor/log_motor.ino"

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.recording.stage import Stage, StageKind
+from rig.run_folder.recording.stage import Stage, StageKind
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.recording.columns import COLUMNS
-from rig.replay import Replay, replay
+from rig.run_folder.recording.columns import COLUMNS
+from rig.running.replay import Replay, replay
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 

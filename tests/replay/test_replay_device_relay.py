@@ -13,9 +13,9 @@ from rig.backends.backend import Backend
 from rig.backends.driver import RelayRules
 from rig.backends.serial.backend import SerialBackend
 from rig.backends.serial.firmware_laws import FirmwareLawRules
-from rig.calibration import DriveMap
 from rig.config.schema import DeviceSetup
-from rig.recording.errors import RecordingError
+from rig.core.calibration import DriveMap
+from rig.run_folder.recording.errors import RecordingError
 
 
 class Clone(SerialBackend):

@@ -12,16 +12,16 @@ import yaml
 from run_copy import GOLDEN, RunCopy
 
 from rig import config
-from rig.calibration import DriveMap
-from rig.faults import Fault
-from rig.loop.recorded import RecordedDriver
-from rig.loop.replayed_rows import ReplayedRows
-from rig.loop.stop_request import StopRequest
-from rig.preflight.loop_settings import guard_settings_of
-from rig.recording.reader import read_run
-from rig.replay import _advice, replay
-from rig.results.event import Decided
-from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
+from rig.control.loop.recorded import RecordedDriver
+from rig.control.loop.replayed_rows import ReplayedRows
+from rig.control.loop.stop_request import StopRequest
+from rig.core.calibration import DriveMap
+from rig.core.faults import Fault
+from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.results.event import Decided
+from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.replay import _advice, replay
 
 RELAYS = {"simulated": "relay-2", "host-board": "relay-1", "chip": "relay-1", "modbus": "relay-1"}
 

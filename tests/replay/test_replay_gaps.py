@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from evidence import evidence
 
-from rig import config, experiment
+from rig import config
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.config import Experiment
-from rig.recording.reader import read_run
-from rig.replay import replay
-from rig.signals import FLAG_SKIPPED
+from rig.core.signals import FLAG_SKIPPED
+from rig.run_folder.recording.reader import read_run
+from rig.running import experiment
+from rig.running.replay import replay
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "demo.yaml"
 STALL_S = 0.085

@@ -12,8 +12,8 @@ import pytest
 from evidence import evidence
 
 import golden
-from rig.recording.reader import read_run
-from rig.signals import FLAG_SKIPPED
+from rig.core.signals import FLAG_SKIPPED
+from rig.run_folder.recording.reader import read_run
 
 
 def stored(name: str) -> dict[str, Any]:

@@ -12,14 +12,15 @@ import pytest
 from command_line import rig
 from run_copy import GOLDEN, RunCopy
 
-from rig import config, experiment
+from rig import config
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import Experiment
-from rig.faults import Fault
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read_run
-from rig.replay import replay
-from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Sample
+from rig.core.faults import Fault
+from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Sample
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read_run
+from rig.running import experiment
+from rig.running.replay import replay
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig.report import write_report
+from rig.output.report import write_report
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -14,14 +14,14 @@ import pytest
 from command_line import rig
 from synthetic_run import write_run
 
-from rig.identify import Identification, identify
-from rig.identify.estimate import Array
-from rig.recording.curves import read_curves, write_curves
-from rig.recording.folder import json_text
-from rig.recording.reader import read_run
-from rig.report import fit, fitted, write_report
-from rig.report.source import load
-from rig.report.style import AbsentError
+from rig.identification import Identification, identify
+from rig.identification.estimate import Array
+from rig.output.report import fit, fitted, write_report
+from rig.output.report.source import load
+from rig.output.report.style import AbsentError
+from rig.run_folder.recording.curves import read_curves, write_curves
+from rig.run_folder.recording.folder import json_text
+from rig.run_folder.recording.reader import read_run
 
 pytestmark = pytest.mark.usefixtures("plain_motor", "undrawn")
 
@@ -32,7 +32,7 @@ ANEW = "the recording was identified anew"
 def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Identification]:
     """A run folder whose result is the answer of its rows, without curves."""
     folder = write_run(tmp_path_factory.mktemp("run") / "20260509T120000Z-synthetic", tracking=False)
-    module = importlib.import_module("rig.identify.identification")
+    module = importlib.import_module("rig.identification.identification")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_add_motor_law", lambda *_: None)
         found = identify([read_run(folder)])

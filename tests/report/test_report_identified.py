@@ -12,10 +12,10 @@ import pytest
 from command_line import rig
 
 import rig as api
-from rig.identify import identify
-from rig.recording.reader import read
-from rig.report.simulated import MOST, figure_of, fit_in_words, simulated
-from rig.report.style import AbsentError
+from rig.identification import identify
+from rig.output.report.simulated import MOST, figure_of, fit_in_words, simulated
+from rig.output.report.style import AbsentError
+from rig.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.drawn
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.recording.recording import assembled
-from rig.report import narrowing
-from rig.report.source import ReportedRun
-from rig.report.style import AbsentError, style
-from rig.results import LiveResult, RunEvent, RunMeta, RunResult, StoppedResult, TrueMotor
+from rig.output.report import narrowing
+from rig.output.report.source import ReportedRun
+from rig.output.report.style import AbsentError, style
+from rig.run_folder.recording.recording import assembled
+from rig.run_folder.results import LiveResult, RunEvent, RunMeta, RunResult, StoppedResult, TrueMotor
 
 pytestmark = pytest.mark.drawn
 

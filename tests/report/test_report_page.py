@@ -26,13 +26,13 @@ from matplotlib.text import Text
 from synthetic_run import BACKEND, write_run
 
 from rig.cli import main
-from rig.faults import FAULTS, Fault
-from rig.report import fitted, write_report
-from rig.report.page import render_page
-from rig.report.source import load
-from rig.report.style import style
-from rig.report.words import PARAMETERS, quantity
-from rig.results import EstimateResult
+from rig.core.faults import FAULTS, Fault
+from rig.output.report import fitted, write_report
+from rig.output.report.page import render_page
+from rig.output.report.source import load
+from rig.output.report.style import style
+from rig.output.report.words import PARAMETERS, quantity
+from rig.run_folder.results import EstimateResult
 
 pytestmark = [pytest.mark.long, pytest.mark.drawn]
 
@@ -561,7 +561,7 @@ def test_a_full_disk_leaves_the_old_page_whole(
 ) -> None:
     (run / "report.html").write_text("the old page")
     there = sorted(path.name for path in run.iterdir())
-    monkeypatch.setattr("rig.report.page.render_page", lambda *_: "a new page " * 1000)
+    monkeypatch.setattr("rig.output.report.page.render_page", lambda *_: "a new page " * 1000)
     with largest_file(5000):
         result = CliRunner().invoke(main, ["report", str(run)])
     assert result.exit_code == 1

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.identify import Identification
-from rig.identify.estimate import Estimate
-from rig.recording.curves import Curves
-from rig.report import fitted, transient
-from rig.report.source import ReportedRun
-from rig.report.style import AbsentError, style
-from rig.report.words import headline
-from rig.results import EstimateResult, RunMeta, RunResult
+from rig.identification import Identification
+from rig.identification.estimate import Estimate
+from rig.output.report import fitted, transient
+from rig.output.report.source import ReportedRun
+from rig.output.report.style import AbsentError, style
+from rig.output.report.words import headline
+from rig.run_folder.recording.curves import Curves
+from rig.run_folder.results import EstimateResult, RunMeta, RunResult
 
 pytestmark = pytest.mark.drawn
 

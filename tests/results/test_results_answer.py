@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 import rig as api
-from rig.catalogue.entry import read_entry
-from rig.compare.compared_run import read_run as read_compared
-from rig.export.motor import identified_motor
-from rig.export.whole_run import ExportedRun
-from rig.identify.known_model import known_model
+from rig.design.tune.known import motor_of
+from rig.identification.known_model import known_model
+from rig.output.compare.compared_run import read_run as read_compared
+from rig.output.export.motor import identified_motor
+from rig.output.export.whole_run import ExportedRun
+from rig.output.report.source import load
+from rig.output.report.words import headline
 from rig.panel.runs import Runs
-from rig.recording.reader import read_result, read_run
-from rig.report.source import load
-from rig.report.words import headline
-from rig.results import (
+from rig.run_folder.catalogue.entry import read_entry
+from rig.run_folder.recording.reader import read_result, read_run
+from rig.run_folder.results import (
     Answer,
     EstimateResult,
     FoundLawResult,
@@ -31,8 +32,7 @@ from rig.results import (
     RunResult,
     answer_of,
 )
-from rig.results.answer_words import answer_lines, graded_words, validity
-from rig.tune.known import motor_of
+from rig.run_folder.results.answer_words import answer_lines, graded_words, validity
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated"
 LAW = FoundLawResult(name="sag", value=0.02, unit="1/V", ci95=(0.01, 0.03), bic=30.0, numbers={"sag_per_V": 0.02})

@@ -11,13 +11,14 @@ from command_line import rig
 from jsonschema import Draft202012Validator
 
 import results_page
-from rig import config, experiment
-from rig.identify import identify
-from rig.recording.folder import json_text
-from rig.recording.reader import read_result, read_run
-from rig.results import Part, RunMeta, RunResult
-from rig.results.json_schema import schema_text
-from rig.results.reading import parsed, unknown_keys
+from rig import config
+from rig.identification import identify
+from rig.run_folder.recording.folder import json_text
+from rig.run_folder.recording.reader import read_result, read_run
+from rig.run_folder.results import Part, RunMeta, RunResult
+from rig.run_folder.results.json_schema import schema_text
+from rig.run_folder.results.reading import parsed, unknown_keys
+from rig.running import experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = sorted(path.parent for path in (ROOT / "tests/golden").glob("*/meta.json"))
@@ -36,7 +37,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     path.write_text(yaml.safe_dump(text), encoding="utf-8")
     e = config.load(path)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rig.session.write_report", lambda *_: None)
+        patch.setattr("rig.running.session.write_report", lambda *_: None)
         relay = experiment.run_relay(e, parent).folder
         track = experiment.run_tracking(
             e, identify([read_run(relay)], choose_law=False).as_result(), relay, parent

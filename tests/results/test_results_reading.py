@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig import read as read_by_api
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read_result, read_run
-from rig.report.source import load
-from rig.results import RunEvent, RunMeta, RunResult
-from rig.results.reading import DamagedError, parsed, salvaged
+from rig.output.report.source import load
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read_result, read_run
+from rig.run_folder.results import RunEvent, RunMeta, RunResult
+from rig.run_folder.results.reading import DamagedError, parsed, salvaged
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated-jog"
 

@@ -10,8 +10,8 @@ from typing import Any
 from plug_in_cards import VirtualCard
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, DriverSettings
-from rig.faults import Fault
-from rig.signals import Limits, Sample
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Sample
 
 CAUGHT_BY: dict[type[VirtualCard], set[str]] = {}
 

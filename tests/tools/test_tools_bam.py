@@ -14,9 +14,9 @@ from command_line import rig
 from bam.__main__ import recordings, tried
 from bam.records import Case, Truth, records_of
 from bam.servo import Friction, Load, Servo
-from rig.identify import identify
+from rig.identification import identify
 from rig.model.real_motor import Frame, Pieces, RealMotor, response
-from rig.recording.series import Steps
+from rig.run_folder.recording.series import Steps
 
 # Rhoban/bam, bam/params: the XL330 with models M1 and M4
 M1 = {

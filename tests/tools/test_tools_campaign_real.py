@@ -17,11 +17,11 @@ from campaign_real.rows import Row, kinds_of, row
 from campaign_real.shown import expected_gains
 from campaign_real.whole_run import row_of_run
 from rig.config.campaign import Campaign
-from rig.estimators import LEADING
-from rig.identify import identify
-from rig.identify.departures.choice import ASKED, Asked
-from rig.identify.measurements import measurements
-from rig.identify.motor_law import Beginning
+from rig.core.estimators import LEADING
+from rig.identification import identify
+from rig.identification.departures.choice import ASKED, Asked
+from rig.identification.measurements import measurements
+from rig.identification.motor_law import Beginning
 from shared import rows_file
 from shared.rows_file import RowsFile
 

@@ -8,9 +8,9 @@ import pytest
 from bench.device_relay import CONFIG, DEVICE_DELAY_S, DEVICE_S, HOST_S, identify, relay_record
 from rig.campaign.grid import Draw, draw
 from rig.config import load_campaign
-from rig.identify import triple_relay
-from rig.identify.cycles import find_cycle
-from rig.recording.series import TimeSeries
+from rig.identification import triple_relay
+from rig.identification.cycles import find_cycle
+from rig.run_folder.recording.series import TimeSeries
 
 CAMPAIGN = load_campaign(CONFIG)
 

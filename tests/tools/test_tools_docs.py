@@ -9,7 +9,7 @@ import pytest
 import check_docs
 import figures
 from check_docs import citations, code_line, sections, with_code_lines
-from rig.report.style import style
+from rig.output.report.style import style
 
 NOWHERE = "9.9"  # apart from the words before it, else this file would cite it
 

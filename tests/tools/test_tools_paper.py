@@ -21,7 +21,7 @@ from paper.gauss_newton import features_of, iterate
 from paper.page import BACKEND, Report, Section, render_page
 from paper.solver import settled_cycle
 from rig.model.limit_cycle import limit_cycle
-from rig.preflight import check
+from rig.running.preflight import check
 from shared.table import Cell, Table, significant
 
 pytestmark = pytest.mark.long
@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def bench_result() -> section_5.Result:
     """Section V, made small: half a minute of work, which its section and the test of its estimates share."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rig.session.write_report", lambda *_: None)  # of each run, which nobody reads
+        patch.setattr("rig.running.session.write_report", lambda *_: None)  # of each run, which nobody reads
         return section_5.compute(3, 4.0, law=False)
 
 

@@ -14,11 +14,11 @@ from real_records.bounds import bounds
 from real_records.known import Known, known_of
 from real_records.scores import FIGURES, Seen, by_table, figures, laws_shared, left_out
 from real_records.siblings import next_record, pairs_that_agree
-from rig.identify import identify
-from rig.identify.identification import Identification
+from rig.identification import identify
+from rig.identification.identification import Identification
 from rig.model.real_motor import Frame, Pieces, RealMotor, response
-from rig.recording.recording import from_columns
-from rig.results import Answer, GradedNumber
+from rig.run_folder.recording.recording import from_columns
+from rig.run_folder.results import Answer, GradedNumber
 
 DATA = Path(os.environ.get("RIG_SHARED_DATA") or "nowhere")
 WITH_DATA = pytest.mark.skipif(

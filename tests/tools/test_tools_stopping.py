@@ -15,11 +15,11 @@ from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
 from rig.control.law import Rest
-from rig.experiment import until
-from rig.identify.departures.choice import ASKED
+from rig.identification.departures.choice import ASKED
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
+from rig.running.experiment import until
 from stopping import __main__ as command
 from stopping.in_memory import driven
 from stopping.rows import Asked, row

@@ -10,7 +10,7 @@ import pytest
 
 import wiring
 from rig.backends.serial.frames import SUPPLY_UNIT_V
-from rig.preflight import check
+from rig.running.preflight import check
 
 UNO = wiring.ROOT / "firmware/boards/uno"
 PAGE = (wiring.ROOT / "docs/real-bench.md").read_text(encoding="utf-8")

@@ -13,12 +13,12 @@ from scipy.integrate import trapezoid
 from rig.control.set_point import InTurn, PositionStep, SpeedSteps
 from rig.control.state_feedback import Loop
 from rig.control.tuned import tuned as law_tuned
+from rig.design.tune.prediction import predict, shown_of
+from rig.design.tune.program import Room, steps_alone, whole_trial
+from rig.design.tune.trial import Sensing, driven, shaft_of
+from rig.design.tune.tuning import Tuned, TuneError, Wish, tune
+from rig.design.tune.uncertain import UncertainMotor
 from rig.model.real_motor import FramedMotor
-from rig.tune.prediction import predict, shown_of
-from rig.tune.program import Room, steps_alone, whole_trial
-from rig.tune.trial import Sensing, driven, shaft_of
-from rig.tune.tuning import Tuned, TuneError, Wish, tune
-from rig.tune.uncertain import UncertainMotor
 
 SENSING = Sensing(0.01, 0.003, 4.1e-3, 3.0)
 FRAMED = FramedMotor.of({"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "bias_V": -0.01})

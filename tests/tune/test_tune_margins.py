@@ -14,14 +14,14 @@ from rig.control.observer import MotorObserver
 from rig.control.set_point import PositionStep
 from rig.control.state_feedback import DriveLimits, Loop, StateFeedback
 from rig.control.trajectory import Reference
+from rig.core.signals import Sample
+from rig.design.tune.gains import gains_for
+from rig.design.tune.margins import Matrices, controller_matrices, margins, motor_matrices, noise_V
+from rig.design.tune.trial import Sensing, driven
+from rig.design.tune.uncertain import LinearMotor
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, MovingPlainMotor
 from rig.model.real_motor import FramedMotor
-from rig.signals import Sample
-from rig.tune.gains import gains_for
-from rig.tune.margins import Matrices, controller_matrices, margins, motor_matrices, noise_V
-from rig.tune.trial import Sensing, driven
-from rig.tune.uncertain import LinearMotor
 
 PERIOD_S = 0.01
 # tau, K, lag and delay: less than a period, a part beyond one, whole periods, a stage that lags

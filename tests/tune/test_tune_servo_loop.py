@@ -12,12 +12,12 @@ from command_line import rig
 from tuned_run import tuned_run
 
 from rig.backends.servo.models import MODELS
+from rig.design.tune.margins import Margins
+from rig.design.tune.servo_loop import servo_loop
+from rig.design.tune.tuning import LEAST, TuneError
+from rig.design.tune.uncertain import UncertainMotor
 from rig.model.real_motor import FramedMotor
-from rig.run_tuning import position_mode_of
-from rig.tune.margins import Margins
-from rig.tune.servo_loop import servo_loop
-from rig.tune.tuning import LEAST, TuneError
-from rig.tune.uncertain import UncertainMotor
+from rig.running.run_tuning import position_mode_of
 
 TAU_S, K, FC_V = 0.0444, 2.354, 0.133  # the XL330 of Rhoban/bam, model M1
 XL330, STS3215 = position_mode_of(MODELS["xl330-m288"]), position_mode_of(MODELS["sts3215"])

@@ -22,11 +22,11 @@ import numpy as np
 
 from bam.records import KINDS, Case, Record, Truth, records_of
 from bam.servo import Load
-from rig.identify import identify
-from rig.identify.identification import Identification
+from rig.identification import identify
+from rig.identification.identification import Identification
 from rig.model.real_motor import FramedMotor, Pieces, response
-from rig.recording.recording import Recording, from_columns
-from rig.recording.series import Steps
+from rig.run_folder.recording.recording import Recording, from_columns
+from rig.run_folder.recording.series import Steps
 from shared.table import markdown
 
 FREE = Load()

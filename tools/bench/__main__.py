@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rig.recording.folder import write_whole
+from rig.run_folder.recording.folder import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = (

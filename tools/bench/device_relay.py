@@ -21,13 +21,13 @@ from bench.benchmark import options, tell
 from rig.campaign.grid import LONGEST_CYCLE, Draw, draw
 from rig.config import load_campaign
 from rig.config.campaign import Campaign
-from rig.identify import sampled_data, triple_relay
-from rig.identify.cycles import find_cycle
-from rig.identify.starts import ridge_starts
+from rig.identification import sampled_data, triple_relay
+from rig.identification.cycles import find_cycle
+from rig.identification.starts import ridge_starts
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "campaign.yaml"

@@ -26,12 +26,12 @@ from bench.benchmark import options, tell
 from bench.sampled_data_speed import peer
 from real_records.__main__ import entries, identified
 from rig.control.relay import DualChannelRelay
-from rig.identify.starts import Start
+from rig.control.simulation import Sampling, simulate
+from rig.identification.starts import Start
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.recording.recording import Recording
-from rig.recording.series import TimeSeries
-from rig.simulation import Sampling, simulate
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.series import TimeSeries
 
 MOTOR = Motor(0.17, 6.5, coulomb(0.48))
 GAINS = ((0.17, 0.74), (0.25, 0.95))

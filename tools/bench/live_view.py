@@ -32,17 +32,17 @@ from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Constant
+from rig.control.loop.real_time import real_time
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
-from rig.live.stop_flag import StopFlag, request_stop
-from rig.live.view import LiveView
-from rig.loop.real_time import real_time
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.core.faults import Fault
 from rig.model.cycle_detector import CycleDetector
-from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.recording.recorder import Recorder
-from rig.recording.sink import JsonScalar, NullSink
+from rig.run_folder.live.stop_flag import StopFlag, request_stop
+from rig.run_folder.live.view import LiveView
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sink import JsonScalar, NullSink
+from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
 from shared.table import markdown
 
 EVERY_S = 0.04

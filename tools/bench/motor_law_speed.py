@@ -18,8 +18,8 @@ from bench.solver_peer import positions
 from campaign_real.kinds import Case, case
 from campaign_real.rows import kinds_of
 from rig.config.campaign import Campaign
-from rig.estimators import LEADING
-from rig.identify import identify
+from rig.core.estimators import LEADING
+from rig.identification import identify
 
 SEED = 3  # not that of the campaign
 

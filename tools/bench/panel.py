@@ -34,9 +34,9 @@ from websockets.typing import Origin
 
 from bench.benchmark import options, tell
 from bench.tick import CONFIG
-from rig.live.running import running
-from rig.live.view import LiveView
-from rig.recording.reader import read_run
+from rig.run_folder.live.running import running
+from rig.run_folder.live.view import LiveView
+from rig.run_folder.recording.reader import read_run
 from shared.table import markdown
 
 PAGES = (1, 5)

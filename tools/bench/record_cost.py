@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from bench.benchmark import options, tell
-from rig.recording.columns import SampleRow, format_row
-from rig.recording.layout import ROW
-from rig.recording.recorder import Recorder
-from rig.signals import Sample
+from rig.core.signals import Sample
+from rig.run_folder.recording.columns import SampleRow, format_row
+from rig.run_folder.recording.layout import ROW
+from rig.run_folder.recording.recorder import Recorder
 from shared.table import markdown
 
 BASE = "shared memory"

@@ -18,11 +18,11 @@ from bench.benchmark import options, tell
 from bench.solver_peer import Array, positions
 from rig.campaign.grid import draw, simulate
 from rig.config.campaign import Campaign
-from rig.identify import sampled_data
-from rig.identify.cycles import find_cycle
-from rig.identify.mean_cycle import Cycle
-from rig.identify.starts import Start, ridge_starts
-from rig.recording.series import TimeSeries
+from rig.identification import sampled_data
+from rig.identification.cycles import find_cycle
+from rig.identification.mean_cycle import Cycle
+from rig.identification.starts import Start, ridge_starts
+from rig.run_folder.recording.series import TimeSeries
 
 STARTS = 3  # that are iterated, as our own fit does
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from bench.benchmark import median_s, options, tell
 from bench.solver_peer import glide
 from rig.control.relay import DualChannelRelay
+from rig.core.signals import Sample
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import relay_test
-from rig.signals import Sample
 
 TAU_S, K_RAD_S_V, FC_V = 0.17, 6.5, 0.5
 MOTOR = Motor(TAU_S, K_RAD_S_V, coulomb(FC_V))

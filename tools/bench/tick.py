@@ -31,18 +31,18 @@ from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Law
+from rig.control.loop.real_time import RealTime, real_time
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
-from rig.live.stop_flag import StopFlag
-from rig.loop.real_time import RealTime, real_time
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
-from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.recording.recorder import Recorder
-from rig.recording.sink import NullSink
-from rig.results.result import LoopResult
-from rig.signals import Sample
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sink import NullSink
+from rig.run_folder.results.result import LoopResult
+from rig.running.preflight.loop_settings import guard_settings_of, real_time_of
 from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

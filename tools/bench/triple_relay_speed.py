@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bench.benchmark import median_s, options, tell
-from rig.identify.cycles import find_cycle
-from rig.identify.mean_cycle import Cycle
-from rig.identify.starts import Start, ridge_starts
-from rig.identify.triple_relay import Features, fit, solve, solve_cycle
+from rig.identification.cycles import find_cycle
+from rig.identification.mean_cycle import Cycle
+from rig.identification.starts import Start, ridge_starts
+from rig.identification.triple_relay import Features, fit, solve, solve_cycle
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import effective_inputs, limit_cycle, stage_states
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 TAU_S, K_RAD_S_V, FC_V = 0.17, 6.5, 0.5
 H1_V, H2_V = 0.8, 1.0

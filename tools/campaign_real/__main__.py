@@ -20,7 +20,7 @@ from campaign_real.shown import expected_gains
 from campaign_real.whole_run import row_of_run
 from rig.config.campaign import Campaign
 from rig.config.load import load_campaign
-from rig.identify.departures.choice import ASKED
+from rig.identification.departures.choice import ASKED
 from shared.cases import spread
 from shared.rows_file import RowsFile, commit
 from shared.share import at_most
@@ -31,17 +31,17 @@ PAGES = {
     True: HERE / "docs" / "evidence" / "real-motors-runs-table.md",
 }
 MADE_BY = (  # rows of another code start anew
-    "rig/identify",
+    "rig/identification",
     "rig/model",
     "firmware/motor",
-    *(f"rig/recording/{name}.py" for name in ("columns", "errors", "recording", "series", "stage")),
+    *(f"rig/run_folder/recording/{name}.py" for name in ("columns", "errors", "recording", "series", "stage")),
     *(f"tools/campaign_real/{name}.py" for name in ("before_the_tests", "departing_motor", "kinds", "rows", "shown")),
 )
 MADE_BY_RUNS = (
     *MADE_BY,
     "rig/control",
-    "rig/experiment/stages.py",
-    "rig/preflight",
+    "rig/running/experiment/stages.py",
+    "rig/running/preflight",
     "tools/campaign_real/whole_run.py",
 )
 RECORDS = {

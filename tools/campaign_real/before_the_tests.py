@@ -21,11 +21,11 @@ from rig.config.schema import BreakawaySection
 from rig.control.excitation import CycleTarget, GainSearch, SearchRange
 from rig.control.law import Law, Rest
 from rig.control.relay import DualChannelRelay
-from rig.experiment.stages import breakaway_check
-from rig.faults import Fault
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
-from rig.preflight.breakaway_strokes import breakaway_strokes
-from rig.signals import Sample
+from rig.running.experiment.stages import breakaway_check
+from rig.running.preflight.breakaway_strokes import breakaway_strokes
 
 Array = NDArray[np.float64]
 

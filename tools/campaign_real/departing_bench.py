@@ -22,7 +22,7 @@ from rig.config.load import load
 from rig.model.bench import BenchParameters
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.preflight.breakaway_strokes import breakaway_strokes
+from rig.running.preflight.breakaway_strokes import breakaway_strokes
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "quick.yaml"
 REACH_RAD, FASTEST_RAD_S, LARGEST_V = 0.55, 4.9, 3.0  # room of every motor

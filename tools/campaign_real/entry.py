@@ -19,12 +19,12 @@ from scipy.stats import beta
 
 from campaign_real.kinds import KINDS, case
 from rig.config.campaign import Campaign
-from rig.estimators import LEADING
-from rig.identify import identify
-from rig.identify.departures.choice import Asked, loss, with_own_noise
-from rig.identify.departures.fit import Normal, unit
-from rig.identify.measurements import measurements
-from rig.identify.motor_law import Beginning
+from rig.core.estimators import LEADING
+from rig.identification import identify
+from rig.identification.departures.choice import Asked, loss, with_own_noise
+from rig.identification.departures.fit import Normal, unit
+from rig.identification.measurements import measurements
+from rig.identification.motor_law import Beginning
 from shared.cases import spread
 
 BARS = (0.0, 4.0, 7.0, 10.0, 14.0, 20.0)

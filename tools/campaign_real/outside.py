@@ -32,10 +32,10 @@ from rich.progress import track
 
 from campaign_real.departing_motor import row_of
 from real_records.siblings import next_record
-from rig.identify import IdentifyError, identify
-from rig.identify.departures.budget import Entry
+from rig.identification import IdentifyError, identify
+from rig.identification.departures.budget import Entry
 from rig.model.library_build import compiled
-from rig.recording.recording import Recording, from_columns
+from rig.run_folder.recording.recording import Recording, from_columns
 from shared.cases import spread
 from shared.page import render, today, write
 from shared.share import counted

@@ -10,8 +10,8 @@ import numpy as np
 
 from campaign_real.kinds import KINDS, Case, Kind, case
 from rig.config.campaign import Campaign
-from rig.estimators import LEADING
-from rig.identify import IdentifyError, identify
+from rig.core.estimators import LEADING
+from rig.identification import IdentifyError, identify
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 

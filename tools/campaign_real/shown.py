@@ -12,14 +12,14 @@ import numpy as np
 
 from campaign_real.kinds import Kind, case
 from rig.config.campaign import Campaign
-from rig.estimators import LEADING
-from rig.identify import IdentifyError, identify
-from rig.identify.departures import DEPARTURES
-from rig.identify.departures.choice import Asked
-from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import solve, start
-from rig.identify.measurements import measurements
-from rig.identify.motor_law import Beginning
+from rig.core.estimators import LEADING
+from rig.identification import IdentifyError, identify
+from rig.identification.departures import DEPARTURES
+from rig.identification.departures.choice import Asked
+from rig.identification.departures.departure import Departure
+from rig.identification.departures.fit import solve, start
+from rig.identification.measurements import measurements
+from rig.identification.motor_law import Beginning
 
 ANY = Asked(entry=0.0, stay=0.0, predicts=-math.inf)
 

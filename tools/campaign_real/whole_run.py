@@ -8,8 +8,8 @@ from dataclasses import fields
 from campaign_real.kinds import Case, case
 from campaign_real.rows import Row, _identified, _without, kinds_of  # that file's rows are kept by its bytes
 from rig.config.campaign import Campaign
-from rig.identify import IdentifyError
-from rig.recording.recording import Recording
+from rig.identification import IdentifyError
+from rig.run_folder.recording.recording import Recording
 
 
 class _Run(Case):

@@ -14,8 +14,8 @@ from rich.progress import track
 from scipy.stats import kstest
 
 from comparing.rows import CYCLES, DRIFT, DRIFTED, GAINS, LAWS, RUNS, SAME, WANTED_FC, Row, judged, row
-from rig.compare.comparison import LEVEL, WORDS
 from rig.config.campaign import Campaign
+from rig.output.compare.comparison import LEVEL, WORDS
 from shared.cases import spread
 from shared.page import render, today, write
 from shared.rows_file import RowsFile, commit
@@ -24,7 +24,7 @@ from shared.share import counted
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "evidence" / "compare-table.md"
 TEMPLATE = Path(__file__).with_name("page.md.j2")
-MADE_BY = ("rig/identify", "rig/model", "firmware/motor", "rig/simulation.py", "tools/comparing/rows.py")
+MADE_BY = ("rig/identification", "rig/model", "firmware/motor", "rig/control/simulation.py", "tools/comparing/rows.py")
 
 
 def main() -> int:

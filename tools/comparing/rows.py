@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from rig.campaign.grid import Draw, draw
-from rig.compare.compared_run import ComparedRun, NotComparableError, of_result
-from rig.compare.comparison import compare_runs
 from rig.config.campaign import Campaign
 from rig.control.relay import DualChannelRelay
-from rig.identify import IdentifyError, identify
+from rig.control.simulation import Sampling, simulate
+from rig.identification import IdentifyError, identify
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.results import RunMeta, RunResult
-from rig.simulation import Sampling, simulate
+from rig.output.compare.compared_run import ComparedRun, NotComparableError, of_result
+from rig.output.compare.comparison import compare_runs
+from rig.run_folder.results import RunMeta, RunResult
 
 SAME, DRIFTED, LAWS = "same", "drifted", "laws"
 RUNS = {SAME: 4, DRIFTED: 2, LAWS: 2}  # of each motor

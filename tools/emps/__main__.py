@@ -10,7 +10,7 @@ from emps.found import every_other, whole
 from emps.page import page
 from emps.picture import picture
 from emps.record import PUBLISHED_AT, read
-from rig.recording.folder import write_whole
+from rig.run_folder.recording.folder import write_whole
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "evidence"
 

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 import rig
 from emps.prediction import Law, closed_loop, free_run, in_pieces, rms
 from emps.record import FORCE_N_V, PIECE_S, PUBLISHED_MOTOR, Drive, Record
-from rig.estimators import LEADING
-from rig.identify import sampled_data
-from rig.identify.departures.pieces import Cut
-from rig.identify.estimate import Estimate
-from rig.identify.motor_law import FoundLaw, MotorLaw, motor_law
+from rig.core.estimators import LEADING
+from rig.identification import sampled_data
+from rig.identification.departures.pieces import Cut
+from rig.identification.estimate import Estimate
+from rig.identification.motor_law import FoundLaw, MotorLaw, motor_law
 from rig.model import real_step
 from rig.model.real_motor import RealMotor
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from emps.found import Found
 from emps.prediction import free_run, in_pieces
 from emps.record import PUBLISHED_AT
-from rig.report.style import COLOURS, INK, MUTED, new_figure, render, style
+from rig.output.report.style import COLOURS, INK, MUTED, new_figure, render, style
 
 EVERY = 20  # samples of the drawn curves: 20 ms
 HELD_OUT = "#f8efd6"

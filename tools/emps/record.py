@@ -14,7 +14,7 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from rig.model.real_motor import RealMotor
-from rig.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 

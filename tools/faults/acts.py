@@ -30,7 +30,7 @@ PUSH_RAD_S = 1.0
 HAND_RAD = 1.2  # that a hand turns the shaft before the run
 HAND_RAD_S = 5.0
 OFF_RAD = 0.03  # that the sensor may be off
-MOMENT_S = 0.1  # what is shorter may pass unseen on a device that has to be looked at (``rig.session``)
+MOMENT_S = 0.1  # what is shorter may pass unseen on a device that has to be looked at (``rig.running.session``)
 
 # as the texts of rows.yaml call them
 NUMBERS: Mapping[str, float] = {

@@ -41,12 +41,12 @@ from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.tracking import linearising_drive
 from rig.control.trajectory import SumOfSines
+from rig.core.signals import Sample
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
-from rig.preflight.breakaway_strokes import breakaway_strokes
-from rig.preflight.loop_settings import guard_settings_of
-from rig.session import FADE_S
-from rig.signals import Sample
+from rig.running.preflight.breakaway_strokes import breakaway_strokes
+from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.session import FADE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS_V = (0.45, 0.9)

@@ -26,9 +26,9 @@ import yaml
 from click.testing import CliRunner
 
 import rig.backends.serial.opening
-import rig.experiment.stages
-import rig.experiment.until
-import rig.session
+import rig.running.experiment.stages
+import rig.running.experiment.until
+import rig.running.session
 from faults.backends import Backend
 from faults.bounds import Times
 from faults.fixed_advice import fixed_advice
@@ -38,16 +38,16 @@ from faults.language import ASKED
 from faults.patient import PatientRecorder
 from faults.rows import RUNS_ON, Row
 from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, Course, Stage
-from rig import experiment as script
 from rig.cli import main
 from rig.config.schema import Experiment, HomeSwitch
-from rig.experiment import zero
-from rig.faults import Fault
-from rig.identify import Identification, IdentifyError, identify
-from rig.preflight import check
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read_run
-from rig.recording.stage import StageKind, kind_of
+from rig.core.faults import Fault
+from rig.identification import Identification, IdentifyError, identify
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.stage import StageKind, kind_of
+from rig.running import experiment as script
+from rig.running.experiment import zero
+from rig.running.preflight import check
 from rig.testing.line import lines_opened_by
 
 FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of the limit cycle by then
@@ -153,10 +153,10 @@ def patched(
     with ExitStack() as patches:
         patches.enter_context(_opened(injector, backend))
         if backend.runs_strokes:
-            patches.enter_context(patch.object(rig.experiment.until, "advisers_of", fixed_advice))
-        patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
-        patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, injector)))
-        patches.enter_context(patch.object(rig.experiment.stages, "identify", identify_in_time))
+            patches.enter_context(patch.object(rig.running.experiment.until, "advisers_of", fixed_advice))
+        patches.enter_context(patch.object(rig.running.session, "write_report", lambda *_: None))
+        patches.enter_context(patch.object(rig.running.session, "Recorder", partial(PatientRecorder, injector)))
+        patches.enter_context(patch.object(rig.running.experiment.stages, "identify", identify_in_time))
         yield identified
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rig.control.strokes import Stroke
 from rig.design.advisor import Advice, AdvisorSettings
 from rig.design.planned_test import Design, Reach, Strokes
-from rig.session import Session
+from rig.running.session import Session
 
 STROKES = (Stroke(1.0, 0.4), Stroke(-1.0, -0.4))  # V, rad: about the limit cycle of the matrix
 LONGEST_STROKE_S = 1.0
@@ -43,5 +43,5 @@ class FixedAdvice:
 
 @contextmanager
 def fixed_advice(session: Session) -> Iterator[FixedAdvice]:
-    """In place of ``rig.experiment.advisers.advisers_of``."""
+    """In place of ``rig.running.experiment.advisers.advisers_of``."""
     yield FixedAdvice()

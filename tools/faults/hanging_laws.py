@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 NAME = "hangs"
 PERIOD_S = 0.3

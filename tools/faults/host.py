@@ -21,7 +21,7 @@ def writer_pid() -> int:
     """Process id of the recorder's writer, which is a child of this process."""
     children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text(encoding="ascii").split()
     for pid in children:
-        if b"rig.recording.writer" in Path(f"/proc/{pid}/cmdline").read_bytes():
+        if b"rig.run_folder.recording.writer" in Path(f"/proc/{pid}/cmdline").read_bytes():
             return int(pid)
     raise RuntimeError("no recorder runs")
 

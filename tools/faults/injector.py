@@ -14,7 +14,7 @@ from faults.damage import Damage
 from faults.fork import fork
 from faults.language import ASKED, Language, Reading
 from rig.backends.serial.emulated.virtual_chip import Contact
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 GRAIN_S = 5e-4  # between two looks at the output, from the fault on
 CONTACTS: tuple[Contact, ...] = ("e_stop", "end_low", "end_high")

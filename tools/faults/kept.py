@@ -17,7 +17,7 @@ from faults.bounds import Times
 from faults.case import Found
 from faults.rows import Row
 from faults.stages import BY_KEY, STAGES, Stage
-from rig.recording.folder import write_whole
+from rig.run_folder.recording.folder import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 PLACE = ROOT / "docs" / "evidence" / "fault-lines.json"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import rig.session
+import rig.running.session
 from rig.backends.backend import Line, LineBackend
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Transport
@@ -120,7 +120,7 @@ def run(log: str, word: str, arguments: list[str]) -> None:
                 return
             yield line._replace(transport=FaultyLink(line.transport, fault))
 
-    with lines_opened_by(opened), patch.object(rig.session, "write_report", lambda *_: None):
+    with lines_opened_by(opened), patch.object(rig.running.session, "write_report", lambda *_: None):
         main(arguments)
 
 

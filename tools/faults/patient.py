@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from faults.injector import FaultInjector
-from rig.recording import layout
-from rig.recording.recorder import Recorder
-from rig.recording.sink import JsonScalar
+from rig.run_folder.recording import layout
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sink import JsonScalar
 
 _WAIT_S = 60.0
 _MOMENT_S = 0.0005
 _PROMPT_WRITER = f"""
 import sys
-import rig.recording.writer as writer
+import rig.run_folder.recording.writer as writer
 writer.POLL_S = {_MOMENT_S}
 sys.exit(writer.main(sys.argv[1:]))
 """

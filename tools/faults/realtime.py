@@ -40,9 +40,9 @@ from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.frames import FrameReader, Kind
 from rig.config.schema import Experiment
-from rig.faults import Fault
-from rig.preflight import check
-from rig.recording.stage import StageKind, kind_of
+from rig.core.faults import Fault
+from rig.run_folder.recording.stage import StageKind, kind_of
+from rig.running.preflight import check
 
 FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml

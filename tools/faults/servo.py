@@ -15,7 +15,7 @@ from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.models import ServoModel
 from rig.backends.servo.registers import servo_map
-from rig.signals import Sample
+from rig.core.signals import Sample
 
 if TYPE_CHECKING:
     from faults.injector import FaultInjector

@@ -11,12 +11,12 @@ from pathlib import Path
 from unittest.mock import patch
 
 from faults.injector import FaultInjector
-from rig.catalogue.index import catalogue
-from rig.live.own_folder import NAME
 from rig.panel.bench import Bench
 from rig.panel.errors import RefusedError
 from rig.panel.runs import Runs
 from rig.panel.watch import Follower, Watch
+from rig.run_folder.catalogue.index import catalogue
+from rig.run_folder.live.own_folder import NAME
 
 _NOTE = {"command": "run", "pid": 2**22 + 1, "born": "long ago"}  # of a process that there is not
 _PRECIOUS = f"{'a' * 16}.json"

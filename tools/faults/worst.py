@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from faults.case import Found
-from rig.recording.folder import write_whole
+from rig.run_folder.recording.folder import write_whole
 
 PLACE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "fault-worst.json"
 LONGER = 1.5

@@ -17,29 +17,30 @@ import numpy as np
 from pymodbus.framer import FramerRTU
 
 from fuzz import servos, structured
-from rig import config, strict_json
+from rig import config
 from rig.backends.driver import Driver, Timeouts
 from rig.backends.modbus.opening import modbus_driver
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver
-from rig.calibration import Calibration, DriveMap, Scaling
-from rig.catalogue.index import catalogue
-from rig.faults import Fault
-from rig.identify import IdentifyError, identify
-from rig.live.view import LiveView
+from rig.core import strict_json
+from rig.core.calibration import Calibration, DriveMap, Scaling
+from rig.core.faults import Fault
+from rig.core.signals import Limits
+from rig.identification import IdentifyError, identify
+from rig.output.report.source import load as load_report
 from rig.panel.runs import Runs
 from rig.panel.watch import Follower, Scene
-from rig.preflight import check
-from rig.recording.csv_file import read_csv
-from rig.recording.curves import read_curves
-from rig.recording.errors import RecordingError
-from rig.recording.log_file import read_log
-from rig.recording.log_format import LogColumn, LogFormat
-from rig.recording.reader import read_result, read_run
-from rig.recording.recording import Recording
-from rig.replay import replay
-from rig.report.source import load as load_report
-from rig.signals import Limits
+from rig.run_folder.catalogue.index import catalogue
+from rig.run_folder.live.view import LiveView
+from rig.run_folder.recording.csv_file import read_csv
+from rig.run_folder.recording.curves import read_curves
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_file import read_log
+from rig.run_folder.recording.log_format import LogColumn, LogFormat
+from rig.run_folder.recording.reader import read_result, read_run
+from rig.run_folder.recording.recording import Recording
+from rig.running.preflight import check
+from rig.running.replay import replay
 
 ROOT = Path(__file__).resolve().parents[2]
 _MAX_IDENTIFY_BYTES = 40_000

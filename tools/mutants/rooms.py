@@ -22,7 +22,7 @@ ROOMS = (
         },
     ),
     Room(
-        "rig/loop",
+        "rig/control/loop",
         12,
         ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py"),
         {
@@ -78,7 +78,7 @@ ROOMS = (
         ("tests/loop",),
         {"driver": ("tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")},
     ),
-    Room("rig/recording", 10, ("tests/recording",), {"writer": _FILES, "layout": _FILES, "columns": _FILES}),
+    Room("rig/run_folder/recording", 10, ("tests/recording",), {"writer": _FILES, "layout": _FILES, "columns": _FILES}),
 )
 
 # name of a mutant: why what it does is what the code does

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from paper.page import BACKEND
 from rig.model.limit_cycle import LimitCycle
 from rig.model.linear import input_vector, transition
-from rig.report.style import INK, MUTED, Picture, new_figure, note, render, style
+from rig.output.report.style import INK, MUTED, Picture, new_figure, note, render, style
 
 Array = NDArray[np.float64]
 

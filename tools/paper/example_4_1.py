@@ -31,7 +31,7 @@ from rig.model.describing_function import Oscillation, RelayGains
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import LimitCycle, limit_cycle
 from rig.model.motor import Motor, State
-from rig.report.style import Picture
+from rig.output.report.style import Picture
 from shared.page import listed
 from shared.table import Cell, Table, number, share, significant
 

@@ -10,13 +10,13 @@ from paper import surviving
 from paper.drawing import CYCLES, PAPER, Array, finish, new_figure, zero
 from paper.page import Agreement, Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.control.relay import HystereticRelay
-from rig.identify import least_squares
-from rig.identify.estimate import Estimate
+from rig.core.signals import Sample
+from rig.identification import least_squares
+from rig.identification.estimate import Estimate
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.recording.series import TimeSeries
-from rig.report.style import Picture
-from rig.signals import Sample
+from rig.output.report.style import Picture
+from rig.run_folder.recording.series import TimeSeries
 from shared.page import listed
 from shared.table import Cell, Table, fixed, number, significant
 

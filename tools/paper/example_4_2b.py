@@ -9,11 +9,11 @@ import numpy as np
 from paper import surviving
 from paper.drawing import PARAMETERS, Array, finish, new_figure, zero
 from paper.page import Comparison, Paragraph, Remark, Section
-from rig.identify import describing_function
+from rig.identification import describing_function
 from rig.model.describing_function import predict
 from rig.model.limit_cycle import limit_cycle
-from rig.report.style import Picture
-from rig.report.words import percent
+from rig.output.report.style import Picture
+from rig.output.report.words import percent
 from shared.page import listed
 from shared.table import Cell, Table, number, share
 

@@ -10,12 +10,12 @@ from paper import example_4_2b, surviving
 from paper.drawing import PARAMETERS, Array, finish, new_figure
 from paper.gauss_newton import MOST_STEPS, STOPS, Path, features_of, iterate
 from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
-from rig.identify import triple_relay
-from rig.identify.starts import Start
-from rig.identify.triple_relay import Features
+from rig.identification import triple_relay
+from rig.identification.starts import Start
+from rig.identification.triple_relay import Features
 from rig.model.limit_cycle import limit_cycle
-from rig.recording.errors import IdentifyError
-from rig.report.style import Picture
+from rig.output.report.style import Picture
+from rig.run_folder.recording.errors import IdentifyError
 from shared.table import Cell, Table, number, share, significant
 
 STARTS = ((0.1, 3.0, 0.2), (0.2, 5.0, 0.4), (0.15, 8.0, 0.1), (0.3, 4.0, 0.3))

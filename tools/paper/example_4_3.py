@@ -11,12 +11,12 @@ from paper.drawing import Array, finish, new_figure, zero
 from paper.gauss_newton import STOPS, Path, iterate
 from paper.ideal_relay import HalfPeriod, Relay, ideal_relay, settled_cycle
 from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
-from rig.identify import describing_function
-from rig.identify.triple_relay import Features
+from rig.identification import describing_function
+from rig.identification.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.friction import tustin
 from rig.model.motor import Motor, State
-from rig.report.style import Picture
+from rig.output.report.style import Picture
 from shared.table import Cell, Table, fixed, number, share, significant
 
 # Chosen, none of them survived: near the surviving durations with the tau and K of Example 4.1 (see `section`).

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.triple_relay import Features
+from rig.identification.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.limit_cycle import LimitCycle, effective_inputs, stage_states
 

@@ -12,18 +12,18 @@ from scipy.signal import butter, lfilter
 from paper import surviving
 from paper.drawing import PARAMETERS, Array, course, finish, new_figure, zero
 from paper.page import Claim, Comparison, Paragraph, Remark, Section
-from rig.identify import triple_relay
-from rig.identify.cycles import find_cycle
-from rig.identify.mean_cycle import Cycle, average
-from rig.identify.starts import ridge_starts
-from rig.identify.triple_relay import Features
+from rig.identification import triple_relay
+from rig.identification.cycles import find_cycle
+from rig.identification.mean_cycle import Cycle, average
+from rig.identification.starts import ridge_starts
+from rig.identification.triple_relay import Features
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, SimulatedRelayTest, relay_test
-from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
-from rig.report.style import Picture
+from rig.output.report.style import Picture
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries
 from shared.page import listed
 from shared.table import Cell, Table, number, significant
 

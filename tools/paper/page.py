@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import rig
 from paper import literals
-from rig.report.style import Picture
+from rig.output.report.style import Picture
 from shared import page
 from shared.table import Table
 

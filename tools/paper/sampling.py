@@ -12,14 +12,14 @@ from paper.page import Comparison, Paragraph, Remark, Section
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
 from rig.backends.backend import truth_of
 from rig.config import Experiment, load
-from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
-from rig.identify.cycles import find_cycle
-from rig.identify.starts import Start, ridge_starts
+from rig.identification import IdentifyError, describing_function, sampled_data, triple_relay
+from rig.identification.cycles import find_cycle
+from rig.identification.starts import Start, ridge_starts
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.series import TimeSeries
-from rig.report.style import Picture, colour, line
+from rig.output.report.style import Picture, colour, line
+from rig.run_folder.recording.series import TimeSeries
 from shared.table import Cell, Table, number
 
 PERIODS_S = (0.0005, 0.001, 0.002, 0.005, 0.010)

@@ -16,23 +16,23 @@ from paper.drawing import Array, course, finish, new_figure, note, zero
 from paper.gauss_newton import MOST_STEPS, iterate
 from paper.gauss_newton import Path as Iteration
 from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
-from rig import experiment
 from rig.backends.backend import truth_of
 from rig.config import Experiment, load
-from rig.identify import Identification, identify
-from rig.identify.estimate import Estimate
-from rig.identify.mean_cycle import Cycle, Wave
-from rig.identify.triple_relay import Features
+from rig.identification import Identification, identify
+from rig.identification.estimate import Estimate
+from rig.identification.mean_cycle import Cycle, Wave
+from rig.identification.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor
-from rig.recording.reader import read_run
-from rig.recording.stage import Stage
-from rig.report import checked
-from rig.report.source import load as load_run
-from rig.report.style import Picture, colour
-from rig.results import TrackingResult, known
+from rig.output.report import checked
+from rig.output.report.source import load as load_run
+from rig.output.report.style import Picture, colour
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.stage import Stage
+from rig.run_folder.results import TrackingResult, known
+from rig.running import experiment
 from shared.table import Cell, Table, fixed, number, share, significant
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"

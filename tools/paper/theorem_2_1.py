@@ -21,7 +21,7 @@ from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
-from rig.report.style import Picture
+from rig.output.report.style import Picture
 from shared.table import Cell, Table, significant
 
 A_RANGE = (0.05, 3.0)  # h1 / h2

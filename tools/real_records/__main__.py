@@ -29,12 +29,12 @@ from real_records.known import NUMBERS, PUBLISHED, Known, known_of
 from real_records.scores import HEAD as COMPARED
 from real_records.scores import Seen, by_published, by_table, left_out, left_out_head, percent
 from real_records.siblings import Next, next_record, pairs_that_agree
-from rig.identify import IdentifyError, identify
-from rig.identify.identification import Identification
-from rig.recording.errors import RecordingError
-from rig.recording.log_format import LogColumn, LogFormat
-from rig.recording.reader import read_all
-from rig.results import Answer
+from rig.identification import IdentifyError, identify
+from rig.identification.identification import Identification
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import LogColumn, LogFormat
+from rig.run_folder.recording.reader import read_all
+from rig.run_folder.results import Answer
 from shared.page import render, today, write
 from shared.table import markdown
 

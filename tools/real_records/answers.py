@@ -25,11 +25,11 @@ from campaign_real.kinds import case
 from campaign_real.rows import kinds_of
 from real_records.__main__ import entries
 from rig.config.load import load_campaign
-from rig.identify import IdentifyError, identify
-from rig.identify.verdict import largest_drive_V, sizes_of
-from rig.recording.errors import RecordingError
-from rig.recording.reader import read_all
-from rig.recording.recording import Recording
+from rig.identification import IdentifyError, identify
+from rig.identification.verdict import largest_drive_V, sizes_of
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.reader import read_all
+from rig.run_folder.recording.recording import Recording
 from shared.table import markdown
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.identify.departures.blocks import Blocks
-from rig.identify.departures.choice import with_own_noise
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
-from rig.identify.departures.fit import start as begin
-from rig.identify.departures.pieces import Cut
-from rig.identify.identification import Identification
+from rig.identification.departures.blocks import Blocks
+from rig.identification.departures.choice import with_own_noise
+from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
+from rig.identification.departures.fit import start as begin
+from rig.identification.departures.pieces import Cut
+from rig.identification.identification import Identification
 from rig.model.real_motor import RealMotor
 
 FORCE = ("force_sin_V", "force_cos_V")

@@ -13,9 +13,9 @@ from itertools import combinations
 
 from real_records.known import LESS_BIAS, NUMBERS, PUBLISHED, Known
 from real_records.siblings import Next
-from rig.identify.identification import Identification
-from rig.results import Answer
-from rig.results import known as number
+from rig.identification.identification import Identification
+from rig.run_folder.results import Answer
+from rig.run_folder.results import known as number
 
 ASKED_CPU_S = 12.0
 SAME_RANGE = 0.5  # of the speeds that either answer holds for: at least so many both do

@@ -2,8 +2,8 @@
 
 Numbers count where they are usable: graded exact, good or rough. Two of them agree where they differ by no more than
 the root sum of squares of their u95. A motor predicts another record in blocks of 2 s, or of three time constants, from
-their first 0.1 s on; what is left is measured against 'it stays as it was': `rig.identify.departures.blocks`. Beside
-it stand a linear output-error model and an ARX model of second order, fitted to the same first record.
+their first 0.1 s on; what is left is measured against 'it stays as it was': `rig.identification.departures.blocks`.
+Beside it stand a linear output-error model and an ARX model of second order, fitted to the same first record.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.blocks import Blocks, linear
-from rig.identify.departures.fit import CORE, DELAY, Problem, limits_of
-from rig.identify.departures.pieces import Cut
-from rig.identify.identification import Identification
+from rig.identification.departures.blocks import Blocks, linear
+from rig.identification.departures.fit import CORE, DELAY, Problem, limits_of
+from rig.identification.departures.pieces import Cut
+from rig.identification.identification import Identification
 from rig.model.real_motor import is_plain
-from rig.recording.series import TimeSeries
-from rig.results import Answer
+from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.results import Answer
 
 Array = NDArray[np.float64]
 

@@ -35,10 +35,10 @@ from rig.backends.serial.frames import (
     pack_drive,
     pack_zero,
 )
-from rig.calibration import ALL_COUNTS, Calibration, DriveMap
 from rig.config.schema import Experiment
+from rig.core.calibration import ALL_COUNTS, Calibration, DriveMap
 from rig.model.bench import BenchParameters
-from rig.preflight import check
+from rig.running.preflight import check
 
 TICK_S = 1e-3
 SESSION = 1

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from rig.preflight.rules import preflight
+from rig.running.preflight.rules import preflight
 from safety.driven_chip import UNO, Way
 from safety.garbage import Errors, Guesses, Thrown
 from safety.promises import Measured

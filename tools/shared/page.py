@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from rig.recording.folder import write_whole
+from rig.run_folder.recording.folder import write_whole
 from shared.table import markdown
 
 

@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from rig.recording.folder import write_whole
+from rig.run_folder.recording.folder import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 

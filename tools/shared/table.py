@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from rig.report.words import percent
+from rig.output.report.words import percent
 
 Whose = Literal["", "paper", "bad"]
 

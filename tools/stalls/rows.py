@@ -24,17 +24,17 @@ from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.load import load
 from rig.config.schema import RelaySection, UntilSection
-from rig.estimators import LEADING
-from rig.experiment.stages import identify_recorded
-from rig.experiment.until import drive_until
-from rig.identify.measurements import measurements
-from rig.identify.output_error import refit
+from rig.core.estimators import LEADING
+from rig.identification.measurements import measurements
+from rig.identification.output_error import refit
 from rig.model.bench import BenchParameters
 from rig.model.sensitivity import Theta, position_and_jacobian
-from rig.preflight.breakaway_strokes import breakaway_strokes
-from rig.preflight.room_to_stop import room_rad, stopping_terms
-from rig.recording.recording import Recording
-from rig.session import Session
+from rig.run_folder.recording.recording import Recording
+from rig.running.experiment.stages import identify_recorded
+from rig.running.experiment.until import drive_until
+from rig.running.preflight.breakaway_strokes import breakaway_strokes
+from rig.running.preflight.room_to_stop import room_rad, stopping_terms
+from rig.running.session import Session
 from stalls.hostile_host import HostileHost, Stalls
 from stopping.in_memory import driven
 from stopping.rows import checked

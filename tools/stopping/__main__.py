@@ -15,7 +15,7 @@ from campaign_real.__main__ import Shown, named_of, shown_of
 from campaign_real.kinds import KINDS
 from campaign_real.rows import kinds_of
 from rig.config.campaign import Campaign
-from rig.identify.departures.choice import ASKED
+from rig.identification.departures.choice import ASKED
 from shared.cases import spread
 from shared.rows_file import RowsFile, commit
 from shared.share import at_most, bounds

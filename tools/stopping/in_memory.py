@@ -13,16 +13,16 @@ from typing_extensions import override
 from rig.backends.registry import Bench
 from rig.config import Experiment
 from rig.control.guard import Guard
-from rig.faults import Fault
-from rig.identify import IdentifyError
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
-from rig.preflight.loop_settings import guard_settings_of
-from rig.recording.recording import Recording, assembled
-from rig.recording.sink import NullSink, Row
-from rig.results import RealTimeReport, RunEvent, RunMeta
-from rig.run_summary import Findings
-from rig.session import Session
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
+from rig.core.faults import Fault
+from rig.identification import IdentifyError
+from rig.run_folder.recording.recording import Recording, assembled
+from rig.run_folder.recording.sink import NullSink, Row
+from rig.run_folder.results import RealTimeReport, RunEvent, RunMeta
+from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.run_summary import Findings
+from rig.running.session import Session
 
 NAMES = ("t_s", "t_u_s", "y_rad", "u_V", "z_rad_s", "stage")
 

@@ -19,15 +19,15 @@ from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
-from rig.experiment.stages import identify_recorded
-from rig.experiment.until import drive_until
-from rig.identify.departures.budget import TYPE_A
+from rig.identification.departures.budget import TYPE_A
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
-from rig.preflight.breakaway_strokes import breakaway_strokes
-from rig.recording.recording import Recording
-from rig.session import Session
+from rig.run_folder.recording.recording import Recording
+from rig.running.experiment.stages import identify_recorded
+from rig.running.experiment.until import drive_until
+from rig.running.preflight.breakaway_strokes import breakaway_strokes
+from rig.running.session import Session
 from stopping.in_memory import driven
 from stopping.shown import expected_gain
 

@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.estimators import LEADING
-from rig.identify import IdentifyError, identify
-from rig.identify.departures import DEPARTURES
-from rig.identify.departures.fit import solve, start
-from rig.identify.measurements import measurements
-from rig.identify.motor_law import Beginning
-from rig.recording.recording import Recording
+from rig.core.estimators import LEADING
+from rig.identification import IdentifyError, identify
+from rig.identification.departures import DEPARTURES
+from rig.identification.departures.fit import solve, start
+from rig.identification.measurements import measurements
+from rig.identification.motor_law import Beginning
+from rig.run_folder.recording.recording import Recording
 
 
 def expected_gain(recording: Recording, ideal_rad: NDArray[np.float64], name: str, sigma_rad: float) -> float | None:

@@ -14,15 +14,15 @@ from campaign_real.departing_motor import MovingShaft
 from campaign_real.kinds import Case, Kind, case
 from rig.config.campaign import Campaign
 from rig.control.state_feedback import Loop
-from rig.estimators import LEADING
-from rig.identify import IdentifyError, identify
-from rig.tune.known import motor_of
-from rig.tune.margins import controller_matrices, margins, motor_matrices
-from rig.tune.prediction import predict, shown_of
-from rig.tune.program import steps_alone
-from rig.tune.trial import Sensing, driven
-from rig.tune.tuning import LEAST, TuneError, Wish, observer_of, tune
-from rig.tune.uncertain import LinearMotor, UncertainMotor
+from rig.core.estimators import LEADING
+from rig.design.tune.known import motor_of
+from rig.design.tune.margins import controller_matrices, margins, motor_matrices
+from rig.design.tune.prediction import predict, shown_of
+from rig.design.tune.program import steps_alone
+from rig.design.tune.trial import Sensing, driven
+from rig.design.tune.tuning import LEAST, TuneError, Wish, observer_of, tune
+from rig.design.tune.uncertain import LinearMotor, UncertainMotor
+from rig.identification import IdentifyError, identify
 
 LOOPS: tuple[Loop, ...] = ("position", "velocity")
 DRIFTS_OVER_S = 60.0
@@ -84,7 +84,7 @@ class TrueShaft:
         self._force_V = 0.0
 
     def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
-        """As ``rig.tune.trial.Shaft``."""
+        """As ``rig.design.tune.trial.Shaft``."""
         if dt_s <= 0.0:
             return
         if self._random_V > 0.0:

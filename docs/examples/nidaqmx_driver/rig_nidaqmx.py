@@ -22,9 +22,9 @@ from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
 from nidaqmx.system import Device, System
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, DriverSettings
-from rig.calibration import hard_limits_in_counts
-from rig.faults import Fault
-from rig.signals import Limits, Order, Sample
+from rig.core.calibration import hard_limits_in_counts
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Order, Sample
 
 OUTPUT_V = 10.0  # the output's range is +- this
 _WIRINGS = ("RSE", "NRSE", "DIFF")

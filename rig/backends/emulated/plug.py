@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 
 class Plug:

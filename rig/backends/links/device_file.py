@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 _DEVICES = Path("/dev")
 _NAMES = ("serial/by-id/*", "ttyACM*", "ttyUSB*", "tty.usb*")

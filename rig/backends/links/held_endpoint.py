@@ -16,8 +16,8 @@ import sys
 from typing import Final
 
 from rig.backends.links.holder import process_in_words
-from rig.copies import keep_from_copies, no_longer_own
-from rig.faults import Fault
+from rig.core.copies import keep_from_copies, no_longer_own
+from rig.core.faults import Fault
 
 HERE: Final = "here"  # stands for every address of this machine
 _PEER: Final = struct.Struct("3i")  # pid, uid, gid

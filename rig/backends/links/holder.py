@@ -6,7 +6,7 @@ import contextlib
 from pathlib import Path
 from typing import Final
 
-from rig.signals import plain
+from rig.core.signals import plain
 
 _FLAG: Final = "/stop.flag"  # in the run folder, which a run has open
 _LONGEST_COMMAND: Final = 200

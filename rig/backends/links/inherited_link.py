@@ -6,7 +6,7 @@ import os
 import select
 import time
 
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 _READ_BYTES = 1024
 

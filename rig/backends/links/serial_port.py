@@ -11,8 +11,8 @@ import time
 
 from rig.backends.links.holder import holder_of_file
 from rig.backends.links.usb_port import check_board
-from rig.copies import keep_from_copies, no_longer_own
-from rig.faults import Fault
+from rig.core.copies import keep_from_copies, no_longer_own
+from rig.core.faults import Fault
 
 _READ_BYTES = 512
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers on Linux

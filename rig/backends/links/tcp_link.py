@@ -7,8 +7,8 @@ import socket
 import time
 
 from rig.backends.links.held_endpoint import HeldEndpoint
-from rig.copies import keep_from_copies, no_longer_own
-from rig.faults import Fault
+from rig.core.copies import keep_from_copies, no_longer_own
+from rig.core.faults import Fault
 
 _READ_BYTES = 1024
 

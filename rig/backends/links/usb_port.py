@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_by_id, adapter_delay_s
-from rig.faults import Fault
-from rig.signals import plain
+from rig.core.faults import Fault
+from rig.core.signals import plain
 
 LATENCY_MS = 1  # of an FTDI's timer, at its best
 _ROOT = Path("/")

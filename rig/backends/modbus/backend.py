@@ -21,7 +21,7 @@ from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 _STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
 

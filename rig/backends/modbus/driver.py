@@ -28,9 +28,9 @@ from rig.backends.modbus.requests import (
 from rig.backends.registers.bus import Reply
 from rig.backends.registers.driver import RegisterDriver
 from rig.backends.registers.map import OFF, Register, RegisterSpan
-from rig.calibration import Scaling
-from rig.faults import Fault
-from rig.signals import Limits, Order, Sample
+from rig.core.calibration import Scaling
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Order, Sample
 
 _SILENCE_MARGIN_S = 0.1  # beyond a watchdog's time: a device has its own clock, and its own cycle
 _OWN_ECHOES = 2  # what echoes of a late reply, or of a write that was not executed, differ by at most

@@ -21,8 +21,8 @@ from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
 from rig.backends.modbus.link_budget import bits_per_byte, silence_s
 from rig.backends.modbus.registers import RegisterMap
 from rig.backends.modbus.section import EMULATED_PORTS, Modbus, is_tcp, tcp_address
-from rig.calibration import polarity
 from rig.config.schema import DeviceSetup
+from rig.core.calibration import polarity
 
 
 @contextmanager

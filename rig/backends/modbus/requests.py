@@ -20,8 +20,8 @@ from pymodbus.pdu.register_message import (
 
 from rig.backends.modbus.frames import Frame, is_exception
 from rig.backends.modbus.registers import Register, RegisterSpan
-from rig.faults import Fault
-from rig.signals import plain
+from rig.core.faults import Fault
+from rig.core.signals import plain
 
 _EXCEPTIONS = {
     1: "illegal function",

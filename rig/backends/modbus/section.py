@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
-from rig.faults import FAULTS
-from rig.section import NonNegative, Positive, Section
+from rig.core.faults import FAULTS
+from rig.core.section import NonNegative, Positive, Section
 
 Address = Annotated[int, Field(ge=0, le=65535)]
 Word = Annotated[int, Field(ge=0, le=65535)]

@@ -14,7 +14,7 @@ from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 
 class RegisterBackend(LineBackend):

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from rig.backends.driver import Transport
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 ATTEMPTS = 3  # of a request outside the tick
 LATE_TIMEOUTS = 2  # time-outs until the latest reply has come

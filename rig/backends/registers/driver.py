@@ -15,9 +15,9 @@ from typing import Generic
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
 from rig.backends.registers.bus import ATTEMPTS, LATE_TIMEOUTS, BusClient, Reply, Req
 from rig.backends.registers.map import ARMED, OFF, Register, RegisterMap, RegisterSpan
-from rig.calibration import Scaling, hard_limits_in_counts, largest_drive_in_units
-from rig.faults import Fault
-from rig.signals import Limits, Order, Sample
+from rig.core.calibration import Scaling, hard_limits_in_counts, largest_drive_in_units
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Order, Sample
 
 UNHURRIED_S = 0.1  # least time-out of a request outside the tick; a stop uses the tick's time-out
 _STOPPING_S = 0.02  # longest wait for a stop: three of them are shorter than most watchdogs

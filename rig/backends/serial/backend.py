@@ -24,8 +24,8 @@ from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
-    from rig.calibration import DriveMap
-    from rig.strict_json import JsonObject
+    from rig.core.calibration import DriveMap
+    from rig.core.strict_json import JsonObject
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 _RESONATOR_PPM = 4000.0  # an Uno's ceramic resonator is good to half a percent

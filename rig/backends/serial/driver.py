@@ -33,7 +33,7 @@ from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, R
 from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.law_run import LawRun
 from rig.backends.serial.law_stream import LawStream
-from rig.calibration import (
+from rig.core.calibration import (
     ALL_COUNTS,
     Calibration,
     DriveMap,
@@ -42,8 +42,8 @@ from rig.calibration import (
     largest_drive_in_units,
     polarity,
 )
-from rig.faults import Fault
-from rig.signals import Limits, Order, Sample
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Order, Sample
 
 _PATIENCE = Timeouts()
 LONGEST_WATCHDOG_S = 1.0  # that the device accepts

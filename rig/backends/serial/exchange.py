@@ -8,7 +8,7 @@ from rig.backends.driver import Transport
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Kind, Packet
 from rig.backends.serial.introduction import refusal
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 ATTEMPTS = 3  # of a request outside the loop
 

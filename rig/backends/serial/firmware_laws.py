@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from rig.backends.driver import RelayCommand, StrokesCommand, StrokeTimes
 from rig.backends.serial.frames import BLOCK_ROWS, MAX_STROKE_TICKS, MAX_STROKES, RelaySetup, StrokesSetup
-from rig.calibration import Calibration, DriveMap
-from rig.faults import Fault
+from rig.core.calibration import Calibration, DriveMap
+from rig.core.faults import Fault
 
 TICK_S = 1e-3  # of the device, in its own time
 _CENTRE_STEPS = 16  # to a count

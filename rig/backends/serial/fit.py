@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Hello
-from rig.calibration import Scaling
-from rig.faults import Fault
-from rig.package import VERSION
+from rig.core.calibration import Scaling
+from rig.core.faults import Fault
+from rig.core.package import VERSION
 
 _LEAST_FULL_UNITS = 50  # with coarser steps no drive is near the commanded one
 _SUPPLY_TOLERANCE = 0.15  # relative: the divider in front of the converter, and a loaded supply

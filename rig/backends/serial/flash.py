@@ -20,9 +20,9 @@ from serial.tools import list_ports
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.frames import BOARDS, FrameReader, Hello
 from rig.backends.serial.introduction import await_introduction
-from rig.errors import RigError
-from rig.faults import Fault
-from rig.package import FOLDER, VERSION
+from rig.core.errors import RigError
+from rig.core.faults import Fault
+from rig.core.package import FOLDER, VERSION
 
 # The chip between USB and the Uno's serial port; those of the Uno itself are in the Arduino IDE's boards.txt.
 USB_CHIPS = {

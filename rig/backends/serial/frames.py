@@ -17,7 +17,7 @@ from typing import NamedTuple, Self
 
 from cobs import cobs
 
-from rig.signals import plain
+from rig.core.signals import plain
 
 VERSION = 2
 MAX_PACKET = 64  # bytes, CRC included

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from rig.backends.driver import Transport
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Code, Hello, Kind, Nack, Packet
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 STALE_READS = 64  # more than any port keeps
 _HELLO_INTERVAL_S = 0.2

@@ -11,7 +11,7 @@ from rig.backends.serial.firmware_laws import TICK_S
 from rig.backends.serial.frames import DeviceState, Kind, RelaySetup, StrokesSetup
 from rig.backends.serial.introduction import STALE_READS, refusal
 from rig.backends.serial.law_stream import LawStream
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 
 class LawRun:

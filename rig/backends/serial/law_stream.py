@@ -6,8 +6,8 @@ from rig.backends.driver import RelayRow
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock
 from rig.backends.serial.frames import Block, Packet
-from rig.calibration import Calibration, DriveMap
-from rig.faults import Fault
+from rig.core.calibration import Calibration, DriveMap
+from rig.core.faults import Fault
 
 
 class LawStream:

@@ -17,7 +17,7 @@ from rig.backends.serial.device_clock import TimedExchange, fit_device_clock
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Loopback, LoopbackAct, Setup
 from rig.backends.serial.introduction import await_introduction
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 PART = 2  # of full duty, that a board gives at most in loop-back
 WATCHDOG_MS = 100

@@ -31,10 +31,10 @@ from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of, is_virtual
 from rig.config.schema import DeviceSetup
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 if TYPE_CHECKING:
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 
 @contextmanager

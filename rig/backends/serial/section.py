@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from rig.backends.links.usb_adapters import Adapter
-from rig.section import Section
+from rig.core.section import Section
 
 
 class SerialKeys(Section):

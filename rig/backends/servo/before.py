@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from rig import strict_json
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.backends.servo.models import ServoModel
-from rig.faults import Fault
-from rig.plain_file import read_plain
+from rig.core import strict_json
+from rig.core.faults import Fault
+from rig.core.plain_file import read_plain
 
 _MOST_BYTES: Final = 64 * 1024
 # Changing the mode sets these anew (e-Manual, "Operating Mode")

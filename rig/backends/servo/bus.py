@@ -13,7 +13,7 @@ from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.link_budget import BITS_PER_BYTE, TURNAROUND_S
 from rig.backends.servo.models import ServoModel
 from rig.backends.servo.packets import Skipped
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 REFUSAL = "SERVO_REFUSED"
 PING_S = 0.004  # in which a servo that is there begins to answer a ping

@@ -26,10 +26,10 @@ from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.opening import ServoSetup, error_words, leave_no_trace, look, set_up
 from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
-from rig.calibration import Scaling
-from rig.faults import Fault
-from rig.link_turn import turn_on
-from rig.signals import Limits, Sample
+from rig.core.calibration import Scaling
+from rig.core.faults import Fault
+from rig.core.link_turn import turn_on
+from rig.core.signals import Limits, Sample
 
 _REST_COUNTS: Final = 1  # that a shaft at rest may move by
 _REST_S: Final = 0.04  # for which it must

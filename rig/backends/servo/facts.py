@@ -16,7 +16,7 @@ from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_up
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 _STILL_STEPS: Final = 3  # of the drive: far below what breaks a shaft away
 _TURNS_SHARE: Final = 0.12  # of full duty, under which a free horn turns

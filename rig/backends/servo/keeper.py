@@ -1,4 +1,4 @@
-"""The host's side of the process that stops a servo when this one dies or hangs (``rig.keeper.silence``)."""
+"""The host's side of the process that stops a servo when this one dies or hangs (``rig.running.keeper.silence``)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Final
 
 from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import Ask, ServoLink
-from rig.copies import keep_from_copies, no_longer_own
-from rig.faults import Fault
+from rig.core.copies import keep_from_copies, no_longer_own
+from rig.core.faults import Fault
 
 _STARTS_S: Final = 10.0
 _ENDS_S: Final = 3.0
 _READY: Final = b"ready\n"
-_BEAT, _REST, _DONE = b"b", b"r", b"d"  # as in ``rig.keeper.silence``
+_BEAT, _REST, _DONE = b"b", b"r", b"d"  # as in ``rig.running.keeper.silence``
 
 
 class ServoKeeper:
@@ -46,7 +46,7 @@ class ServoKeeper:
         }
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig.keeper.silence", str(descriptor), str(heard)],
+                [sys.executable, "-P", "-m", "rig.running.keeper.silence", str(descriptor), str(heard)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,

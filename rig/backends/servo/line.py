@@ -25,8 +25,8 @@ from rig.backends.servo.keeper import starter
 from rig.backends.servo.link_budget import adapter_of, longest_return_delay_s
 from rig.backends.servo.opening import ServoSetup
 from rig.backends.servo.section import EMULATED_PORTS, Servo
-from rig.calibration import largest_drive_in_units
 from rig.config.schema import DeviceSetup, ServoSensor
+from rig.core.calibration import largest_drive_in_units
 
 
 @contextmanager

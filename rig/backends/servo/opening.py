@@ -13,7 +13,7 @@ from rig.backends.servo.before import BeforeStore, put_back, values_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.models import ServoModel, models_of
 from rig.backends.servo.packets import LAST_ID
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 _SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V may differ
 _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits

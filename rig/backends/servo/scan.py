@@ -14,7 +14,7 @@ from rig.backends.servo.bus import Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
 from rig.backends.servo.opening import check_free, objections
 from rig.backends.servo.packets import LAST_ID
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200)  # rig's own, and as Dynamixel and many boards are shipped
 _KINDS: Final = (MODELS["xl330-m288"], MODELS["sts3215"])  # one of each protocol: all share where the number is

@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.servo.models import MODELS, ServoModel
-from rig.section import Section
+from rig.core.section import Section
 
 EMULATED_PORTS = ("emulated", "emulated-realtime")
 

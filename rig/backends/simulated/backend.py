@@ -16,7 +16,7 @@ from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 _ROUNDED_S = 1e-6  # the last digit in samples.csv
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog
-from rig.calibration import Scaling, hard_limits_in_counts
-from rig.faults import Fault
+from rig.core.calibration import Scaling, hard_limits_in_counts
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Order, Sample
 from rig.model.bench import BenchModel, BenchParameters
-from rig.signals import Limits, Order, Sample
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Prediction of noise that is partly white and partly coloured (see ``rig.identify.noise``), sample by sample."""
+"""Prediction of noise that is partly white and partly coloured (see ``rig.identification.noise``), sample by sample."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Velocity is linear in the drive, and w = y + tau v moves in straight lines. So a periodic motion under given edges needs
 no iteration. The reversal needs none either: exp(t1 / tau) solves a linear equation.
-``rig.identify.triple_relay`` uses it.
+``rig.identification.triple_relay`` uses it.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ from rig.backends.modbus.opening import emulated_io_block, modbus_driver
 from rig.backends.modbus.requests import Request
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-rtu.yaml"
 STYLES = ["read-write", "separate"]

@@ -38,7 +38,7 @@ from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes, check_sum, frame
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.section import Modbus
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 TICK = read_write(POSITION, 4, DRIVE, 500, 1)
 

@@ -42,7 +42,7 @@ from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
 from rig.cli import main
-from rig.package import VERSION
+from rig.core.package import VERSION
 
 pytestmark = pytest.mark.realtime
 

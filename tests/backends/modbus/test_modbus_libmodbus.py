@@ -18,8 +18,8 @@ from rig.backends.registry import connect
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.control.relay import DualChannelRelay
-from rig.faults import Fault
-from rig.signals import Sample
+from rig.core.faults import Fault
+from rig.core.signals import Sample
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-rtu.yaml"
 SUPPLY_V = 12.0

@@ -26,7 +26,7 @@ from rig.backends.modbus.opening import emulated_io_block, modbus_driver
 from rig.backends.registry import emulated_board, unopened
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 CONFIGS = Path(__file__).resolve().parents[3] / "config"
 STYLES = ["read-write", "separate"]
@@ -242,7 +242,7 @@ _HOLDS = """
 import sys, time
 from pathlib import Path
 from rig.backends.links.held_endpoint import HeldEndpoint
-from rig.live.stop_flag import StopFlag
+from rig.run_folder.live.stop_flag import StopFlag
 flag = StopFlag()
 flag.begin(Path(sys.argv[2]))
 held = HeldEndpoint("127.0.0.1", int(sys.argv[1]), 1)

@@ -15,7 +15,7 @@ from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.opening import modbus_driver
 from rig.config import load
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-tcp.yaml"
 EXPERIMENT = load(CONFIG)

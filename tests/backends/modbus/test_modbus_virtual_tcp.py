@@ -11,7 +11,7 @@ from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.tcp_slave import Adu
 from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, To, VirtualTcpBlock
 from rig.backends.modbus.opening import modbus_driver
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 ROOT = Path(__file__).resolve().parents[3]
 EXPERIMENT = config.load(ROOT / "config" / "modbus-tcp.yaml").model_copy(

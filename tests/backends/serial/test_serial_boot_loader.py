@@ -16,7 +16,7 @@ from evidence import evidence
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Kind
 from rig.backends.serial.introduction import _harmless_numbers, await_introduction
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 OPEN_S = 5.0
 CLOCK_ERRORS = (-0.025, 0.0, 0.025)  # of a ceramic resonator and a USB chip together

@@ -17,12 +17,12 @@ from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver, setup_for
 from rig.backends.serial.fit import Board
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Nack, Setup, encode
-from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
-from rig.faults import Fault
-from rig.package import VERSION
-from rig.signals import Limits
+from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
+from rig.core.faults import Fault
+from rig.core.package import VERSION
+from rig.core.signals import Limits
 from rig.testing.line import on_device
 
 CALIBRATION = Calibration([(24, -2.0015625), (1000, 2.0015625)])

@@ -28,7 +28,7 @@ from rig.backends.serial.emulated.firmware_build import Variant, source_folder
 from rig.backends.serial.flash import FlashError, Port
 from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
 from rig.cli import main
-from rig.package import VERSION
+from rig.core.package import VERSION
 
 HELLO = Hello(2, 0, 1, 0, 1023, 400, 0, 0, f"uno {VERSION}".encode().ljust(16, b"\0"))
 

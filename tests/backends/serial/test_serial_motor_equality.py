@@ -19,7 +19,7 @@ from real_motors import CASES, FRAME, relay, with_parts
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
-from rig.calibration import DriveMap
+from rig.core.calibration import DriveMap
 from rig.model.bench import BenchModel, BenchParameters, DriveWiring, SensorWiring
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State

@@ -21,7 +21,7 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.link_budget import reading_budget, sample_to_drive_s, tick_budget
 from rig.config import Experiment
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 ROOT = Path(__file__).resolve().parents[3]
 CLOCK_PPM = 4000.0

@@ -15,8 +15,8 @@ from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.line import emulated_servo, setup_of
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.faults import Fault
-from rig.signals import Limits, Sample
+from rig.core.faults import Fault
+from rig.core.signals import Limits, Sample
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 CONFIGS = {"dynamixel": CONFIG / "servo.yaml", "feetech": CONFIG / "servo-sts3215.yaml"}

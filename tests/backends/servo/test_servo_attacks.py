@@ -16,8 +16,8 @@ from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.facts import facts
 from rig.backends.servo.scan import reboot, restore
-from rig.faults import Fault
-from rig.link_turn import turn_on
+from rig.core.faults import Fault
+from rig.core.link_turn import turn_on
 
 
 def use_limit_of_config(bench: Bench) -> None:

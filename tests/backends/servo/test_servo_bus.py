@@ -16,7 +16,7 @@ from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.servo import ServoOptions
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.packets import Skipped
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 AT_ONCE = {"return_delay_time": 0}
 HOSTS = [DynamixelHost, FeetechHost]

@@ -25,7 +25,7 @@ from rig.backends.servo.before import BeforeStore, values_of
 from rig.backends.servo.bus import ServoLink, servo_link
 from rig.backends.servo.emulated.servo_board import ServoBoard, violations_in
 from rig.backends.servo.keeper import ServoKeeper
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 PHASES = 200
 SILENCE_S = 0.06

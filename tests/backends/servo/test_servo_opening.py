@@ -13,7 +13,7 @@ from rig.backends.registry import backend_of, connect
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.opening import check_alone
 from rig.config.schema import Experiment
-from rig.faults import Fault
+from rig.core.faults import Fault
 from rig.testing.line import on_device
 
 COUNT_RAD = 2.0 * math.pi / 4096

@@ -13,7 +13,7 @@ from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.line import servo_of
 from rig.backends.servo.link_budget import longest_return_delay_s
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
 MOST_WRITES = 2  # of each register of the EEPROM: changed, and put back

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.keeper.silence import BEAT, DONE, REST, Kept, Order, keep
+from rig.running.keeper.silence import BEAT, DONE, REST, Kept, Order, keep
 
 
 class Counted(Kept):

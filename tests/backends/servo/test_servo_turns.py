@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from servo_bench import PROTOCOLS, Bench
 
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 COUNT_RAD = 2.0 * math.pi / 4096
 

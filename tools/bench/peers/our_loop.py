@@ -16,12 +16,12 @@ import time
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import DeviceInfo, DeviceWatchdog
 from rig.control.guard import Guard, GuardSettings
-from rig.live.stop_flag import StopFlag
-from rig.loop.real_time import RealTimeSettings, real_time
-from rig.loop.runner import Loop
-from rig.loop.stop_request import StopRequest
-from rig.recording.sink import NullSink
-from rig.signals import Limits, Order, Sample
+from rig.control.loop.real_time import RealTimeSettings, real_time
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import StopRequest
+from rig.core.signals import Limits, Order, Sample
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.run_folder.recording.sink import NullSink
 
 LIMITS = Limits(soft_rad=(-1.0, 1.0), hard_rad=(-2.0, 2.0), max_u_V=3.0, watchdog_s=0.1)
 GUARD = GuardSettings(LIMITS, (5, 1018), 5.0, 0.2, 0.1, noise_rad=0.004, motion_rad=0.02)

@@ -14,7 +14,7 @@ from time import perf_counter
 
 from loop_rate_limiters import RateLimiter
 
-from rig.loop.real_time import RealTimeSettings, real_time
+from rig.control.loop.real_time import RealTimeSettings, real_time
 
 
 def main() -> int:

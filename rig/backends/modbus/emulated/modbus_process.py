@@ -17,8 +17,8 @@ from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.rtu_slave import RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
+from rig.core.package import VERSION
 from rig.model.bench import BenchModel
-from rig.package import VERSION
 
 LOOPBACK = "127.0.0.1"
 _MOST_CONNECTIONS = 8

@@ -16,7 +16,7 @@ from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.backends.modbus.emulated.virtual_io_block import BlockInVirtualTime
 from rig.backends.modbus.section import Modbus
 from rig.config.schema import Emulated
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 SENT_AGAIN_S = 0.2
 CONNECT_S = 5.0

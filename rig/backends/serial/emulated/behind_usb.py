@@ -8,7 +8,7 @@ from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.usb_chip import UsbChip
 from rig.backends.serial.emulated.virtual_device import Until, VirtualDevice
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
-from rig.faults import Fault
+from rig.core.faults import Fault
 
 
 class BehindUsb:

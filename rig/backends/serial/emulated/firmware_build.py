@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from rig.backends.emulated.errors import EmulationError
-from rig.package import FOLDER
+from rig.core.package import FOLDER
 
 GOES_ON: Final = "rig: building {0}, once after an installation or a change of its sources: {1:.0f} s so far"
 SAY_AFTER_S, SAY_EVERY_S = 2.0, 5.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rig.backends.emulated.board_process import BoardProcess
 
 if TYPE_CHECKING:
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 
 class PicoBoard(BoardProcess):

@@ -11,7 +11,7 @@ from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
 
 if TYPE_CHECKING:
-    from rig.strict_json import JsonObject
+    from rig.core.strict_json import JsonObject
 
 _BITS_PER_BYTE = 10
 

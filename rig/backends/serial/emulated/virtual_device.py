@@ -11,7 +11,7 @@ from typing import Any
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Plug
-from rig.faults import Fault
+from rig.core.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 _READ_BYTES = 512

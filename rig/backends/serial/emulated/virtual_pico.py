@@ -16,8 +16,8 @@ from rig.backends.emulated.plug import Plug
 if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
 
+    from rig.core.strict_json import JsonObject
     from rig.model.bench import DriveWiring, SensorWiring
-    from rig.strict_json import JsonObject
 
 _END_S = 10.0
 

@@ -1,0 +1,224 @@
+"""Tune a loop: the gains of a wanted bandwidth, or of the largest that keeps the margins (docs/theory.md 15.3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.observer import MotorObserver
+from rig.control.set_point import BANDWIDTH_OF_SECOND_ORDER, PositionStep, Program, SpeedSteps
+from rig.control.state_feedback import DriveLimits, Gains, Loop, StateFeedback
+from rig.core.errors import RigError
+from rig.design.tune.gains import gains_for
+from rig.design.tune.margins import Margins, controller_matrices, margins, motor_matrices, noise_V, open_loop, worst
+from rig.design.tune.trial import Sensing
+from rig.design.tune.uncertain import UncertainMotor
+
+LEAST = Margins(gain_dB=6.0, phase_deg=45.0, modulus=0.0)
+HIGHEST = 0.2  # bandwidth over the highest frequency of the sampling, pi / period
+LOWEST = 0.002
+TRIED = 40  # bandwidths between both
+NOISE_SHARE = 0.1  # standard deviation that the sensor's noise makes in the drive, over the largest drive
+STEP_TIMES = 12.0  # how long a step lasts, over the time constant of its reference: a third of it is for settling
+
+
+class TuneError(RigError):
+    """A loop cannot be tuned as asked: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause = cause
+        self.cure = cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the loop shall do.
+
+    loop           position or velocity
+    step           the step that it shall make within the drive and the speed, rad; of a velocity loop rad/s; > 0
+    bandwidth_1_s  where its response to the set-point is 3 dB down, rad/s; None: the largest that is possible
+    least          margins that the worst motor of the intervals keeps
+    top_rad_s      largest speed
+    """
+
+    loop: Loop
+    step: float
+    bandwidth_1_s: float | None = None
+    least: Margins = LEAST
+    top_rad_s: float = math.inf
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A tuned loop.
+
+    bandwidth_1_s  of the set-point's response, rad/s
+    largest_1_s    the largest that was possible, rad/s
+    bound_by       what forbids more, in words
+    nominal        margins of the identified motor
+    worst          the least over all corners of the intervals
+    noise_V        standard deviation of the drive by the sensor's noise, V
+    """
+
+    motor: UncertainMotor
+    sensing: Sensing
+    wish: Wish
+    bandwidth_1_s: float
+    gains: Gains
+    largest_1_s: float
+    bound_by: str
+    nominal: Margins
+    worst: Margins
+    noise_V: float
+
+    def law(self, program: Program) -> StateFeedback:
+        """The law, made anew: it remembers."""
+        limits = DriveLimits(self.sensing.largest_V, self.sensing.shown_rad)
+        return StateFeedback(self.motor.known, observer_of(self.motor, self.sensing), self.gains, program, limits)
+
+    def responses(self) -> list[NDArray[np.complex128]]:
+        """The open loop's response from a tenth of the bandwidth on: of the motor itself, then of each corner."""
+        w = np.geomspace(0.1 * self.bandwidth_1_s, math.pi / self.sensing.period_s, 120)
+        period_s = self.sensing.period_s
+        observer = observer_of(self.motor, self.sensing)
+        controller = controller_matrices(self.motor.linear, observer, self.gains, period_s)
+        return [open_loop(controller, motor_matrices(corner, period_s), w, period_s) for corner in self.motor.corners()]
+
+    @property
+    def each_s(self) -> float:
+        """How long one step lasts, s."""
+        w = self.bandwidth_1_s / (BANDWIDTH_OF_SECOND_ORDER if self.wish.loop == "position" else 1.0)
+        return STEP_TIMES / w
+
+
+def observer_of(motor: UncertainMotor, sensing: Sensing) -> MotorObserver:
+    """The observer of a bench that does not report its delay."""
+    observer = MotorObserver(motor.known, sensing.period_s, sensing.whole_noise_rad)
+    observer.latency_s = motor.delay_s
+    return observer
+
+
+def tune(motor: UncertainMotor, sensing: Sensing, wish: Wish) -> Tuned:
+    """The loop that was asked for. Raises TuneError if a bound forbids it, with the largest possible bandwidth."""
+    observer = observer_of(motor, sensing)
+    highest = HIGHEST * math.pi / sensing.period_s
+    bound_by = f"the sampling: a fifth of half its frequency, {highest:.3g} rad/s"
+    largest = 0.0
+    for bandwidth in np.geomspace(LOWEST * highest, highest, TRIED).tolist():
+        reason = _forbidden(motor, sensing, wish, observer, bandwidth)
+        if reason:
+            bound_by = reason
+            if largest:
+                largest, bound_by = _between(motor, sensing, wish, observer, (largest, bandwidth, reason))
+            break
+        largest = bandwidth
+    if not largest:
+        raise TuneError(
+            f"no {wish.loop} loop keeps what is asked for: {bound_by}",
+            "identify the motor better, give a smaller step, or lower --gain-margin or --phase-margin",
+        )
+    bandwidth = largest if wish.bandwidth_1_s is None else wish.bandwidth_1_s
+    if bandwidth > largest:
+        reason = _forbidden(motor, sensing, wish, observer, bandwidth) or bound_by
+        raise TuneError(
+            f"a bandwidth of {bandwidth:.4g} rad/s is too much: {reason}",
+            f"the largest that is possible is {math.floor(largest * 100.0) / 100.0:.2f} rad/s",
+        )
+    gains = gains_for(wish.loop, bandwidth, motor.linear.tau_s)
+    controller = controller_matrices(motor.linear, observer, gains, sensing.period_s)
+    each = _margins(motor, sensing, observer, gains)
+    return Tuned(
+        motor,
+        sensing,
+        wish,
+        bandwidth,
+        gains,
+        largest,
+        bound_by,
+        each[0],
+        worst(each),
+        noise_V(controller, motor_matrices(motor.linear, sensing.period_s), sensing.whole_noise_rad),
+    )
+
+
+def _between(
+    motor: UncertainMotor,
+    sensing: Sensing,
+    wish: Wish,
+    observer: MotorObserver,
+    bracket: tuple[float, float, str],
+) -> tuple[float, str]:
+    """The largest bandwidth between one that is possible and one that is not, to 0.1 %, and what bounds it."""
+    low, high, reason = bracket
+    while high > 1.001 * low:
+        middle = math.sqrt(low * high)
+        why = _forbidden(motor, sensing, wish, observer, middle)
+        if why:
+            high, reason = middle, why
+        else:
+            low = middle
+    return low, reason
+
+
+def _margins(motor: UncertainMotor, sensing: Sensing, observer: MotorObserver, gains: Gains) -> list[Margins]:
+    """Of the motor itself, then of each corner."""
+    controller = controller_matrices(motor.linear, observer, gains, sensing.period_s)
+    return [
+        margins(controller, motor_matrices(corner, sensing.period_s), sensing.period_s) for corner in motor.corners()
+    ]
+
+
+def _forbidden(
+    motor: UncertainMotor, sensing: Sensing, wish: Wish, observer: MotorObserver, bandwidth_1_s: float
+) -> str:
+    """What forbids a bandwidth, in words; empty if nothing does."""
+    top_V, top_rad_s = _reference_needs(motor, wish, bandwidth_1_s)
+    what = f"a step of {wish.step:.3g} {'rad' if wish.loop == 'position' else 'rad/s'}"
+    if top_rad_s > wish.top_rad_s * (1.0 + 1e-9):
+        return f"{what} would turn the shaft at {top_rad_s:.3g} rad/s, and {wish.top_rad_s:.3g} rad/s is its limit"
+    if top_V > sensing.largest_V:
+        return f"{what} would take {top_V:.3g} V, and the largest drive is {sensing.largest_V:.3g} V"
+    gains = gains_for(wish.loop, bandwidth_1_s, motor.linear.tau_s)
+    least = wish.least
+    found = worst(_margins(motor, sensing, observer, gains))
+    if found.gain_dB == 0.0:
+        return "the worst motor of the intervals is unstable"
+    if not found.keep(least):
+        return (
+            f"the worst motor of the intervals keeps {found.phase_deg:.1f} degrees and {found.gain_dB:.1f} dB, and "
+            f"{least.phase_deg:g} degrees and {least.gain_dB:g} dB are asked for"
+        )
+    controller = controller_matrices(motor.linear, observer, gains, sensing.period_s)
+    shaken_V = noise_V(controller, motor_matrices(motor.linear, sensing.period_s), sensing.whole_noise_rad)
+    if shaken_V > NOISE_SHARE * sensing.largest_V:
+        return (
+            f"the sensor's noise would shake the drive by {shaken_V:.3g} V (standard deviation), more than a tenth of "
+            f"the largest drive"
+        )
+    return ""
+
+
+def _reference_needs(motor: UncertainMotor, wish: Wish, bandwidth_1_s: float) -> tuple[float, float]:
+    """Largest drive, V, and speed, rad/s, of the step's reference on the identified motor with its plain friction."""
+    linear, plain = motor.linear, motor.framed.plain
+    friction_V = plain.friction.plus_V + abs(plain.bias_V)
+    program: Program
+    if wish.loop == "position":
+        step = PositionStep(wish.step, bandwidth_1_s, math.inf)
+        program, times = step, np.linspace(0.0, STEP_TIMES, 200) / step.natural_1_s
+    else:
+        each_s = STEP_TIMES / bandwidth_1_s
+        program = SpeedSteps((wish.step, -wish.step), each_s, bandwidth_1_s)
+        times = np.linspace(0.0, 2.0 * each_s, 400)
+    drives = []
+    speeds = []
+    for t in times.tolist():
+        one = program.at(t)
+        push = (linear.tau_s * one.a_rad_s2 + one.v_rad_s) / linear.K_rad_s_V
+        drives.append(abs(push + math.copysign(friction_V, one.v_rad_s or 1.0)))
+        speeds.append(abs(one.v_rad_s))
+    return max(drives), max(speeds)

@@ -1,0 +1,638 @@
+"""Which laws a motor has: forward and backward over all departures, on pieces that grow.
+
+On short pieces the plain motor's fit is near enough for the effect of every departure to be linear. So one Jacobian
+shows what each would gain. The best few are fitted, the best of these is taken, and so on; what loses its worth is
+dropped again. Then the pieces grow, and the choice is made again where it starts (docs/theory.md 12.7).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identification.departures.blocks import Blocks, share_cut
+from rig.identification.departures.departure import NOTHING, Bench, Departure
+from rig.identification.departures.drift import Drift, DriftEach, LevelEach
+from rig.identification.departures.fit import (
+    Fit,
+    Known,
+    Normal,
+    Problem,
+    Rows,
+    limits_of,
+    refitted,
+    solve,
+    start,
+    unit,
+)
+from rig.identification.departures.pieces import Cut
+from rig.identification.departures.prediction import rise_by_law
+from rig.identification.noise import WHITE, noise_of
+from rig.identification.side_by_side import side_by_side
+from rig.model.real_motor import RealMotor, index
+
+Array = NDArray[np.float64]
+
+ORDER = "cogging_per_rad"  # of a wave over the angle: without its size it has no effect on the motion
+CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
+TRIED = 3  # laws that are fitted, of those that promise most
+TRIAL_ITERATIONS = 12
+RESHAPED = 2  # starts of a law's shape that are fitted again on longer pieces
+MOST = 4  # laws of one motor
+ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
+GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
+PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
+AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
+FIRST_STEP = 1.0  # first size of a law, at most so many times its range
+# of a step: the error of rounding is half a step at most, a start's comes on top; normal noise of its size leaves 98 %
+WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
+STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
+LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
+FINE = 1e-3  # error in blocks of a plain motor that needs no law
+NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
+BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is no noise
+FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
+LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
+LEAP_ITERATIONS = 4
+CHANCE = 3.84  # chi-squared of one degree, 95 %
+FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
+
+
+class Asked(NamedTuple):
+    """What a law must bring, in units of twice the log likelihood; beyond Schwarz's criterion, where nothing is said.
+
+    entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
+    stay      to stay
+    predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
+    cuts      share of the error beyond the sensor's noise that a law must take away in blocks that were not fitted: in
+              all together, and in their geometric mean
+    """
+
+    entry: float = 5.0
+    stay: float = 2.5
+    predicts: float = 4.0
+    cuts: float = 0.25
+
+
+ASKED = Asked()
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a law would gain, by the linear model.
+
+    gain      fall of the sum of squares
+    law       the law
+    first     numbers and shape to start a fit from
+    """
+
+    gain: float
+    law: Departure
+    first: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The chosen laws and the fit with them.
+
+    laws      in the order in which they were found
+    fit       of the longest pieces that the motor bears
+    growth    length of the pieces, s, and the RMS residual on them, rad
+    """
+
+    laws: tuple[Departure, ...]
+    fit: Fit
+    growth: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Chooser:
+    """How laws are chosen.
+
+    candidates  the laws
+    bench       sizes that their ranges are measured in
+    core        plain numbers that are fitted
+    delay_s     bounds of the delay, s
+    sigma_rad   the sensor's noise, rad
+    step_rad    its step, rad; 0: none is known
+    asked       what a law must bring
+    known       what is known of the numbers from beside the tests; None: nothing
+    """
+
+    candidates: Sequence[Departure]
+    bench: Bench
+    core: tuple[str, ...]
+    delay_s: tuple[float, float]
+    sigma_rad: float
+    step_rad: float = 0.0
+    asked: Asked = ASKED
+    known: Known | None = None
+
+    def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
+        """From a motor near the true one: a plain one, or with laws, which then are the first."""
+        laws = tuple(law for law in self.candidates if any(getattr(motor, name) for name in law.numbers))
+        growth: list[tuple[float, float]] = []
+        fit: Fit | None = None
+        for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
+            cut = whole if math.isinf(length_s) else whole.every(length_s)
+            if fit is not None and len(cut.begins) == len(fit.problem.cut.begins):
+                continue
+            problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
+            longer = self._at_best_shape(solve(start(problem, motor)), laws)
+            longer, found = self._settle(longer, laws)
+            if fit is not None and longer.rms_rad > GROWN * max(fit.rms_rad, self.sigma_rad):
+                growth.append((cut.longest_s, longer.rms_rad))
+                break
+            fit, laws, motor = longer, found, longer.motor
+            growth.append((cut.longest_s, fit.rms_rad))
+        assert fit is not None
+        fit, laws = self._last(fit, laws)
+        while (leaner := self._leaner(fit, laws)) is not None:
+            fit, laws = self._last(*leaner)
+        fit, laws = self._predicting(fit, laws, whole)
+        while laws:
+            rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
+            # normal equations say nothing of a law that leaps
+            least = min((law for law in laws if not law.leaps), key=lambda law: rises[law], default=None)
+            if least is None or rises[least] >= self.asked.predicts:
+                break
+            laws = tuple(law for law in laws if law is not least)
+            fit, laws = self._last(
+                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
+            )
+        return Choice(laws, fit, tuple(growth))
+
+    def with_drift(self, law: Drift) -> Chooser:
+        """The same, but friction drifts as ``law`` says: of records whose frames say so."""
+        return replace(self, candidates=[law if one.name == Drift.name else one for one in self.candidates])
+
+    def better_each(self, choice: Choice, each: Cut, drift: DriftEach | LevelEach) -> bool:
+        """Whether this drift alone explains the pieces of ``choice`` as well as all its laws do.
+
+        each   the records with the course of friction that ``drift`` goes by
+        """
+        fit = choice.fit
+        cut = replace(fit.problem.cut, frames=each.frames)
+        problem = replace(self.problem(cut, (drift,), math.inf), noise=fit.problem.noise)
+        motor = RealMotor(*fit.motor[:4], delay_s=fit.motor.delay_s)
+        alone = solve(start(problem, motor))
+        prices = sum(self.price(law, fit, 0.0) for law in choice.laws)
+        return (alone.cost - fit.cost) / unit(fit) + self.price(drift, fit, drift.beyond) < prices
+
+    def _at_best_shape(self, fit: Fit, laws: tuple[Departure, ...]) -> Fit:
+        """Each law's shape looked for anew: a short piece can take one order of cogging for another."""
+        for law in laws:
+            if law.leaps:
+                fit = at_best_size(fit, law)
+            trials = law.trials(self.bench)
+            if not law.shape or len(trials) == 1:
+                continue
+            others = tuple(one for one in laws if one is not law)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
+            for promise in self._starts(law, Columns(bare, bare.problem.rows(bare.motor, bare.starts)))[:RESHAPED]:
+                trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
+                if trial.cost < fit.cost:
+                    fit = solve(trial)
+        return fit
+
+    def _leaner(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]] | None:
+        """The fit without a law that another shape of the others makes up for, or that is next to nothing; or None.
+
+        The speed of a Stribeck effect has more than one minimum. In the wrong one a drag is worth its number. And in a
+        record with hardly any noise, rounding is worth a law of a thousandth of what benches have.
+        """
+        for law in laws:
+            bare = self.bare(fit, laws, law)
+            size = math.hypot(*(getattr(fit.motor, name) for name in law.numbers))
+            if size < NOTHING_OF_RANGE * law.range_of(self.bench):
+                return bare, tuple(one for one in laws if one is not law)
+            if (bare.cost - fit.cost) / unit(fit) < self.price(law, fit, self.asked.stay):
+                return bare, tuple(one for one in laws if one is not law)
+        return None
+
+    def bare(self, fit: Fit, laws: Sequence[Departure], law: Departure) -> Fit:
+        """The fit of the same rows without one of its laws, the others at their best shape, with the same noise."""
+        others = tuple(one for one in laws if one is not law)
+        bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
+        is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
+        return self._at_best_shape(bare, others) if is_faint else bare
+
+    def _predicting(self, fit: Fit, laws: tuple[Departure, ...], whole: Cut) -> tuple[Fit, tuple[Departure, ...]]:
+        """The fit without laws that take too little of the error in blocks that were not fitted, the least one first.
+
+        Likelihood under noise that real records do not have buys a law for anything. Where a fit leaves more than the
+        sensor's noise, what it leaves is the motor, and a law that hardly changes that is not it; nor is one that does
+        so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand: what is left there is
+        what the readings are off. Where a fit leaves white noise, likelihood is right; so it is where it tells whole
+        tests, each from its start on, to the sensor's noise. Laws that only together take as much as is asked stay
+        together.
+        """
+        tells_all = len(fit.problem.cut.begins) == len(whole.begins)
+        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad:
+            return fit, laws
+        blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
+        noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
+        known: dict[tuple[Departure, ...], Array] = {}
+
+        def left(laws: tuple[Departure, ...], motor: RealMotor) -> Array:
+            if laws not in known:
+                problem = self.problem(blocks.cut, laws, math.inf)
+                known[laws] = np.maximum(blocks.held_out(problem, motor, starts_known=True) - noise, 0.0)
+            return known[laws]
+
+        if laws and not fit.problem.noise.white:
+            none = fit.motor
+            for law in laws:
+                none = without(none, law)
+            stays = float(blocks.squares(blocks.stays_rad()).sum())
+            if math.sqrt(float(left((), none).sum()) / max(stays, 1e-300)) < FINE:
+                return self._last(refitted(fit, self.problem(fit.problem.cut, (), math.inf), none), ())
+        first = fit, laws
+        while laws and not fit.problem.noise.white:
+            full = left(laws, fit.motor)
+            cuts = {
+                law: share_cut(full, left(tuple(o for o in laws if o is not law), without(fit.motor, law)), noise)
+                for law in laws
+                if not self._is_shown_beside(fit, law)
+            }
+            least = min(cuts, key=lambda law: cuts[law], default=None)
+            if least is None or cuts[least] >= self.asked.cuts:
+                break
+            laws = tuple(law for law in laws if law is not least)
+            fit, laws = self._last(
+                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
+            )
+        if laws == first[1]:
+            return first
+        together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), noise)
+        return first if together >= self.asked.cuts else (fit, laws)
+
+    def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
+        """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
+        surprise = fit.problem.surprise
+        rise = (surprise(without(fit.motor, law)) - surprise(fit.motor)) / unit(fit)
+        return rise >= self.price(law, fit, self.asked.stay)
+
+    def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
+        """The last fit on pieces short enough that some of them can be predicted from the others."""
+        cut = fit.problem.cut
+        length_s = PREDICTED * cycle_s
+        if cut.longest_s > length_s:
+            cut = whole.every(length_s)
+        return solve(start(replace(fit.problem, cut=cut, noise=WHITE), fit.motor), TRIAL_ITERATIONS)
+
+    def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
+        """The problem of these laws on this cut."""
+        of_laws = (name for law in laws for name in (*law.numbers, *law.shape))
+        free = tuple(dict.fromkeys((*self.core, *of_laws)))  # two laws may share a number of their shape
+        limits = limits_of(free, cut, self.delay_s) | limits_of_laws(laws, self.bench)
+        return Problem(cut, free, limits, self.sigma_rad, robust_rad, known=self.known)
+
+    def _settle(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """Add and drop laws until none gains and none is without worth.
+
+        The law that gains most at first need not be a right one: two wrong laws can stand in for a third. So each of
+        the most promising laws is followed to its end, and the best end is taken.
+        """
+        fit, laws = self._dropped(fit, laws)
+        first = self._steps(fit, laws, set())
+        if not first:
+            return fit, laws
+        end = self._greedy(*first[0])
+        if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
+            return end  # it leaves nothing: another start would need two laws for as much
+        ends = [end, *(self._greedy(*step) for step in first[1:])]
+        finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
+
+        def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
+            of, found = end
+            squares = finest.problem.cost(of.residual_rad, of.motor) / unit(finest)
+            return squares + sum(self.price(law, of, self.asked.entry) for law in found)
+
+        return min(ends, key=worth)
+
+    def _greedy(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """One law after the other, the best each time."""
+        left: set[str] = set()
+        while True:
+            before = {law.name for law in laws}
+            fit, laws = self._dropped(fit, laws)
+            left |= before - {law.name for law in laws}
+            steps = self._steps(fit, laws, left)
+            if not steps:
+                return fit, laws
+            fit, laws = steps[0]
+
+    def is_rounding(self, fit: Fit) -> bool:
+        """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
+        return float(np.mean(np.abs(fit.residual_rad) <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
+
+    def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """Without laws that are not worth their numbers."""
+        while True:
+            worst = self._worst(with_own_noise(fit), laws)
+            if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
+                return fit, laws
+            laws = tuple(one for one in laws if one is not worst[1])
+            fit = solve(self.with_laws(fit, laws, without(fit.motor, worst[1])))
+
+    def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
+        """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
+        seen = with_own_noise(fit)
+        steps_show = fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW
+        if len(laws) >= MOST or steps_show or self.is_rounding(fit):
+            return []  # the sensor's own steps are left, which look like anything
+
+        def price(law: Departure) -> float:
+            return self.price(law, fit, self.asked.entry)
+
+        def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
+            law = promise.law
+            motor = fit.motor._replace(**promise.first)
+            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            trial = at_best_size(trial, law) if law.leaps else trial
+            return _gain(fit, trial) - price(law), trial, (*laws, law)
+
+        first = self.promises(seen, laws)[:TRIED]
+        wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
+        trials = side_by_side(tried, wanted, fit.residual_rad.size)
+        found = [one for one in trials if one[0] > 0.0 and not self._hardly_shows(fit, one[1])]
+        found.sort(key=lambda entry: -entry[0])
+        return [(trial, more) for _, trial, more in found]
+
+    def _hardly_shows(self, fit: Fit, richer: Fit) -> bool:
+        """Whether the richer fit leaves nearly as much, far beyond noise: no further law is tried on top of it."""
+        if fit.rms_rad < FAR * self.sigma_rad:
+            return False
+        left, all_of_it = (max(one.rms_rad**2 - self.sigma_rad**2, 1e-300) for one in (richer, fit))
+        return 1.0 - math.sqrt(left / all_of_it) < FIRST_CUT
+
+    def _last(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """The least-squares fit with the noise of its own residual, without the laws that are not worth it then."""
+        while True:
+            problem = self.problem(fit.problem.cut, laws, math.inf)
+            noise = WHITE
+            fit = solve(refitted(fit, problem))
+            for _ in range(2):
+                noise = noise_of(fit.residual_rad, problem.cut.t_s, problem.cut.lengths)
+                if noise.white:
+                    break
+                seen = refitted(fit, replace(problem, noise=noise))
+                found = solve(seen)
+                if found.rms_rad > BENT * fit.rms_rad:
+                    fit = seen  # what is left is the motor, not noise: a noise that takes it up would bend the numbers
+                    break
+                fit = found
+            worst = self._worst(fit, laws)
+            if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
+                return fit, laws
+            laws = tuple(one for one in laws if one is not worst[1])
+            fit = refitted(fit, problem, without(fit.motor, worst[1]))
+
+    def with_laws(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor) -> Fit:
+        """The same rows with these laws and this motor to begin with, the same noise, and the starts of ``fit``."""
+        problem = self.problem(fit.problem.cut, laws, fit.problem.robust_rad)
+        return refitted(fit, replace(problem, noise=fit.problem.noise), motor)
+
+    def price(self, law: Departure, fit: Fit, beyond: float) -> float:
+        """Gain in twice the log likelihood that a law must reach: Schwarz's criterion and ``beyond``."""
+        count = fit.residual_rad.size - 2 * fit.starts.shape[0]
+        return law.costs * math.log(max(count, 2)) + beyond
+
+    def promises(self, fit: Fit, laws: Sequence[Departure]) -> list[Promise]:
+        """What each absent law would gain, the best first."""
+        rows = fit.problem.rows(fit.motor, fit.starts)
+        absent = [law for law in self.candidates if law not in laws]
+        columns = Columns(fit, rows, [law for law in absent if law.trials(self.bench) == (NOTHING,)])
+        found = [
+            replace(starts[0], gain=starts[0].gain / unit(fit))
+            for law in absent
+            if (starts := self._starts(law, columns))
+        ]
+        return sorted(found, key=lambda promise: -promise.gain)
+
+    def _starts(self, law: Departure, columns: Columns) -> list[Promise]:
+        """What each start of an absent law would gain, as a fall of the whitened sum of squares, the best first."""
+        found = []
+        trials = law.trials(self.bench)
+        for trial, (gain, sizes, scale) in zip(trials, columns.gains(law, trials), strict=True):
+            if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
+                continue
+            most = FIRST_STEP * law.range_of(self.bench)
+            clipped = np.clip(sizes * scale, -most, most).tolist()
+            first = dict(zip(law.numbers, clipped, strict=True)) if scale != 0.0 else {}
+            found.append(Promise(gain, law, {**first, **trial}))
+        return sorted(found, key=lambda promise: -promise.gain)
+
+    def _worst(self, fit: Fit, laws: Sequence[Departure]) -> tuple[float, Departure] | None:
+        """The law whose loss would cost least, and that cost, by the linear model if it has one; None without laws."""
+        if not laws:
+            return None
+        normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+
+        def cost(law: Departure) -> float:
+            if not law.leaps:
+                return loss(normal, fit, law)
+            others = [one for one in laws if one is not law]
+            bare = self.with_laws(fit, others, without(fit.motor, law))
+            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
+
+        return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+
+
+def levels(fit: Fit, of: Sequence[str]) -> dict[str, float]:
+    """By recording how much more friction it has than all together, relative: one step of least squares.
+
+    fit   by least squares, with its noise; ``of``: for each window the name of its recording
+    """
+    problem, cut = fit.problem, fit.problem.cut
+    rows = problem.rows(fit.motor, fit.starts)
+    names = list(dict.fromkeys(of))
+    beside = rows.residual.size - cut.t_s.size  # what is known from beside the tests is of all of them
+    own = np.repeat([names.index(name) for name in of], [window.t_s.size for window in cut.windows])
+    every_s = [sum(w.duration_s for w, one in zip(cut.windows, of, strict=True) if one == name) for name in names]
+    weight = np.array(every_s) / sum(every_s)
+    shares = np.concatenate((np.eye(len(names))[own], np.tile(weight, (beside, 1))))
+    at = problem.free.index("fc_V")
+    by_number = np.column_stack((np.delete(rows.by_number, at, axis=1), rows.by_number[:, [at]] * shares))
+    normal = Normal.of(replace(rows, by_number=by_number), cut)
+    nothing_held = np.zeros(by_number.shape[1], dtype=bool)
+    step_V = normal.step(nothing_held, 0.0)[0][-len(names) :]
+    level_V = np.maximum(fit.motor.fc_V + step_V, 0.0)
+    mean_V = max(float(weight @ level_V), 1e-12)
+    return dict(zip(names, (level_V / mean_V - 1.0).tolist(), strict=True))
+
+
+def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[float, float]]:
+    """Bounds of the fields of laws in a fit, by name."""
+    limits: dict[str, tuple[float, float]] = {}
+    for law in laws:
+        largest = law.most(bench)
+        limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
+        limits |= law.limits(bench)
+    return limits
+
+
+def with_own_noise(fit: Fit) -> Fit:
+    """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
+    cut = fit.problem.cut
+    noise = noise_of(fit.residual_rad, cut.t_s, cut.lengths)
+    problem = replace(fit.problem, robust_rad=math.inf, noise=noise)
+    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad, fit.motor))
+
+
+def _gain(fit: Fit, richer: Fit) -> float:
+    """Twice the gain in log likelihood, with the noise of the richer fit's residual."""
+    seen = with_own_noise(richer)
+    return (seen.problem.cost(fit.residual_rad, fit.motor) - seen.cost) / unit(seen)
+
+
+def without(motor: RealMotor, law: Departure) -> RealMotor:
+    """The motor without a law."""
+    return motor._replace(**dict.fromkeys((*law.numbers, *law.shape), 0.0))
+
+
+def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
+    """Fits of the rest at sizes of a law that leaps, its own first, each with its size (docs/theory.md 8.4)."""
+    [name] = law.numbers
+    size, most = getattr(fit.motor, name), fit.problem.limits[name][1]
+    others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
+
+    def fitted(other: float) -> tuple[float, Fit]:
+        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS)
+        return other, replace(one, problem=fit.problem)
+
+    sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
+    return [(size, fit), *side_by_side(fitted, sizes, fit.residual_rad.size)]
+
+
+def at_best_size(fit: Fit, law: Departure) -> Fit:
+    """The best fit of ``by_size``."""
+    return min((one for _, one in by_size(fit, law)), key=lambda one: one.cost)
+
+
+def as_likely(fit: Fit, law: Departure) -> tuple[float, float]:
+    """Between which sizes those of a law that leaps are as likely as that of the fit, at 95 %."""
+    found = sorted((size, (one.cost - fit.cost) / unit(fit) < CHANCE) for size, one in by_size(fit, law))
+    near = [k for k, (_, likely) in enumerate(found) if likely]
+    low = found[near[0] - 1][0] if near[0] > 0 else 0.0
+    return low, found[min(near[-1] + 1, len(found) - 1)][0]
+
+
+def loss(normal: Normal, fit: Fit, law: Departure) -> float:
+    """Rise of the sum of squares if a law's numbers were 0, by the linear model."""
+    free = fit.problem.free
+    own = [free.index(name) for name in law.numbers]
+    shape = [free.index(name) for name in law.shape]
+    rest = [k for k in range(len(free)) if k not in own and k not in shape]
+    size = np.array([getattr(fit.motor, name) for name in law.numbers])
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal.matrix), 1e-300))
+    matrix = normal.matrix * np.outer(scale, scale)
+    cross = np.linalg.lstsq(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, own)], rcond=1e-12)[0]
+    left = matrix[np.ix_(own, own)] - matrix[np.ix_(own, rest)] @ cross
+    size = size / scale[own]
+    return float(size @ left @ size)
+
+
+class Columns:
+    """Further columns beside those of a fit, for laws that it has not.
+
+    smooth   laws whose columns are taken at once: those without a shape, and with a derivative at 0
+    """
+
+    def __init__(self, fit: Fit, rows: Rows, smooth: Sequence[Departure] = ()) -> None:
+        self._fit, self._rows = fit, rows
+        self.base = Normal.of(rows, fit.problem.cut)
+        self._smooth: dict[str, Array] = {}
+        if smooth:
+            names = [name for law in smooth for name in law.numbers]
+            found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
+            self._smooth = dict(zip(names, self._white(found.by_number, names).T, strict=True))
+
+    def gains(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[float, Array, float]]:
+        """``gain`` for each of the trials, and the second value of ``of``; waves over the angle in one go."""
+        found = list(self.of_all(law, trials))
+        if law.shape != (ORDER,):
+            yield from ((*self.gain(added), scale) for added, scale in found)
+            return
+        added = np.column_stack([column for column, _ in found])
+        normal = self.normal(np.nan_to_num(added, posinf=0.0, neginf=0.0))
+        for k, (column, scale) in enumerate(found):
+            is_number = bool(np.isfinite(column).all())
+            yield *(self._gain(normal, np.array([2 * k, 2 * k + 1])) if is_number else (math.nan, np.zeros(2))), scale
+
+    def of_all(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[Array, float]]:
+        """``of`` for each of the trials; those of a wave over the angle in one go."""
+        if law.shape != (ORDER,):
+            yield from (self.of(law, trial) for trial in trials)
+            return
+        fit = self._fit
+        found = fit.problem.cut.derivatives(fit.motor, fit.starts, (), [trial[ORDER] for trial in trials])
+        white = self._white(found.by_number, law.numbers * len(trials))
+        yield from ((white[:, 2 * k : 2 * k + 2], 1.0) for k in range(len(trials)))
+
+    def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
+        """Derivatives by the law's numbers at 0, (n, k), whitened as the residual, and 1.0.
+
+        Where the trial gives the numbers themselves, the column is the whole change that they make, and the second
+        value is 0.
+        """
+        fit = self._fit
+        if all(name in self._smooth for name in law.numbers):
+            return np.column_stack([self._smooth[name] for name in law.numbers]), 1.0
+        cut, motor = fit.problem.cut, fit.motor._replace(**trial)
+        if any(name in trial for name in law.numbers):
+            change = cut.readings(motor, fit.starts) - cut.readings(fit.motor, fit.starts)
+            known = fit.problem.known
+            beside = np.zeros(0) if known is None else known.off(motor) - known.off(fit.motor)
+            return np.concatenate((self._weighed(change[:, None]), beside[:, None])), 0.0
+        found = cut.derivatives(motor, fit.starts, [index(name) for name in law.numbers])
+        return self._white(found.by_number, law.numbers), 1.0
+
+    def of_change(self, change: Array) -> Array:
+        """A change of the readings, (n, 1), rad for 1 of a law, whitened; nothing beside the tests tells of it."""
+        known, white = self._fit.problem.known, self._weighed(change)
+        return white if known is None else np.concatenate((white, np.zeros((known.root.shape[0], change.shape[1]))))
+
+    def gain(self, added: Array) -> tuple[float, Array]:
+        """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes.
+
+        nan for a law that the motor cannot be followed with.
+        """
+        if not np.isfinite(added).all():
+            return math.nan, np.zeros(added.shape[1])
+        return self._gain(self.normal(added), np.arange(added.shape[1]))
+
+    def _gain(self, normal: Normal, of: NDArray[np.int64]) -> tuple[float, Array]:
+        """``gain`` of some of the columns behind the fit's own: ``of`` says which."""
+        m = self._rows.by_number.shape[1]
+        at = np.concatenate((np.arange(m), m + of))
+        scale = np.sqrt(np.maximum(np.diag(normal.raw)[at], 1e-300))
+        matrix, gradient = normal.matrix[np.ix_(at, at)] / np.outer(scale, scale), normal.gradient[at] / scale
+        with_it = np.linalg.lstsq(matrix, gradient, rcond=1e-11)[0]
+        alone = np.linalg.lstsq(matrix[:m, :m], gradient[:m], rcond=1e-11)[0]
+        return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]
+
+    def normal(self, added: Array) -> Normal:
+        """The normal equations with the columns ``added``, 1 per unit of their numbers, behind the fit's own."""
+        rows = self._rows
+        both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
+        return Normal.of(both, self._fit.problem.cut)
+
+    def _white(self, columns: Array, names: Sequence[str]) -> Array:
+        """Derivatives by these numbers, whitened; behind them those of what is known from beside the tests."""
+        known = self._fit.problem.known
+        white = self._weighed(columns)
+        return white if known is None else np.concatenate((white, known.by(names)))
+
+    def _weighed(self, columns: Array) -> Array:
+        problem = self._fit.problem
+        if math.isinf(problem.robust_rad):
+            return problem.whitened(columns)
+        weight = (1.0 + (self._rows.residual_rad / problem.robust_rad) ** 2) ** -0.25 / problem.sigma_rad
+        return weight[:, None] * columns

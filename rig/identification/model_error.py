@@ -1,0 +1,169 @@
+"""Errors of the model itself: pieces of the tests that say different numbers, and low and high drives that do.
+
+On a motor that is what the model says both are no larger than the scatter of the fit tells, and add nothing. On another
+the pieces differ by more than that, for the noise of each is not the cause: then what they differ by says how far the
+numbers may be off (a sandwich covariance over pieces, and half the difference between the halves with low and with high
+drive). Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands for it, but
+not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a velocity. It stands
+for three laws and more, too, whatever they leave: so many stand in for something that no law here describes.
+
+A law of the catalogue is not quite that of a bench. Where a fit with laws leaves white noise, or the rounding to the
+sensor's steps, its laws are the bench's. Where it leaves more, three tenths of what each law moves a number by stand
+for what it is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identification.chance import chi_squared_quantile, student_975
+from rig.identification.departures.budget import COVERAGE, Entry
+from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
+from rig.identification.departures.fit import start as begin
+from rig.identification.departures.nuisances import OF
+from rig.identification.departures.pieces import Cut
+from rig.model.real_motor import is_plain
+
+Array = NDArray[np.float64]
+
+CHANCE = 0.005 / 3.0  # that pieces of a motor that the model describes seem to differ in a number; it has three
+FEWEST_PIECES = 6
+NORMAL = 3.0  # fourth moment of a normal distribution over the square of its variance
+APART = 1.15  # drive of the half with high drives over that of the other: less tells nothing
+DIFFER = 2.5  # standard deviations by which the halves must differ
+PIECES = "pieces that differ"
+DRIVES = "low and high drive"
+LEFT = "what the model leaves out"
+LIKE = "laws that are only like the bench's"
+ALIKE = 0.3  # of what a law moves a number by
+FARTHEST = 0.5  # of a number: a fit without the law that is farther off has lost its way
+LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
+SHARED = 0.03  # of each number
+MANY_LAWS = 3
+PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
+
+
+class ModelError(NamedTuple):
+    """Lines of the budget, and how many rows say as much as one, >= 1: by how much pieces differ more than noise."""
+
+    lines: tuple[Entry, ...] = ()
+    effect: float = 1.0
+
+
+def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelError:
+    """The lines of the budget for what pieces, and low and high drives, differ by; none where they do not.
+
+    fit        by least squares, with its noise
+    blocks     the tests in blocks: they count where the fit's own pieces are longer
+    predicts   error of its motor in blocks that it has not seen, 1
+    laws       how many it has
+    """
+    leaves = fit.rms_rad > LEAVES * fit.problem.sigma_rad and not (is_plain(fit.motor) and predicts < PREDICTED)
+    if fit.problem.cut.longest_s > 1.01 * blocks.longest_s:
+        given = replace(fit.problem, cut=blocks)
+        at_these = solve(begin(replace(given, free=()), fit.motor))
+        fit = refitted(replace(at_these, problem=given))
+    matrix, gradient = sums_of_pieces(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut.begins)
+    free = fit.problem.free
+    at = [free.index(name) for name in OF if name in free]
+    if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):
+        return ModelError()
+    size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
+    of_pieces, effect = beyond_noise(matrix, gradient, unit(fit), at)
+    lines = (of_pieces, _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
+    found = [
+        Entry(source, *(half * size).tolist())
+        for source, half in zip((PIECES, DRIVES), lines, strict=True)
+        if half.any()
+    ]
+    if leaves or laws >= MANY_LAWS:
+        found.append(Entry(LEFT, *(SHARED * abs(getattr(fit.motor, name)) for name in OF)))
+    return ModelError(tuple(found), effect)
+
+
+def only_like(fit: Fit, bare: Iterable[Fit]) -> tuple[Entry, ...]:
+    """The line for laws that leave more than white noise: what they may be off.
+
+    fit    with its noise
+    bare   for each of its laws the fit without it
+    """
+    if fit.problem.noise.white:
+        return ()
+    here = np.array([getattr(fit.motor, name) for name in OF])
+    there = np.array([[getattr(one.motor, name) for name in OF] for one in bare]).reshape(-1, len(OF))
+    moves = np.minimum(np.abs(there - here), FARTHEST * np.abs(here))
+    half = ALIKE * np.sqrt((moves**2).sum(axis=0))
+    return (Entry(LIKE, *half.tolist()),) if half.any() else ()
+
+
+def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
+    """(k,) half widths that pieces show beyond the scatter of as many rows as count, and how many rows count as one.
+
+    matrix, gradient   (p, m, m) and (p, m): normal equations of each piece
+    noise              variance of its rows
+    at                 (k,) which numbers
+    Degrees of freedom are those of normal pieces as unequal as these are, by what each says of a number and by how far
+    it moves it, whichever are fewer.
+    """
+    inverse = _inverse(matrix.sum(axis=0))
+    moves = -(gradient @ inverse)[:, at]
+    moves = moves - moves.mean(axis=0)
+    count = moves.shape[0]
+    squares = (moves**2).sum(axis=0) * count / max(count - gradient.shape[1] / 2.0, 1.0)
+    naive = np.maximum(np.diag(inverse)[at] * noise, 1e-300)
+    by_noise = np.maximum(np.einsum("ik,pkl,li->pi", inverse[at], matrix, inverse[:, at]), 0.0)
+    effective = np.maximum(np.minimum(_as_many(by_noise) - 1.0, NORMAL * _as_many(moves**2) - 2.0), 1.0)
+    bar = np.array([chi_squared_quantile(one, CHANCE) / one for one in effective])
+    half = np.array([student_975(one) for one in effective]) * np.sqrt(squares)
+    differ = squares > bar * naive
+    ratio = squares / naive
+    effect = max(1.0, float(np.exp(np.log(ratio[differ]).mean()))) if differ.any() else 1.0
+    beyond = np.sqrt(np.maximum(half**2 - COVERAGE**2 * naive * effect, 0.0))
+    return np.where(differ, beyond, 0.0), effect
+
+
+def _as_many(squares: Array) -> Array:
+    """(k,) by how many of equal size the (p, k) ``squares`` count (Satterthwaite, Biometrics Bulletin 2, 1946)."""
+    return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
+
+
+def _drives(matrix: Array, gradient: Array, at: Sequence[int], drive_V: Array) -> Array:
+    """(3,) half the difference between the halves with low and with high drive, less what chance makes it."""
+    nothing = np.zeros(len(at))
+    high = drive_V > np.median(drive_V)
+    if min(np.count_nonzero(high), np.count_nonzero(~high)) < FEWEST_PIECES // 2:
+        return nothing
+    if drive_V[high].mean() < APART * drive_V[~high].mean():
+        return nothing
+    found, variance = [], []
+    for half in (high, ~high):
+        inverse = _inverse(matrix[half].sum(axis=0))
+        moves = -(gradient[half] @ inverse)[:, at]
+        found.append(moves.sum(axis=0))
+        off = moves - moves.mean(axis=0)
+        variance.append((off**2).sum(axis=0) * len(off) / max(len(off) - 1, 1))
+    difference, chance = found[0] - found[1], variance[0] + variance[1]
+    shows = difference**2 > DIFFER**2 * chance
+    return np.where(shows, 0.5 * np.sqrt(np.maximum(difference**2 - chance, 0.0)), 0.0)
+
+
+def _drive_V(cut: Cut) -> Array:
+    """(p,) RMS drive of each piece, V."""
+    found = []
+    for window, rows in zip(cut.windows, cut.rows, strict=True):
+        steps = window.steps
+        u_V = steps.u_V[np.maximum(np.searchsorted(steps.edge_s, window.t_s, side="right") - 1, 0)]
+        found.append(np.sqrt(np.add.reduceat(u_V**2, rows) / np.diff(np.append(rows, u_V.size))))
+    return np.concatenate(found)
+
+
+def _inverse(matrix: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(
+        np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    )

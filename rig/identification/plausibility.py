@@ -1,0 +1,390 @@
+"""Signs that the columns of a recording are not what their names say. A fit alone cannot notice this.
+
+A motor in milliseconds and millivolts fits just as well. So each column is compared with what a bench with a small
+motor, its sensor and its logger can show. A column outside this range is refused, with a question. The estimate is
+doubtful if both the column and a thousand times or a thousandth of it are possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identification.estimate import Estimate, Verdict
+from rig.run_folder.recording.series import TimeSeries
+
+Array = NDArray[np.float64]
+
+LONGEST_PERIOD_S = 0.5  # between samples: longer than any motor's time constant
+SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of positions
+SHORTEST_RECORD_S = 0.1
+LARGEST_SPAN_RAD = 40.0  # six turns
+SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
+FINE_RAD = 0.05  # 126 steps a turn; in degrees it would be 7,200
+COARSE_STEP_RAD, COARSEST_STEP_RAD = 0.1, 0.5  # 63 and 13 steps a turn
+LARGEST_DRIVE_V = 100.0
+SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
+LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
+SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
+GAP_PERIODS = 5.0
+
+TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
+JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
+SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
+SPIKE_NOISES = 10.0  # and by so many standard deviations of the noise
+MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of position is motion,
+MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
+FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
+RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
+TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
+LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
+FEW_LEVELS = 8
+# Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
+# them; rows over which a speed is taken; how speed and drive are correlated there.
+TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
+SAY_UNIT = "The column's name says rad: if it is right, type --position y_rad:rad; if not, the unit in place of rad"
+
+
+class Objection(NamedTuple):
+    """A reason not to trust a recording or a motor, with what to do, and the verdict that it gives."""
+
+    verdict: Verdict
+    reason: str
+    spoils: bool = True  # whether no better fit mends it
+
+
+def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) -> list[Objection]:
+    """Objections to the recordings: units, columns that do not belong together, gaps, too little motion.
+
+    motor   as it was fitted; None: not known. A quick one turns within a row or two, and that is no spike
+    Of many tests of a run that are alike in one of them, the first one is named.
+    """
+    found: dict[tuple[object, ...], list[Objection]] = {}
+    # a test of a run may end in the middle of a swing, where another took its place: what it lacks, others tell
+    is_told = any(not _lacks(test) for test in tests if test.stage is not None)
+    run_rad = max((float(np.ptp(test.y_rad)) for test in tests if test.stage is not None), default=0.0)
+    for k, test in enumerate(tests):
+        told = is_told and test.stage is not None
+        span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
+        columns = _columns(test, span_rad)
+        looks = (_units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
+        for place, look in enumerate((_columns,) if columns else looks):
+            for number, one in enumerate(columns or look(test)):
+                of = (place, number, one.verdict) if test.stage is not None else (place, number, one.verdict, k)
+                found.setdefault(of, []).append(one)
+    if not one_way(tests):
+        found = {of: each for of, each in found.items() if each[0].spoils}
+    return [first if not others else _as_in_others(first, len(others)) for first, *others in found.values()]
+
+
+def _as_in_others(first: Objection, others: int) -> Objection:
+    tests = "another test" if others == 1 else f"{others} other tests"
+    return first._replace(reason=f"{first.reason} (and {tests} alike)")
+
+
+def _lacks(test: TimeSeries) -> list[Objection]:
+    """What a test lacks that others of the run can tell."""
+    return [*_little(test), *_information(test)]
+
+
+def is_cut_off(test: TimeSeries) -> bool:
+    """Whether the position stays at one end of its travel, as beyond the end of a sensor's range."""
+    return bool(_rails(test))
+
+
+def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
+    """Objections to a fitted motor: a time constant that points to another unit of time."""
+    tau = estimate.tau_s
+    period = max(test.period_s for test in tests)
+    if tau > LONGEST_TAU_S:
+        current = "or is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
+        reason = f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}"
+        return [Objection("refused", reason, spoils=_shortest_tau_s(estimate) > LONGEST_TAU_S)]
+    if tau < SHORTEST_TAU_S:
+        return [Objection("refused", f"tau = {tau:.3g} s is no motor's: is t_s in seconds, not in ks or minutes?")]
+    if tau > LONG_TAU_S and period >= 1e3 * SHORTEST_PERIOD_S:
+        return [Objection("doubtful", f"tau = {tau:.3g} s with samples {period:.3g} s apart: is t_s in milliseconds?")]
+    if tau < SHORT_TAU_S:
+        return [Objection("doubtful", f"tau = {tau:.3g} s is very short: is t_s in seconds, not in ks or minutes?")]
+    return []
+
+
+def _shortest_tau_s(estimate: Estimate) -> float:
+    """The shortest tau that a motor of this estimate may have, at 95 %: what a record shows of a long one is 1 / tau.
+
+    Where even a small motor's is as likely, it is tau that the record does not say, and the columns may be right.
+    """
+    low_s, high_s = estimate.ci95.get("tau_s", (estimate.tau_s, estimate.tau_s))
+    return estimate.tau_s / (1.0 + 0.5 * (high_s - low_s) / estimate.tau_s)
+
+
+def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
+    """Signs that u and y are not the drive and the position of one motor, which moves over ``span_rad``."""
+    y, u = test.y_rad, test.u_V
+    name = test.name
+    y_levels, u_levels = np.unique(y).size, np.unique(u).size
+    if 1 < y_levels <= FEW_LEVELS and u_levels > 4 * y_levels:
+        return [
+            Objection(
+                "refused",
+                f"{name}: y_rad has {y_levels} different values and u_V {u_levels}: are the two columns swapped?",
+            )
+        ]
+    if float(np.ptp(y)) == 0.0:
+        return []  # the fit reports that
+    steps = np.abs(np.diff(y))
+    k = int(np.argmax(np.where(np.diff(test.t_s) < 2.0 * test.period_s, steps, 0.0)))
+    if steps[k] > JUMP * span_rad and steps[k] > _motion(test):
+        row = test.first_row + k
+        return [
+            Objection(
+                "refused",
+                f"{name}: the position jumps by {steps[k]:.3g} rad between rows {row} and {row + 1}: unwrap the angle, "
+                f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
+            )
+        ]
+    if _lacks_sign(test):
+        return [
+            Objection(
+                "refused",
+                f"{name}: the drive is never negative, and the shaft turns both ways, the faster the larger the drive: "
+                "the drive's sign is missing; log it with the sign of the direction",
+            )
+        ]
+    if _turns_against_drive(test):
+        return [
+            Objection(
+                "refused",
+                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad (where units are given: "
+                "--reversed), or are they swapped?",
+            )
+        ]
+    return []
+
+
+def _lacks_sign(test: TimeSeries) -> bool:
+    """Whether the drive is a mere size: never negative, and the shaft turns backwards the faster the larger it is.
+
+    A load that turns the shaft back does so the slower, the more the drive holds against it.
+    """
+    u, y = test.u_V, test.y_rad
+    if u.min() < 0.0 or u.max() <= 0.0 or y.size < FEWEST_BACK:
+        return False
+    rows = min(y.size // 4, SMOOTH_ROWS)
+    v = (y[rows:] - y[:-rows]) / (test.t_s[rows:] - test.t_s[:-rows])
+    at = u[rows // 2 : rows // 2 + v.size]
+    back = v < -TURNS_BACK * float(np.abs(v).max())
+    if int(back.sum()) < max(FEWEST_BACK, TURNS_BACK * v.size) or np.ptp(y) <= 2.0 * _motion(test):
+        return False
+    if np.ptp(at[back]) == 0.0:
+        return bool(at[back][0] == u.max())
+    return float(np.corrcoef(-v[back], at[back])[0, 1]) > FASTER_BACK
+
+
+def _turns_against_drive(test: TimeSeries) -> bool:
+    """Whether the drive takes work out of the motor, sum of u dy < 0, by more than noise could explain."""
+    u, y = test.u_V, test.y_rad
+    work = float(u[:-1] @ np.diff(y))
+    scatter = test.noise_rad() * float(np.sqrt(np.sum(np.diff(u) ** 2) + u[0] ** 2 + u[-1] ** 2))
+    return work < -5.0 * scatter
+
+
+def _units(test: TimeSeries) -> list[Objection]:
+    name, period = test.name, test.period_s
+    y, span, largest = test.y_rad, float(np.ptp(test.y_rad)), float(np.abs(test.u_V).max())
+    duration = float(test.t_s[-1] - test.t_s[0])
+    found: list[Objection] = []
+
+    def object_to(verdict: Verdict, reason: str) -> None:
+        found.append(Objection(verdict, f"{name}: {reason}"))
+
+    if period > LONGEST_PERIOD_S:
+        object_to("refused", f"samples are {period:.3g} s apart: is t_s in milliseconds?")
+    elif period < SHORTEST_PERIOD_S:
+        cure = "is t_s in seconds? If it is, keep every tenth row"
+        object_to("refused", f"samples are {period:.3g} s apart: {cure}")
+    elif duration < SHORTEST_RECORD_S:
+        object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
+
+    step = test.resolution_rad()
+    said = _say_unit(test)
+    if test.units_stated:
+        pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
+    elif span > 2.0 and bool(np.all(y == np.round(y))):
+        object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
+    elif max(step, test.noise_rad()) < FINE_RAD:
+        pass  # as fine as an encoder's radians: no sign of degrees, and the column's name says rad
+    elif span > LARGEST_SPAN_RAD:
+        object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
+    elif span > LARGE_SPAN_RAD:
+        object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
+    elif step > COARSEST_STEP_RAD:
+        object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees? {said}")
+    elif step >= COARSE_STEP_RAD or test.noise_rad() > COARSE_STEP_RAD:
+        coarse = max(step, test.noise_rad())
+        object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees? {said}")
+
+    if largest > LARGEST_DRIVE_V:
+        object_to("refused", f"the drive reaches {largest:.3g} V: is u_V in mV or in duty counts?")
+    elif 0.0 < largest < SMALLEST_DRIVE_V:
+        object_to("refused", f"the drive never exceeds {1e3 * largest:.2g} mV: is u_V in V?")
+    elif 0.0 < largest < SMALL_DRIVE_V:
+        object_to("doubtful", f"the drive never exceeds {1e3 * largest:.2g} mV: is u_V in V?")
+    return found
+
+
+def _holes(test: TimeSeries) -> list[Objection]:
+    """Holes in the samples."""
+    found: list[Objection] = []
+    steps = np.diff(test.t_s)
+    k = int(np.argmax(steps))
+    allowed_s = GAP_PERIODS * test.period_s
+    if test.t_u_s is not None:
+        allowed_s = max(allowed_s, TIMED_GAP_S)
+    if steps[k] > allowed_s:
+        found.append(
+            Objection(
+                "doubtful",
+                f"{test.name}: gap of {steps[k]:.3g} s after row {test.first_row + k}, where the drive is "
+                "unknown: identify the part before or after it",
+            )
+        )
+    return found
+
+
+def one_way(tests: Sequence[TimeSeries]) -> bool:
+    """Whether all tests together turn the shaft one way only, but for what noise and the sensor's steps explain."""
+    ways = [_ways_rad(test) for test in tests]
+    return not any(forth >= _motion(test) for (forth, _), test in zip(ways, tests, strict=True)) or not any(
+        back >= _motion(test) for (_, back), test in zip(ways, tests, strict=True)
+    )
+
+
+def _ways_rad(test: TimeSeries) -> tuple[float, float]:
+    """Longest way towards +y and towards -y, rad."""
+    y = test.y_rad
+    return float(np.max(y - np.minimum.accumulate(y))), float(np.max(np.maximum.accumulate(y) - y))
+
+
+def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
+    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau."""
+    if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
+        return 0.0
+    fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
+    return fastest * test.period_s * min(1.0, test.period_s / motor.tau_s)
+
+
+def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
+    """Single positions that differ from the median of their neighbours by more than a reversal explains."""
+    y = test.y_rad
+    if y.size < 5:
+        return []
+    windows = np.lib.stride_tricks.sliding_window_view(y, 5)
+    off = np.abs(y[2:-2] - np.median(windows, axis=1))
+    k = int(np.argmax(off))
+    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad(), _turn_rad(test, motor)):
+        return [
+            Objection(
+                "doubtful",
+                f"{test.name}: the position in row {test.first_row + k + 2} differs by {off[k]:.2g} rad from "
+                "the rows around it: correct or delete this row",
+            )
+        ]
+    return []
+
+
+def _rails(test: TimeSeries) -> list[Objection]:
+    """Positions that stay exactly at one end of the travel in spite of noise: the end of the sensor's range.
+
+    A reading that stays there at 0 V is a shaft at rest: only rows under a drive count.
+    """
+    y, step = test.y_rad, test.resolution_rad()
+    driven = np.concatenate(([0], np.cumsum(test.u_V != 0.0)))
+    if test.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):
+        return []  # without visible noise the reading of a turning shaft can stay at one step, too
+    found = []
+    for end in (float(y.min()), float(y.max())):
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], y == end, [False]))))
+        begins, lengths = edges[::2], edges[1::2] - edges[::2]
+        under_drive = driven[edges[1::2]] - driven[begins]
+        k = int(np.argmax(under_drive))
+        row = int(begins[k])
+        if under_drive[k] >= RAIL_ROWS and not _turns(test, row, row + int(lengths[k])):
+            first = test.first_row + row
+            found.append(
+                Objection(
+                    "doubtful",
+                    f"{test.name}: the position stays at exactly {end:.4g} rad from row {first} to row "
+                    f"{first + int(lengths[k]) - 1}: is it the end of the sensor's range or travel? Keep off it",
+                )
+            )
+    return found
+
+
+def _turns(test: TimeSeries, first: int, stop: int) -> bool:
+    """Whether the shaft may just turn in these rows, within one step of a sensor that shows no more noise than that."""
+    y, step, rows = test.y_rad, test.resolution_rad(), stop - first
+    ahead, behind = y[max(first - rows, 0) : first + 1], y[stop - 1 : stop + rows]
+    return test.noise_rad() <= step and max(float(np.ptp(ahead)), float(np.ptp(behind))) <= TURN_STEPS * step
+
+
+def _say_unit(test: TimeSeries) -> str:
+    """How to say what the unit is: of a run of rig its config does."""
+    return SAY_UNIT if test.stage is None else "See calibration in its config"
+
+
+def _little(test: TimeSeries) -> list[Objection]:
+    """So little motion that it may be in another unit."""
+    span = float(np.ptp(test.y_rad))
+    if 0.0 < span < SMALLEST_SPAN_RAD:
+        cause = f"positions span {1e3 * span:.2g} mrad in all: is y_rad in rad? If it is, move further"
+        return [Objection("refused", f"{test.name}: {cause}")]
+    if 0.0 < span < SMALL_SPAN_RAD and not test.units_stated:
+        cause = f"positions span only {1e3 * span:.2g} mrad: is y_rad in rad? {_say_unit(test)}"
+        return [Objection("doubtful", f"{test.name}: {cause}")]
+    return []
+
+
+def _information(test: TimeSeries) -> list[Objection]:
+    """Motion that cannot separate the parameters, in any fit."""
+    y = test.y_rad
+    motion = _motion(test)
+    forth, back = _ways_rad(test)
+    if 0.0 < max(forth, back) < 2.0 * motion:
+        return [
+            Objection(
+                "refused",
+                f"{test.name}: the position moves by {1e3 * max(forth, back):.2g} mrad, no more than its noise: "
+                "record with a drive above friction",
+            )
+        ]
+    step = test.resolution_rad()
+    coarse = []
+    if float(np.ptp(y)) < FEWEST_STEPS * step:
+        coarse = [
+            Objection(
+                "doubtful",
+                f"{test.name}: the position moves over {float(np.ptp(y)) / step:.0f} sensor steps only: record "
+                f"at least {FEWEST_STEPS:.0f}, with larger cycles or a finer sensor",
+            )
+        ]
+    if 0.0 < min(forth, back) < motion or min(forth, back) == 0.0 < max(forth, back):
+        return [
+            *coarse,
+            Objection(
+                "refused",
+                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is "
+                "what both take that way: record a drive that moves it both ways",
+                spoils=False,
+            ),
+        ]
+    return coarse
+
+
+def _motion(test: TimeSeries) -> float:
+    """Smallest change of position that noise and the sensor's steps cannot explain, rad."""
+    return max(MOVED_NOISES * test.noise_rad(), MOVED_STEPS * test.resolution_rad())

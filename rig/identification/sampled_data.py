@@ -1,0 +1,341 @@
+"""The sampled-data estimator (docs/theory.md 7.2, 7.4 and 7.6): predict the recorded position under the recorded drive.
+
+The voltage is known exactly at every sample. So the exact motor under the recorded drive can be fitted to the recorded
+positions by least squares; the curve needs no features such as edges or extrema. Any drive that moves the motor in both
+directions will do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identification.chance import student_975
+from rig.identification.departures.fit import Enough
+from rig.identification.driven import together
+from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.estimator import Estimator
+from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
+from rig.identification.measurements import Measurements
+from rig.identification.noise import noise_of
+from rig.identification.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
+from rig.identification.plausibility import one_way
+from rig.identification.repetition import repeated_share, repetitions, with_repetition
+from rig.identification.sampled_data_verdict import NEGLIGIBLE, confounding, judge
+from rig.identification.side_by_side import side_by_side
+from rig.identification.starts import Start, grid_starts, ridge_starts
+from rig.identification.thinning import thinned
+from rig.identification.verdict import spread_rad as test_spread_rad
+from rig.model.real_motor import RealMotor
+from rig.model.sensitivity import Theta, position
+from rig.run_folder.recording.errors import IdentifyError
+from rig.run_folder.recording.series import TimeSeries, Window, joined_times_s, spread_rad
+from rig.run_folder.recording.stage import StageKind
+
+Array = NDArray[np.float64]
+
+METHOD = "sampled-data"
+POLISHED = 3  # number of starts that are iterated
+FIRST_CYCLES = 2.5  # length of the first part of the recording, in cycles: the starts are compared there
+NEAR_PERIODS = 4.0  # periods between two delays to start from
+NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
+PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
+BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
+ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
+ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
+EXACT = 1e-7  # residual over the spread of positions that is only rounding
+
+
+class SampledData(Estimator):
+    """The estimator to use. It takes any drive, as it acted: the guard may have changed it."""
+
+    name = METHOD
+
+    def fit(self, data: Measurements) -> Estimate:
+        """From everything driven. Start along the ridge of the first cycle; without a cycle, from a coarse grid."""
+        starts = None
+        if data.settled:
+            first = data.settled[0]
+            starts = ridge_starts(first.omega_rad_s, first.amplitude_rad, first.h1_V, first.h2_V)
+        searches = [test for test in data.tests if test.stage is not None and test.stage.kind is StageKind.SEARCH]
+        tests, beside, periods_s = data.tests, data.beside, data.periods_s
+        if 0 < len(searches) < len(tests):  # the others tell too little alone
+            tests, beside, periods_s = searches, [*tests[len(searches) :], *beside], [None] * len(searches)
+        of_tests = nearest(fit(tests, starts, periods_s=periods_s), tests, periods_s)
+        found = together(of_tests, tests, beside)
+        estimate = replace(found.estimate, remarks=found.remarks)
+        # a search that stands for tests does not speak for those that it contradicts
+        replaced = tuple(f"{test.name}: " for test in data.tests[len(searches) :]) if tests is searches else ()
+        objections = [*found.objections, *(remark for remark in found.remarks if remark.startswith(replaced))]
+        return estimate.judged("doubtful", *objections) if objections else estimate
+
+    def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
+        """Judge it by the motion in every sample."""
+        return judge(estimate, data.tests)
+
+    def notes(self, estimate: Estimate, data: Measurements) -> list[str]:
+        """Records left out, the cost of an unknown delay, and changes of the drive by the guard."""
+        return [*estimate.remarks, *filter(None, [confounding(estimate)]), *data.guarded]
+
+
+def fit(
+    tests: Sequence[TimeSeries],
+    starts: Sequence[Start] | None = None,
+    *,
+    free_delay: bool | None = None,
+    periods_s: Sequence[float | None] | None = None,
+) -> Estimate:
+    """Fit one motor to all tests.
+
+    The first fit takes the noise for white. If its residual is coloured, the fit is repeated with that noise.
+
+    tests       each has its own initial state
+    starts      first guesses; default: a coarse grid, scored by simulation
+    free_delay  whether to fit a constant delay, between -1 period and `TimeSeries.longest_delay_s`; default: only if a
+                test has no t_u_s
+    periods_s   for each test the period of its limit cycle, s, or None without a cycle; default: the drive's period
+    Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; `SampledData.judge` judges it.
+    Raises IdentifyError if there is nothing to fit.
+    """
+    free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
+    problem = _problem(tests, free)
+    guesses = list(starts) if starts else grid_starts(problem.windows)
+    given = periods_s or [None] * len(tests)
+    periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
+    cycles_s = [period for period in periods if period is not None]
+    best = _of_fewer_rows(problem, tests, guesses, cycles_s)
+    if best is None:
+        best = _extended(problem, _candidates(problem, guesses), cycles_s)
+    problem, best = _with_noise(problem, best)
+    return _estimate(problem, best, tests, periods)
+
+
+def _of_fewer_rows(
+    problem: OutputErrorProblem, tests: Sequence[TimeSeries], starts: Sequence[Start], periods_s: Sequence[float]
+) -> Solution | None:
+    """The solution for long tests from that of fewer rows; None where the tests are short, or tau is for those rows."""
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    if rows < 2:
+        return None
+    try:
+        thin = _problem([thinned(test, rows) for test in tests], problem.free[4])
+    except IdentifyError:
+        return None
+    thin = replace(thin, delay_bounds_s=problem.delay_bounds_s)
+    first = _extended(thin, _candidates(thin, starts), periods_s)
+    if math.exp(first.x[0]) < ROWS_OF_TAU * max(window.period_s for window in thin.windows):
+        return None
+    states = [value for window in problem.windows for value in initial_state(window)]
+    return problem.solve(np.concatenate((first.x[:SHARED], states))).after(first)
+
+
+def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]) -> Estimate:
+    """``found``, or a motor from pieces of the tests where ``found`` leaves more than noise, and that predicts better.
+
+    Over the whole tests a fit may end anywhere. So it is tried again from the motor of the pieces; and where the tests
+    do not bear a plain motor over their whole length, the pieces' own motor is the estimate.
+    """
+    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    leaves = found.rms_rad > max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
+    if found.converged and not leaves:
+        return found
+    free = any(test.t_u_s is None for test in tests)
+    rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
+    thin = [thinned(test, rows) for test in tests]
+    try:
+        pieces, blocks = fit_in_pieces(thin, free_delay=free)
+    except IdentifyError:
+        return found  # too short for pieces
+    motor = pieces.motor
+    start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
+    again = fit(tests, [start], free_delay=free, periods_s=periods_s)
+    if again.converged and (not found.converged or again.rms_rad < found.rms_rad):
+        found = again
+    if found.converged and not found.rms_rad > PIECES_FROM * noise:
+        return found
+    delay_s = found.delay_s if free else 0.0
+    of_whole = RealMotor(found.tau_s, found.K_rad_s_V, max(found.fc_V, 0.0), found.asym_V, delay_s)
+    if found.converged and blocks.error(motor, pieces.problem) > BETTER * blocks.error(of_whole, pieces.problem):
+        return found
+    return of_pieces(pieces, found, tests)
+
+
+def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProblem:
+    """The fit as a problem of least squares with white noise. Raises IdentifyError if nothing changes in a test."""
+    # A delay of 0 must not lie at a bound, and a column that is off by a row shows as a negative delay.
+    earliest = min(test.earliest_delay_s for test in tests)
+    bounds = (earliest, max(test.longest_delay_s for test in tests)) if free_delay else (0.0, 0.0)
+    windows = tuple(test.predictable(bounds[1]) for test in tests)
+    for test, window in zip(tests, windows, strict=True):
+        still = "position" if np.ptp(window.y_rad) == 0.0 else "drive" if window.steps.u_V.size < 2 else None
+        if still is not None:
+            raise IdentifyError(
+                f"{test.name}: the {still} never changes",
+                "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
+            )
+    return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), free_delay))
+
+
+def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
+    """The full vectors of the starts that promise most, the best first."""
+    windows = problem.windows
+    states = [initial_state(window) for window in windows]
+    target = np.concatenate([_without_line(window.t_s, window.y_rad) for window in windows])
+    scored = []
+    for delay_s in _first_delays(problem):
+        for one in starts:
+            cost, gain = _score(windows, states, target, one, delay_s)
+            scored.append((cost, one._replace(K_rad_s_V=gain), delay_s))
+    best = sorted(scored, key=lambda candidate: candidate[0])[:POLISHED]
+    return [_full_vector(windows, states, one, delay_s, free_asym=problem.free[3]) for _, one, delay_s in best]
+
+
+def _first_delays(problem: OutputErrorProblem) -> list[float]:
+    """Delays to start from, s: the middle of what is possible; where that is many periods wide, several."""
+    low_s, high_s = problem.delay_bounds_s
+    period_s = max(window.period_s for window in problem.windows)
+    if all(window.series.delay_s is None for window in problem.windows):
+        return [0.5 * high_s]
+    apart = max(1, round((high_s - low_s) / (NEAR_PERIODS * period_s)))
+    return [low_s + (high_s - low_s) * (k + 0.5) / apart for k in range(apart)]
+
+
+def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErrorProblem, Solution]:
+    """The problem with the noise that the residual shows, and its solution; both as they are if the noise is white."""
+    for _ in range(NOISE_ROUNDS):
+        if _exact(best, problem.windows):
+            break
+        noise = noise_of(best.residual, joined_times_s(problem.windows), problem.lengths())
+        if noise.white:
+            break
+        problem = replace(problem, noise=noise)
+        best = problem.solve(best.x).after(best)
+    return problem, best
+
+
+def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_s: Sequence[float]) -> Solution:
+    """Solution on the whole recording, by way of ever longer parts of it; ``periods_s``: of the cycles, if any.
+
+    Over a long test a small error of asymmetry or friction grows, and makes false minima. Over a few cycles it does
+    not. So the starts are compared there, and the best one stays near the minimum while the part grows.
+    """
+    last_s = max(window.duration_s for window in problem.windows)
+    horizon_s = FIRST_CYCLES * max(periods_s, default=0.1 * last_s)
+    best: Solution | None = None
+    while True:
+        whole = horizon_s >= last_s
+        windows = problem.windows if whole else tuple(window.until(horizon_s) for window in problem.windows)
+        part = replace(problem, windows=windows)
+        x0s = candidates if best is None else [best.x]
+        rows = sum(window.t_s.size for window in windows)
+        tried = side_by_side(lambda x0, part=part: part.solve(x0, ROUGHLY), x0s, rows)  # type: ignore[misc]
+        found = min(tried, key=lambda solution: solution.cost)
+        if best is not None:
+            found = found.after(best)
+        if whole:
+            return part.solve(found.x).after(found)
+        best = found
+        horizon_s *= 2.0
+
+
+def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
+    """Whether the residual is only rounding."""
+    return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
+
+
+def _score(
+    windows: Sequence[Window], states: Sequence[tuple[float, float]], target: Array, start: Start, delay_s: float
+) -> tuple[float, float]:
+    """Sum of squares of a start whose linear part (gain, offset, drift) is solved, and its gain.
+
+    states  speed and position that each window begins with; target: its positions without their line
+    """
+    gain, cost = start.K_rad_s_V, math.inf
+    for _ in range(1 if math.isfinite(gain) else 3):
+        shapes = []
+        for window, (v0, _y0) in zip(windows, states, strict=True):
+            w0 = v0 / gain if math.isfinite(gain) else 0.0
+            shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, window.t_s)
+            shapes.append(_without_line(window.t_s, shape))
+        shape = np.concatenate(shapes)
+        power = float(shape @ shape)
+        if power <= 0.0 or (fitted := float(shape @ target) / power) <= 0.0:
+            break
+        gain = fitted
+        residual = target - gain * shape
+        cost = float(residual @ residual)
+    return cost, gain if math.isfinite(gain) else 1.0
+
+
+def _full_vector(
+    windows: Sequence[Window], states: Sequence[tuple[float, float]], start: Start, delay_s: float, *, free_asym: bool
+) -> Array:
+    """The vector that a fit starts from. A drift that remains over the recording is asymmetry."""
+    tau, gain, fc = start.tau_s, start.K_rad_s_V, start.fc_V
+    asym = 0.0
+    if free_asym:
+        drifts = []
+        for window, (v0, y0) in zip(windows, states, strict=True):
+            y = position(Theta(tau, gain, fc, 0.0, delay_s, v0, y0), *window.steps, window.t_s)
+            drifts.append(float(np.polyfit(window.t_s - window.t_s[0], window.y_rad - y, 1)[0]))
+        asym = float(np.mean(drifts)) / gain
+    shared = [math.log(tau), math.log(gain), fc, asym, delay_s]
+    return np.array(shared + [value for state in states for value in state])
+
+
+def _without_line(t_s: Array, y: Array) -> Array:
+    x = t_s - t_s.mean()
+    return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
+
+
+def _estimate(
+    problem: OutputErrorProblem, best: Solution, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]
+) -> Estimate:
+    mask = problem.mask()
+    scale = np.ones(mask.size)
+    tau, K = math.exp(best.x[0]), math.exp(best.x[1])
+    scale[:2] = tau, K
+    jacobian = problem.whiten(best.jacobian[:, mask] / scale[mask])
+    residual = problem.whiten(best.residual)
+    covariance, freedom = covariance_of(jacobian, residual)
+    pairs = repetitions(problem.windows, periods_s)
+    share = repeated_share(residual, pairs)
+    covariance = with_repetition(covariance, jacobian, pairs, share)
+    full = np.zeros((mask.size, mask.size))
+    full[np.ix_(mask, mask)] = covariance
+    shared = full[:SHARED, :SHARED]
+    delay, delay_error = best.x[4], math.sqrt(shared[4, 4])
+    if not problem.free[4]:
+        latency = np.concatenate([r.t_u_s - r.t_s for r in tests if r.t_u_s is not None])
+        delay = float(latency.mean())
+        delay_error = float(latency.std() / math.sqrt(latency.size))
+    values = (tau, K, float(best.x[2]), float(best.x[3]), float(delay))
+    quantile = student_975(freedom)
+    errors = [*np.sqrt(np.diag(shared))[:4].tolist(), delay_error]
+    if not problem.free[3]:
+        errors[3] = math.inf  # one way only: fc_V is what friction and asymmetry take that way
+    estimate = Estimate(
+        METHOD,
+        *values,
+        ci95={
+            name: (value - quantile * error, value + quantile * error)
+            for name, value, error in zip(PARAMETERS, values, errors, strict=True)
+        },
+        covariance=shared,
+        rms_rad=math.sqrt(best.cost / best.residual.size),
+        iterations=len(best.iterates),
+        rows=(min(p.rows[0] for p in problem.windows), max(p.rows[1] for p in problem.windows)),
+        iterates=best.iterates,
+        residual_rad=-best.residual,
+        residual_t_s=joined_times_s(problem.windows),
+        repeated=share,
+        coloured=None if problem.noise.white else (problem.noise.memory_s, math.sqrt(problem.noise.ratio)),
+    )
+    if not best.converged:
+        lost = replace(estimate, converged=False)
+        return lost.judged("refused", "the fit did not converge: record more cycles, or with less noise", spoiled=False)
+    return estimate

@@ -1,0 +1,33 @@
+"""Several rows of a long test as one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig.run_folder.recording.series import TimeSeries
+
+
+def thinned(test: TimeSeries, rows: int) -> TimeSeries:
+    """The test with so many rows at a time as one: their first position, and their mean drive.
+
+    A drive with fewer edges than rows that are left keeps each of them where it was. A relay's does: the mean of its
+    two levels is a small drive that no motor had, and a dead band would explain it. A motor takes the mean of a drive
+    that changes within a small part of its tau.
+    """
+    if rows < 2:
+        return test
+    first = np.arange(0, len(test) - rows + 1, rows)
+    spans = np.diff(np.append(test.edge_s, test.edge_s[-1] + test.period_s))
+    whole = np.add.reduceat(spans, first)
+    mean_V = np.add.reduceat(test.u_V * spans, first) / np.where(whole > 0.0, whole, 1.0)
+    return replace(
+        test,
+        t_s=test.t_s[first],
+        y_rad=test.y_rad[first],
+        t_u_s=None if test.t_u_s is None else test.t_u_s[first],
+        even_s=None if test.even_s is None else test.even_s[first],
+        u_V=mean_V,
+        edges=test.steps if test.steps.edge_s.size <= first.size else None,
+    )

@@ -1,0 +1,43 @@
+"""Time stamps of another row: a logger that takes the time of a line before, or after, it reads the position.
+
+Where rows are uneven, the stamps of another row make the motion rough. So the plain motor explains pieces of the tests
+far better with the stamps that belong to them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rig.identification.estimate import Estimate
+from rig.identification.in_pieces import plain_residual_rad
+from rig.run_folder.recording.series import TimeSeries
+
+LEAVES = 3.0  # residual over the sensor's noise from which on other stamps are tried
+UNEVEN = 0.05  # scatter of the steps of time over a period: of more even rows nobody can tell, and it does not matter
+CUTS = 0.5  # residual with the other stamps over that with the own ones, at most
+
+
+def stamps_off_by(tests: Sequence[TimeSeries], plain: Estimate) -> int:
+    """By how many rows the stamps stand too late; -1: each row has that of the row before; 0 where none shows.
+
+    Raises IdentifyError if the tests are too short for pieces.
+    """
+    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    uneven = max(float(np.std(np.diff(test.t_s))) / test.period_s for test in tests)
+    known = any(test.t_u_s is not None or test.edges is not None for test in tests)
+    if known or not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or uneven < UNEVEN:
+        return 0
+    own = plain_residual_rad(tests, plain)
+    other = {rows: plain_residual_rad([_with_stamps_of(test, rows) for test in tests], plain) for rows in (-1, 1)}
+    best = min(other, key=lambda rows: other[rows])
+    return best if other[best] < CUTS * own else 0
+
+
+def _with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
+    """The test with each stamp moved up by a row (-1) or down (1). The row that has none then is left out."""
+    kept, stamps = (slice(0, -1), slice(1, None)) if rows < 0 else (slice(1, None), slice(0, -1))
+    return replace(test, t_s=test.t_s[stamps], y_rad=test.y_rad[kept], u_V=test.u_V[kept], even_s=None)

@@ -1,0 +1,225 @@
+"""One run as `rig compare` sees it: its estimate, what its uncertainty is made of, and its bench."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.path_kind import no_run
+from rig.run_folder.recording.reader import read_meta, read_result
+from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult, known
+
+Array = NDArray[np.float64]
+
+PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
+COVERAGE = 2.0  # of the half widths in a budget
+TYPE_A = "scatter"  # the budget's line of the noise, which the covariance holds already
+
+
+class NotComparableError(Exception):
+    """A run that cannot be compared. The message says why, and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRun:
+    """A run with a usable estimate.
+
+    name         in messages and pictures
+    values       (3,) ln tau (s), ln K ((rad/s)/V), friction in V
+    covariance   (3, 3) of these by the noise (Type A)
+    lines        what else may be wrong, by the budget's sources: (3,) standard deviations of these; None: no budget
+    bench        what the run says of its bench: parts by name; a part may be missing
+    laws         that the run shows
+    largest_V    the largest drive that its answer was measured with, V; nan: not said
+    """
+
+    name: str
+    folder: Path
+    values: Array
+    covariance: Array
+    lines: Mapping[str, Array] | None
+    bench: Mapping[str, object]
+    meta: RunMeta
+    verdict: str
+    laws: tuple[FoundLawResult, ...] = ()
+    notes: tuple[str, ...] = ()
+    temperature_C: float | None = field(default=None)
+    largest_V: float = math.nan
+
+    @property
+    def started(self) -> datetime | None:
+        """When it started; None if meta.json does not say it."""
+        try:
+            found = datetime.fromisoformat(self.meta.started_utc or "")
+        except ValueError:
+            return None
+        return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
+
+    @property
+    def numbers(self) -> Array:
+        """(3,) tau in s, K in (rad/s)/V, friction in V."""
+        return in_units(self.values)
+
+
+def in_units(values: Array) -> Array:
+    """Tau in s, K in (rad/s)/V and friction in V, (3,).
+
+    values   (3,) ln tau (s), ln K ((rad/s)/V), friction in V
+    """
+    return np.array([math.exp(values[0]), math.exp(values[1]), values[2]])
+
+
+def read_run(folder: Path, name: str = "") -> ComparedRun:
+    """Read a run folder's meta.json and result.json.
+
+    name   in messages; default: the folder's
+    Raises RecordingError (`no_run`) if it is no run folder, NotComparableError if it is broken, or its motor unknown.
+    """
+    if not folder.is_dir():
+        raise no_run(folder)
+    try:
+        meta, meta_notes = read_meta(folder)
+        result, notes = read_result(folder)
+    except RecordingError as error:
+        raise NotComparableError(f"its {error.path.name} {error.cause}; {error.cure}") from error
+    if meta is None and result is None:
+        raise no_run(folder)
+    if result is None:
+        raise NotComparableError(
+            "it has no result.json: it was killed, or is still running; `rig report` may still help"
+        )
+    shown = name or folder.resolve().name
+    return of_result(shown, folder, meta or RunMeta(), result, [*meta_notes, *notes])
+
+
+def of_result(name: str, folder: Path, meta: RunMeta, result: RunResult, notes: Sequence[str] = ()) -> ComparedRun:
+    """A run from its two files. Raises NotComparableError if its motor is not known."""
+    if result.models_from is not None:
+        raise NotComparableError(
+            f"it was driven by the models of {result.models_from}, and measured no motor of its own"
+        )
+    answer = result.answer
+    if answer is None:
+        fault = f": {result.faults[0].code} ended it" if result.faults else ""
+        raise NotComparableError(f"it identified no motor{fault}")
+    if answer.is_refused:
+        why = f": {answer.reasons[0]}" if answer.reasons else ""
+        raise NotComparableError(f"its answer is refused{why}")
+    values, covariance = _values(answer)
+    numbers = in_units(values)
+    lines = None
+    if result.budget and answer.u95:
+        scale = np.array([1.0 / numbers[0], 1.0 / numbers[1], 1.0]) / COVERAGE
+        lines = {
+            entry.source: np.array([known(getattr(entry, key)) for key in PARAMETERS]) * scale
+            for entry in result.budget
+            if entry.source != TYPE_A
+        }
+        lines = {source: np.where(np.isfinite(line), line, 0.0) for source, line in lines.items()}
+    return ComparedRun(
+        name, folder, values, covariance, lines, bench_of(meta), meta, answer.verdict,
+        answer.law or (), tuple(notes), largest_V=_largest_V(answer),
+    )  # fmt: skip
+
+
+def _largest_V(answer: Answer) -> float:
+    holds = answer.holds
+    return math.nan if holds is None or holds.drive_V is None else known(holds.drive_V[1])
+
+
+def _values(estimate: EstimateResult) -> tuple[Array, Array]:
+    tau, gain, friction = (known(estimate.value(name)) for name in PARAMETERS)
+    covariance = np.array(estimate.covariance or (), dtype=np.float64)
+    at = [estimate.covariance_of.index(name) for name in PARAMETERS if name in estimate.covariance_of]
+    if not (tau > 0.0 and gain > 0.0 and math.isfinite(friction)):
+        raise NotComparableError("its estimate lacks tau, K or f_c")
+    if len(at) != len(PARAMETERS) or covariance.ndim != 2 or min(covariance.shape) <= max(at):
+        raise NotComparableError("its estimate has no covariance: an older rig wrote it; `rig identify` it anew")
+    scale = np.array([1.0 / tau, 1.0 / gain, 1.0])
+    own = covariance[np.ix_(at, at)] * np.outer(scale, scale)
+    own = 0.5 * (own + own.T)
+    if not (np.all(np.isfinite(own)) and np.all(np.diag(own) > 0.0) and np.linalg.eigvalsh(own)[0] > 0.0):
+        raise NotComparableError("the covariance of its estimate is not known: record more cycles")
+    return np.array([math.log(tau), math.log(gain), friction]), own
+
+
+def bench_of(meta: RunMeta) -> dict[str, object]:
+    """What a run says of its bench, by name: device, motor supply, sensor. What it does not say is missing."""
+    said: dict[str, object] = {}
+    if meta.backend:
+        said["emulated"] = meta.emulated
+        said["device"] = meta.backend.split(":")[0].split(" ")[0]
+    if meta.firmware is not None and meta.firmware.board:
+        said["board"] = meta.firmware.board
+    if meta.drive is not None and meta.drive.supply_V is not None:
+        said["motor supply"] = (meta.drive.supply_V, meta.drive.bridge_drop_V)
+    if meta.sensor is not None:
+        said["sensor"] = (meta.sensor.full_range_rad, meta.sensor.calibration_rad)
+    return said
+
+
+def benches(runs: Sequence[ComparedRun]) -> list[int]:
+    """A number for each run, from 1: runs with one number are of one bench.
+
+    What one of the runs does not say of its bench is not asked of the others.
+    """
+    numbers: dict[tuple[object, ...], int] = {}
+    asked = _said_by_all(runs)
+    return [numbers.setdefault(tuple(run.bench[part] for part in asked), len(numbers) + 1) for run in runs]
+
+
+def bench_differences(runs: Sequence[ComparedRun]) -> list[str]:
+    """The parts of their benches in which runs differ."""
+    return [part for part in _said_by_all(runs) if any(run.bench[part] != runs[0].bench[part] for run in runs)]
+
+
+def _said_by_all(runs: Sequence[ComparedRun]) -> list[str]:
+    return [part for part in runs[0].bench if all(part in run.bench for run in runs)]
+
+
+def shared_variance(runs: Sequence[ComparedRun], bench: Sequence[int]) -> dict[int, Array]:
+    """For each bench the (3,) variances of what moves all its runs alike: the median of their budgets."""
+    budgets: dict[int, list[Array]] = {number: [] for number in bench}
+    for run, number in zip(runs, bench, strict=True):
+        if run.lines:
+            budgets[number].append(np.sum([line**2 for line in run.lines.values()], axis=0))
+    return {
+        number: np.asarray(np.median(known, axis=0), dtype=np.float64) if known else np.zeros(3)
+        for number, known in budgets.items()
+    }
+
+
+def covariance_of(runs: Sequence[ComparedRun], bench: Sequence[int]) -> Array:
+    """The covariance of all runs' values, (3 n, 3 n), run by run.
+
+    Each run's noise is its own. What else may be wrong moves all runs of a bench alike: it cancels between them.
+    Between benches nothing is shared.
+    """
+    whole = np.asarray(block_diag(*(run.covariance for run in runs)), dtype=np.float64)
+    shared = shared_variance(runs, bench)
+    if len(shared) == 1:
+        return whole
+    same = np.equal.outer(bench, bench)
+    return whole + sum(
+        np.kron(same & np.equal.outer(bench, [number] * len(runs)), np.diag(variance))
+        for number, variance in shared.items()
+    )
+
+
+def uncancelled(runs: Sequence[ComparedRun]) -> Array:
+    """The covariance of all runs' values if what else may be wrong is each run's own, (3 n, 3 n).
+
+    That is too much for runs of one bench with tests of one kind, and a bound for any.
+    """
+    blocks = [
+        run.covariance + np.diag(sum((line**2 for line in (run.lines or {}).values()), np.zeros(3))) for run in runs
+    ]
+    return np.asarray(block_diag(*blocks), dtype=np.float64)

@@ -1,0 +1,69 @@
+"""What every tool's export is made of: its files as texts, from templates of this room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import jinja2
+
+from rig.core.errors import RigError
+from rig.core.package import FOLDER
+from rig.output.export.motor import IdentifiedMotor
+from rig.output.export.whole_run import ExportedRun
+
+# A model has no first day: what drifts from the start of the tests to their end. And no torque that is another than its
+# drive.
+IN_NONE: Final = {
+    "drift": "friction stays at its mean over the tests",
+    "load_friction": "friction is that at no torque: a large drive moves the model farther than the motor",
+    "source": "the supply has no resistance: tau is that of small drives",
+}
+# And what has no state in a model of velocity and position, and no inverse.
+NOT_RIGID: Final = {
+    "bristle": "the shaft is rigid where friction holds it: it does not bend",
+    "backlash": "the sensor follows the motor without play",
+    **IN_NONE,
+}
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A tool that loads the model of a run.
+
+    title   for people
+    files   of a motor and its run: content by name of file
+    lacks   parts of a motor that its files cannot express, each with what follows
+    in_N_m  whether its files can be in newton metres
+    """
+
+    title: str
+    files: Callable[[IdentifiedMotor, ExportedRun], dict[str, bytes]]
+    lacks: Mapping[str, str]
+    in_N_m: bool = False
+
+
+class ExportError(RigError):
+    """A motor that a tool has no words for: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+def rendered(template: str, **values: object) -> bytes:
+    """A template of this room, filled in, as UTF-8."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.output.export", "templates"),
+        autoescape=False,  # no markup that a browser reads
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+    )
+    return environment.get_template(template).render(**values).encode("utf-8")
+
+
+def constant(name: str) -> bytes:
+    """A file of this room that is the same for every motor."""
+    return (FOLDER / "output" / "export" / "templates" / name).read_bytes()

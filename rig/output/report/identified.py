@@ -1,0 +1,51 @@
+"""The page of an identification of any recordings: the answer, its picture, and what it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rig.core.package import VERSION
+from rig.identification.identification import Identification
+from rig.output.report import fitted, tables
+from rig.output.report.page import drawn, environment
+from rig.output.report.simulated import picture_of
+from rig.output.report.source import ReportedRun
+from rig.output.report.style import style
+from rig.output.report.words import headline
+from rig.run_folder.recording.folder import write_whole
+from rig.run_folder.results import RunMeta, RunResult
+
+TEMPLATE = "identified.html.j2"
+
+
+def write_identified(found: Identification, records: Sequence[str], path: Path) -> None:
+    """Write the page into a file. Raises CannotWriteError.
+
+    records  what was read, in words; the first names the page
+    """
+    result = RunResult(answer=found.answer, estimates=found.as_result().estimates, **found.evidence)
+    about = RunMeta(backend=", ".join(records), rehearsal=found.rehearsal or None)
+    run = ReportedRun(Path(records[0]), None, about, result)
+    with style():
+        figures = {
+            "simulated": drawn(lambda: picture_of(found, run.backend)),
+            "residual": drawn(lambda: fitted.residuals(run, found.curves)),
+        }
+    page = (
+        environment()
+        .get_template(TEMPLATE)
+        .render(
+            name=Path(records[0]).name,
+            rehearsal=run.rehearsal,
+            records=records,
+            headline=headline(run),
+            figures=figures,
+            estimates=tables.estimates(run),
+            motor_law=tables.motor_law(run),
+            budget=tables.budget(run),
+            notes=found.notes,
+            version=VERSION,
+        )
+    )
+    write_whole(path, page.encode("utf-8"))

@@ -1,0 +1,197 @@
+"""The report: reads a run folder, writes one self-contained report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import jinja2
+
+from rig.core.estimators import ESTIMATORS
+from rig.core.package import VERSION
+from rig.identification import Identification, IdentifyError, identify
+from rig.identification.verdict import PROMISE, RISK
+from rig.output.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
+from rig.output.report.fit import curves_of
+from rig.output.report.source import ReportedRun, load
+from rig.output.report.style import AbsentError, Picture, colour, style
+from rig.output.report.words import driven, headline, rounded
+from rig.run_folder.recording.curves import write_curves
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import write_whole
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.results import LiveResult, RunResult
+
+REPORT = "report.html"
+TEMPLATE = "report.html.j2"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the page: the picture, or the sentence that says why there is none."""
+
+    picture: Picture | None
+    absent: str = ""
+
+
+def write_report(
+    run_folder: Path, identification: Identification | None = None, known: Recording | None = None
+) -> Path:
+    """Write ``report.html`` into a run folder and return its path.
+
+    The page says what is missing from the folder. With ``identification`` curves.json is written, too.
+
+    identification  of this recording; None: identify it here, if the run has no result
+    known           the rows that were read before, so that they are not parsed again
+    Raises FileNotFoundError if ``run_folder`` is no folder, CannotWriteError if the file cannot be written.
+    """
+    run = load(Path(run_folder), known)
+    curves = None if identification is None or run.result.models_from else identification.curves
+    if identification is None and not run.has_result:
+        run, identification = _identify_unfinished(run)
+    page = render_page(run, identification)
+    path = run.folder / REPORT
+    write_whole(path, page.encode("utf-8"))
+    if curves is not None and run.recording is not None:
+        write_curves(run.folder, run.recording, curves)
+    return path
+
+
+def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification | None]:
+    """Identify a run that ended before its result. Returns the run with that result; None if there is nothing."""
+    if run.recording is None or not (run.spans("relay") or run.spans("hysteretic")):
+        return run, None
+    try:
+        found = identify([run.recording])
+    except (IdentifyError, RecordingError) as error:
+        run.notes.append(f"The recording of this run cannot be identified: {error.cause}. What to do: {error.cure}.")
+        return run, None
+    identified = found.as_result()
+    result = RunResult(
+        answer=identified.answer,
+        estimates=identified.estimates,
+        relays=identified.relays,
+        hysteretic=identified.hysteretic,
+        friction_map=identified.friction_map,
+        **found.evidence,
+    )
+    run.notes.append("The run ended before it had a result. For this page its recording was identified.")
+    return replace(run, result=result), found
+
+
+def environment() -> jinja2.Environment:
+    """Where the pages of this room come from."""
+    found = _templates()
+    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
+    return found
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    """Compiled once a process: that takes longer than to fill them in."""
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.output.report", package_path="."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.filters["rounded"] = rounded
+    return found
+
+
+def render_page(run: ReportedRun, identification: Identification | None = None) -> str:
+    """The whole page as text; identifies the recording again unless ``identification`` is given."""
+    return (
+        environment()
+        .get_template(TEMPLATE)
+        .render(
+            run=run,
+            version=VERSION,
+            headline=headline(run),
+            driven=driven(run),
+            figures=draw(run, identification),
+            estimates=tables.estimates(run),
+            relays=tables.relays(run),
+            motor_law=tables.motor_law(run),
+            promise_percent=100.0 * PROMISE,
+            risk_percent=100.0 * RISK,
+            records=tables.records(run),
+            budget=tables.budget(run),
+            hysteretic=tables.hysteretic(run),
+            why_it_ended=narrowing.why_it_ended(run),
+            tracking=tables.tracking(run),
+            tracking_heads=tables.tracking_heads(run),
+            law_used=tables.law_used(run),
+            tuned=tuned_loop.rows(run),
+            loop_cells=tables.loop(run),
+            facts=tables.facts(run),
+            started=tables.started(run),
+            notes=run.result.notes,
+            config_notes=run.result.config_notes,
+        )
+    )
+
+
+def draw(run: ReportedRun, identification: Identification | None = None) -> dict[str, list[Figure]]:
+    """All figures by section. For a missing one: the sentence that says why."""
+    with style():
+        curves, trouble = curves_of(run, identification)
+        relays = run.spans("relay")
+
+        def transients() -> list[Figure]:
+            if not run.spans("hysteretic"):
+                return []
+            return [drawn(lambda: transient.first_transients(run)), drawn(lambda: transient.recursion(run, curves))]
+
+        def surveyed() -> list[Figure]:
+            if not run.spans("survey"):
+                return []
+            return [drawn(lambda: friction_map.over_speed(run)), drawn(lambda: friction_map.over_position(run))]
+
+        def narrowed() -> list[Figure]:
+            if run.result.stopped is None and not run.events_of("live", LiveResult):
+                return []
+            return [drawn(lambda: narrowing.narrowing(run))]
+
+        def limit_cycles() -> dict[str, list[Figure]]:
+            if run.recording is not None and not relays:
+                return {"relays": [], "portraits": []}
+            return {
+                "relays": [drawn(lambda: measured.relay_tests(run))],
+                "portraits": [drawn(lambda: measured.portraits(run))],
+            }
+
+        def tracked() -> list[Figure]:
+            if run.recording is not None and not (run.result.tracking or run.spans("track") or run.config.tracks):
+                return []
+            pictures = [drawn(lambda: checked.tracking(run))]
+            return pictures if run.config.decay is None else [*pictures, drawn(lambda: checked.decay(run))]
+
+        cycles = [drawn(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
+        return {
+            "whole": [drawn(lambda: measured.whole_run(run))],
+            "breakaway": [drawn(lambda: measured.breakaway(run))],
+            "narrowing": narrowed(),
+            "search": [drawn(lambda: measured.gain_search(run))],
+            **limit_cycles(),
+            "forest": [drawn(lambda: fitted.forest(run))],
+            "budget": [drawn(lambda: fitted.budget(run))],
+            "map": surveyed(),
+            "transients": transients(),
+            "cycles": cycles,
+            "evidence": [Figure(None, trouble) if trouble else drawn(lambda: fitted.residuals(run, curves))],
+            "tracking": tracked(),
+            "tuned": [] if run.result.tuned is None else [drawn(lambda: tuned_loop.loop(run))],
+            "loop": [drawn(lambda: checked.loop_timing(run))],
+        }
+
+
+def drawn(make: Callable[[], Picture]) -> Figure:
+    """A figure, or the sentence that says why there is none."""
+    try:
+        return Figure(make())
+    except AbsentError as absent:
+        return Figure(None, str(absent))

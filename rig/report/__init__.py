@@ -1,5 +1,0 @@
-"""Figures and the self-contained HTML report of a run folder."""
-
-from rig.report.page import write_report
-
-__all__ = ["write_report"]

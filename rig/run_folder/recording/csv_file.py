@@ -1,0 +1,172 @@
+"""Reads a CSV file with at least the columns t_s, u_V and y_rad: samples.csv, or any other.
+
+For any content of the file the result is a ``Recording``, or a ``RecordingError`` with file, line and one cure.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+from typing import Final
+
+import numpy as np
+
+from rig.run_folder.recording.columns import COLUMNS
+from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_number, shown
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import OWN_NAMES, UNITS, sounds_like, units_said
+from rig.run_folder.recording.log_mends import runs_of, unwrapped_clock
+from rig.run_folder.recording.recording import MIN_ROWS, Columns, Recording, assembled
+
+REQUIRED: Final = ("t_s", "u_V", "y_rad")
+_OR_SAY: Final = "say what the columns are (docs/any-csv.md), such as"
+# Other common names of these columns, for "did you mean".
+_OTHER_NAMES: Final = {
+    "t_s": ("t", "time", "time_s", "times", "seconds", "sec", "timestamp", "t_ms", "time_ms"),
+    "u_V": ("u", "voltage", "volt", "volts", "input", "drive", "command", "v_in", "control"),
+    "y_rad": ("y", "position", "pos", "angle", "theta", "theta_rad", "output", "y_deg", "angle_deg", "phi"),
+}
+
+
+def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -> Recording:
+    """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
+
+    The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The names may stand
+    behind a #, and a row of units may follow. The reader skips blank lines, lines that begin with #, and ``sep=``. It
+    reads decimal commas if no comma separates columns and no decimal point occurs. A last line without a line end is
+    torn: the reader leaves it out and notes that.
+    own    whether the file is of a run folder: then it is no link; and it ends where its time stands still or goes
+           back, with a note, because the device's clock did so
+    known  this file as read earlier, perhaps with fewer rows: these are not parsed again
+    Raises RecordingError.
+    """
+    columns, row_numbers, notes, header = _parsed(path, own, known)
+    return assembled(path, columns, row_numbers, notes=tuple(notes), columns_present=header)
+
+
+def read_csv_runs(path: Path) -> list[Recording]:
+    """Read a CSV file as ``read_csv`` does; where its time begins again, another run begins. Raises RecordingError."""
+    columns, row_numbers, notes, header = _parsed(path, False, None)
+    columns["t_s"] = unwrapped_clock(columns["t_s"], columns["y_rad"], 1.0, notes)
+    runs = runs_of(columns["t_s"])
+    return [
+        assembled(
+            path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})"),
+            {name: values[run] for name, values in columns.items()},
+            row_numbers[run],
+            notes=tuple(notes) if number == 1 else (),
+            columns_present=header,
+        )
+        for number, run in enumerate(runs, 1)
+    ]
+
+
+def _parsed(
+    path: Path, own: bool, known: Recording | None
+) -> tuple[Columns, Sequence[int], list[str], tuple[str, ...]]:
+    """The columns, the lines of their rows, notes and the names of all columns; as in ``read_csv``."""
+    text = CsvText.of(path, own=own)
+    header_line, row_numbers = text.numbers[0], text.numbers[1:]
+    header = _parse_header(text, header_line)
+    if len(row_numbers) < MIN_ROWS:
+        raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", header_line)
+    text = text.with_decimal_points(row_numbers)
+    _refuse_other_units(text, header)
+    table = CsvTable(text, header, header, row_numbers, frozenset(REQUIRED))
+    notes = list(text.notes)
+
+    if known is not None and known.columns_present == header and len(known) <= len(row_numbers):
+        read_before = {name: getattr(known, name) for name in header if name in COLUMNS}
+        added = table.columns(len(known))
+        columns = {
+            name: np.concatenate([values, added[name]]) if added else values.copy()
+            for name, values in read_before.items()
+        }
+    else:
+        columns = table.columns()
+    if own:
+        columns = _while_time_rises(columns, row_numbers, notes)
+        row_numbers = row_numbers[: len(columns["t_s"])]
+    return columns, row_numbers, notes, header
+
+
+def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:
+    path, names = text.path, tuple(text.fields(line_number))
+    missing = [name for name in REQUIRED if name not in names]
+    if missing and is_number(names[0]):
+        raise RecordingError(
+            path,
+            "the first line has no column names",
+            f"put t_s,u_V,y_rad (as they are) above; or {_OR_SAY} --time ms --drive pwm --position counts",
+            line_number,
+        )
+    if missing:
+        there = ", ".join(shown(name) for name in names[:20])
+        own = {name: quantity for quantity, name in OWN_NAMES.items()}
+        guesses = {name: _did_you_mean(name, own[name], names) for name in missing}
+        hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items() if guess]
+        cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
+        options = [_option(own[name], guess) for name, guess in guesses.items() if guess]
+        if "y_rad" in missing and not guesses["y_rad"]:
+            options += [_option("velocity", name) for name in names if sounds_like(name, "velocity")][:1]
+        cure += f"; or {_OR_SAY} {' '.join(options) or '--time ms --drive pwm --position counts'}"
+        unsaid = [own[name] for name, guess in guesses.items() if guess and not units_said(guess, own[name])]
+        if unsaid:
+            cure += f", with the column's own unit for UNIT: of {', of '.join(map(_units_of, unsaid))}"
+        raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
+    for name in names:
+        if name in COLUMNS and names.count(name) > 1:
+            raise RecordingError(path, f"has column {name} twice", "delete or rename one", line_number)
+    return names
+
+
+def _refuse_other_units(text: CsvText, header: Sequence[str]) -> None:
+    """Refuse a row of units that denies the unit in a column's name."""
+    for name, unit in zip(header, text.units, strict=False):
+        quantity = next((key for key, own in OWN_NAMES.items() if own == name), "")
+        if name in REQUIRED and unit in UNITS[quantity] and not name.endswith(f"_{unit}"):
+            cause = f"column {name} is in {shown(unit)}, by the row of units"
+            cure = f"if it is, type --{quantity} {name}:{unit}; else correct the row of units"
+            raise RecordingError(text.path, cause, cure, text.numbers[0] + 1)
+
+
+def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
+    """The column that may be ``name``: by a usual name, by a unit in its name, or by its spelling."""
+    unclaimed = {other.lower(): other for other in there if other not in COLUMNS}
+    for other in (name.lower(), *_OTHER_NAMES[name]):
+        if other in unclaimed:
+            return unclaimed[other]
+    of_name = [other for other in unclaimed.values() if sounds_like(other, quantity)]
+    of_unit = [other for other in unclaimed.values() if units_said(other, quantity)]
+    for found in (of_name, of_unit):
+        if len(found) == 1:
+            return found[0]
+    close = difflib.get_close_matches(name.lower(), [other[:100] for other in unclaimed], n=1, cutoff=0.5)
+    return unclaimed.get(close[0]) if close else None
+
+
+def _option(quantity: str, name: str) -> str:
+    """The option that takes this column, in the unit that its name says. No guess: a wrong one makes wrong numbers."""
+    unit = next(iter(sorted(units_said(name, quantity))), "UNIT")
+    return f"--{quantity} {quote(f'{name}:{unit}')}"
+
+
+def _units_of(quantity: str) -> str:
+    *others, last = UNITS[quantity]
+    return f"{quantity} {', '.join(others)} or {last}"
+
+
+def _while_time_rises(columns: Columns, numbers: Sequence[int], notes: list[str]) -> Columns:
+    """The rows before the first one whose time does not rise; all rows if that would leave too few."""
+    t_s = columns["t_s"]
+    bad = np.flatnonzero(t_s[1:] <= t_s[:-1])
+    if len(bad) == 0 or bad[0] + 1 < MIN_ROWS:
+        return columns
+    kept = int(bad[0]) + 1
+    notes.append(
+        f"line {numbers[kept]}: t_s = {t_s[kept]:.9g} after {t_s[kept - 1]:.9g}: the device's clock stood still or "
+        f"went back; from there on {len(t_s) - kept} rows are left out"
+    )
+    return {name: values[:kept] for name, values in columns.items()}

@@ -1,0 +1,438 @@
+"""Reads somebody's own log: a CSV file with any columns and units, with or without a line of column names.
+
+For any content of the file the result is a ``Recording``, or a ``RecordingError`` with file, line and one cure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_number, shown
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import (
+    LARGEST,
+    OWN_NAMES,
+    UNITS,
+    USUAL_SUPPLY,
+    LogColumn,
+    LogFormat,
+    sounds_like,
+    units_said,
+    words_of,
+)
+from rig.run_folder.recording.log_mends import (
+    Summed,
+    has_no_sign,
+    runs_of,
+    signed_drive,
+    summed_up,
+    unwrapped_clock,
+    unwrapped_position,
+    unwrapped_velocity,
+)
+from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
+from rig.run_folder.recording.servo_law import ServoLaw
+
+_LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identification/plausibility.py refuses others
+_FEWEST_ROWS = 22  # fewer are no recording to be fitted
+_OVER = 1.001  # of full drive: what rounding may show
+_FULL: Final = (255, 1023, 4095, 65535)  # usual numbers for full drive
+
+
+def read_log(path: Path, log: LogFormat) -> list[Recording]:
+    """Read a CSV file whose columns are those of ``log``; other columns are not read. One recording for each run in it.
+
+    Separators, comments and decimal commas are as for ``read_csv``. Without a line of names the columns are numbered
+    from 1; if there are no others than those of ``log``, they are time, drive, and position or velocity, in this order.
+    A first line with fewer fields than the second is torn, and is left out. What wraps or lost its sign is put right
+    (``log_mends``). A velocity is summed up to a position.
+
+    The notes say which column was taken for what, and what was put right. Raises RecordingError.
+    """
+    text = CsvText.of(path)
+    numbers, notes = text.numbers, list[str]()
+    if len(numbers) > 1 and len(text.fields(numbers[0])) < len(text.fields(numbers[1])):
+        notes.append(f"line {numbers[0]}, the first, is torn and was left out")
+        numbers = numbers[1:]
+    first = text.fields(numbers[0])
+    has_names = not all(is_number(field) for field in first if field)
+    rows = numbers[1:] if has_names else numbers
+    if len(rows) < MIN_ROWS:
+        raise RecordingError(path, f"has {len(rows)} rows", f"record at least {MIN_ROWS}", numbers[0])
+    text = text.with_decimal_points(rows)
+    choices = log.columns()
+    places = _places(path, numbers[0], first, has_names, choices)
+    called = {place: first[place] if has_names else str(place + 1) for place in places.values()}
+    quantity_at = {place: quantity for quantity, place in places.items()}
+    table = CsvTable(
+        text,
+        tuple(OWN_NAMES[quantity_at[k]] if k in quantity_at else "" for k in range(len(first))),
+        tuple(called.get(k, "") for k in range(len(first))),
+        rows,
+        frozenset(OWN_NAMES.values()),
+    )
+    if has_names:
+        said = {q: (first[place], text.units[place] if text.units else "") for q, place in places.items()}
+        _refuse_other_units(path, numbers[0], choices, said)
+    raw = table.columns()
+    for name, values in raw.items():
+        if float(np.abs(values).max()) > LARGEST:
+            row = int(np.argmax(np.abs(values)))
+            column = table.called[table.names.index(name)]
+            raise RecordingError(path, f"column {column}: {values[row]:g} is too large", "correct this line", rows[row])
+    notes = [*text.notes, *notes, _taken(choices, {q: called[place] for q, place in places.items()}, log)]
+    if log.period_s is not None:
+        raw["t_s"] = np.arange(len(rows), dtype=np.float64)
+    supply_V = log.supply_V
+    if log.servo is None:
+        raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
+    else:
+        supply_V = _supply_V(path, text, rows, first, has_names, log, notes)
+    runs = _runs(path, text, numbers[0] if has_names else None, raw, rows, log)
+    recordings = []
+    for number, run in enumerate(runs, 1):
+        source = path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})")
+        heard = notes if number == 1 else []
+        own = {name: values[run] for name, values in raw.items()}
+        try:
+            lines = [rows[k] for k in run]
+            if log.servo is not None and supply_V is not None:
+                recordings.append(_of_servo(source, own, lines, choices, log, supply_V, heard))
+            else:
+                recordings.append(_recording(source, own, lines, choices, log, heard))
+        except RecordingError as error:
+            if has_names or any(one.column is not None for one in choices.values()):
+                raise
+            cure = f"{error.cure}; or, if the columns have another order, number them: {_numbered(choices)}"
+            raise RecordingError(path, error.cause, cure, error.line) from error
+    return recordings
+
+
+def _recording(
+    source: Path,
+    raw: Columns,
+    rows: Sequence[int],
+    choices: Mapping[str, LogColumn],
+    log: LogFormat,
+    notes: Sequence[str],
+) -> Recording:
+    """One run as a recording: in s, V and rad, unwrapped; a velocity summed up to a position. Raises RecordingError."""
+    notes = list(notes)
+    raw = _in_place(raw | {"line": np.array(rows)}, log)
+    rows = raw.pop("line").tolist()
+    t_s, u_V = _times_s(raw, choices, log, notes), raw["u_V"]
+    require_rising(source, t_s, rows)
+    steps = None
+    if "velocity" in choices:
+        summed = _summed(source, raw, t_s, choices["velocity"], log, notes)
+        y_rad = summed.y_rad
+        if summed.rows is not None:
+            steps = (t_s, u_V)
+            rows, t_s, u_V = [rows[k] for k in summed.rows], t_s[summed.rows], u_V[summed.rows]
+    else:
+        unit = choices["position"].unit
+        scale = log.scale("position", unit)
+        y_rad = scale * unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
+    columns: Columns = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
+    recording = assembled(
+        source,
+        columns,
+        rows,
+        notes=tuple(notes),
+        columns_present=tuple(columns),
+        units_stated=True,
+        drive_steps=steps,
+    )
+    if "time" in choices:
+        _refuse_other_clock(source, t_s, choices["time"])
+    return recording
+
+
+def _of_servo(
+    source: Path,
+    raw: Columns,
+    rows: Sequence[int],
+    choices: Mapping[str, LogColumn],
+    log: LogFormat,
+    supply_V: float,
+    notes: Sequence[str],
+) -> Recording:
+    """One run of a servo in its position mode: the drive by its law. Raises RecordingError."""
+    assert log.servo is not None
+    if log.servo.P is None:
+        raise RecordingError(source, "does not say the servo's gain P", "give what its register held: --gain P")
+    notes, law = list(notes), replace(log.servo, goal_first=log.drive_row < 0)
+    t_s = _times_s(raw, choices, log, notes)
+    require_rising(source, t_s, rows)
+    y_rad, goal_rad = (
+        np.asarray(log.scale(name, choices[name].unit) * raw[OWN_NAMES[name]]) for name in ("position", "goal")
+    )
+    return servo_recording(source, (t_s, y_rad, goal_rad), rows, (law, log.servo.P), supply_V, notes)
+
+
+def servo_recording(
+    source: Path,
+    columns: tuple[Floats, Floats, Floats],
+    rows: Sequence[int],
+    law: tuple[ServoLaw, float],
+    supply_V: float,
+    notes: Sequence[str],
+) -> Recording:
+    """The log of a servo's own loop as a recording.
+
+    columns  times, s, rising; positions and goals, rad
+    rows     their lines
+    law      of the servo, and its P
+    """
+    t_s, y_rad, goal_rad = columns
+    servo, P = law
+    edges_s, u_V, at_rows_V = servo.drive(P, t_s, y_rad, goal_rad, supply_V)
+    scale = servo.scale
+    said = (
+        f"the drive is that of the servo's own law, P {P:g}, {supply_V:.3g} V: 1 rad makes {scale.middle * P:.3g} of it"
+    )
+    return assembled(
+        source,
+        {"t_s": t_s, "u_V": at_rows_V, "y_rad": y_rad},
+        rows,
+        notes=(*notes, f"{said} ({scale.source})"),
+        columns_present=("t_s", "u_V", "y_rad"),
+        units_stated=True,
+        drive_steps=(edges_s, u_V),
+        p_scale=scale,
+    )
+
+
+def _supply_V(
+    path: Path,
+    text: CsvText,
+    rows: Sequence[int],
+    first: Sequence[str],
+    has_names: bool,
+    log: LogFormat,
+    notes: list[str],
+) -> float:
+    """What --supply-V says, else the median of the only column that is called like a voltage. Raises RecordingError."""
+    if log.supply_V is not None:
+        return log.supply_V
+    places = [k for k, name in enumerate(first) if any(word in USUAL_SUPPLY for word in words_of(name)[:1])]
+    if not has_names or len(places) != 1:
+        raise RecordingError(
+            path, "has no column, or several, of the supply's voltage", "give the volts at the servo: --supply-V 5"
+        )
+    fields = [text.fields(row) for row in rows]
+    values = [float(one[places[0]]) for one in fields if len(one) > places[0] and is_number(one[places[0]])]
+    supply_V = float(np.median(values)) if values else 0.0
+    if not 0.0 < supply_V < LARGEST:
+        raise RecordingError(path, f"column {shown(first[places[0]])} holds no voltage", "give --supply-V")
+    notes.append(f"the supply is the median of column {first[places[0]]}, {supply_V:.3g} V")
+    return supply_V
+
+
+def _in_place(raw: Columns, log: LogFormat) -> Columns:
+    """The columns with drives and times in the rows where they belong; the rows at the ends that lack one go."""
+    off = {"u_V": log.drive_row, "t_s": log.time_row}
+    first, last = max(0, *off.values()), min(0, *off.values())
+    count = raw["u_V"].size - first + last
+    return {
+        name: values[first - off.get(name, 0) : first - off.get(name, 0) + max(count, 0)]
+        for name, values in raw.items()
+    }
+
+
+def _times_s(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat, notes: list[str]) -> Floats:
+    """The times in s, as they go on where the clock begins anew."""
+    if log.period_s is not None:
+        return np.asarray(log.period_s * raw["t_s"])
+    second_s = log.scale("time", choices["time"].unit)
+    motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
+    return np.asarray(second_s * unwrapped_clock(raw["t_s"], motion, 1.0 / second_s, notes))
+
+
+def _summed(path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]) -> Summed:
+    """The position from velocities. Raises RecordingError."""
+    v, u_V = raw["v_rad_per_s"], raw["u_V"]
+    if has_no_sign(v, u_V):
+        raise RecordingError(
+            path,
+            "the velocity is never negative, and as large after negative drives as after positive ones: its sign is "
+            "missing",
+            "log the velocity with its sign, or better the position",
+        )
+    unwrapped = unwrapped_velocity(v, u_V, notes)
+    if unwrapped is None:
+        raise RecordingError(
+            path,
+            "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
+            "log it as a number of 32 bits, or log the position",
+        )
+    return summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
+
+
+def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:
+    """The drives in V, with their signs. Raises RecordingError for one that no bridge gives."""
+    most = log.most(one.unit)
+    u = signed_drive(u, most, notes)
+    if most is not None and float(np.abs(u).max()) > most * _OVER + (one.unit == "pwm"):
+        k = int(np.argmax(np.abs(u)))
+        largest = abs(float(u[k]))
+        if one.unit == "pwm":
+            full = next((size for size in _FULL if size >= largest), math.ceil(largest))
+            cause, cure = f"and --full says {most:g}", f"give the number that means full drive, such as --full {full:g}"
+        else:
+            cause, cure = f"and in {one.unit} full drive is {most:g}", "give the unit that it is in"
+        raise RecordingError(
+            path,
+            f"the drive is {u[k]:g}, {cause}",
+            f"{cure}; or, if this is a command that the bridge limits, log what the bridge gave",
+            rows[k],
+        )
+    return np.asarray(log.scale("drive", one.unit) * u)
+
+
+def _runs(
+    path: Path, text: CsvText, header: int | None, raw: Columns, rows: Sequence[int], log: LogFormat
+) -> list[Integers]:
+    """The rows of each run in the file, counted from 0. Raises RecordingError."""
+    if log.run is None:
+        motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
+        second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
+        times = unwrapped_clock(raw["t_s"], motion, second, [])
+        return [np.arange(run.start, run.stop) for run in runs_of(times)]
+    first = text.fields(rows[0] if header is None else header)
+    place = _named_place(path, rows[0] if header is None else header, first, header is not None, "run", log.run)
+    of_row = [text.fields(row) for row in rows]
+    names = np.array([fields[place] if place < len(fields) else "" for fields in of_row])
+    found, begins = np.unique(names, return_index=True)
+    return [np.flatnonzero(names == found[k]) for k in np.argsort(begins)]
+
+
+def _refuse_other_units(
+    path: Path, line: int, choices: Mapping[str, LogColumn], said_of: Mapping[str, tuple[str, str]]
+) -> None:
+    """Refuse a column that says another unit than the one given, unless somebody said which column it is.
+
+    said_of  of each quantity, the name of its column and what a row of units says of it
+    """
+    for quantity, (name, of_units) in said_of.items():
+        given = choices[quantity]
+        said = {of_units} & UNITS[quantity].keys()
+        said = said or units_said(of_units, quantity) or units_said(name, quantity)
+        if given.column is None and said and given.unit not in said:
+            raise RecordingError(
+                path,
+                f"column {shown(name)} sounds like {' or '.join(sorted(said))}, and --{quantity} says {given.unit}",
+                f"type --{quantity} {min(said)}; or, if it is in {given.unit}: --{quantity} "
+                + (f"'{name}:{given.unit}'" if " " in name else f"{name}:{given.unit}"),
+                line,
+            )
+
+
+def _refuse_other_clock(path: Path, t_s: Floats, given: LogColumn) -> None:
+    """Refuse times in a unit in which no log of a motor has its samples, where another unit would do."""
+    period_s = float(np.median(np.diff(t_s)))
+    if t_s.size < _FEWEST_ROWS or _SHORTEST_PERIOD_S <= period_s <= _LONGEST_PERIOD_S:
+        return
+    units = {unit: s for unit, s in UNITS["time"].items() if s is not None}
+    scaled = {unit: period_s * s / units[given.unit] for unit, s in units.items()}
+    others = [unit for unit, s in scaled.items() if _SHORTEST_PERIOD_S <= s <= _LONGEST_PERIOD_S]
+    if others:
+        column = "" if given.column is None else f"{given.column}:"
+        types = " or ".join(f"--time {column}{unit}" for unit in others)
+        raise RecordingError(path, f"in {given.unit} its samples are {period_s:.3g} s apart", f"type {types}")
+
+
+def _places(
+    path: Path, line: int, first: Sequence[str], has_names: bool, choices: Mapping[str, LogColumn]
+) -> dict[str, int]:
+    """The place of each quantity's column, from 0. Raises RecordingError."""
+    if not has_names and all(one.column is None for one in choices.values()) and len(first) == len(choices):
+        return {quantity: k for k, quantity in enumerate(choices)}
+    places: dict[str, int] = {}
+    # columns that are named come first: others are looked for among what is left
+    for quantity, one in sorted(choices.items(), key=lambda item: item[1].column is None):
+        if one.column is None and not has_names:
+            raise RecordingError(
+                path,
+                f"has {len(first)} columns without names",
+                f"number them from 1: {_numbered(choices)}",
+                line,
+            )
+        place = (
+            _usual_place(path, line, first, quantity, one, set(places.values()))
+            if one.column is None
+            else _named_place(path, line, first, has_names, quantity, one.column)
+        )
+        if place in places.values():
+            other = next(name for name, taken in places.items() if taken == place)
+            raise RecordingError(
+                path, f"{shown(first[place])} is both {other} and {quantity}", _say_which(quantity, first), line
+            )
+        places[quantity] = place
+    return {quantity: places[quantity] for quantity in choices}
+
+
+def _named_place(path: Path, line: int, first: Sequence[str], has_names: bool, quantity: str, column: str) -> int:
+    """The place of a column that the user named or numbered."""
+    if has_names and column in first:
+        if list(first).count(column) > 1:
+            raise RecordingError(path, f"has column {column} twice", f"number it: --{quantity} 1:UNIT", line)
+        return list(first).index(column)
+    if column.isdecimal() and 1 <= int(column) <= len(first):
+        return int(column) - 1
+    there = f"there are: {', '.join(map(shown, first[:20]))}" if has_names else f"it has {len(first)}, without names"
+    raise RecordingError(
+        path, f"has no column {column}; {there}", _say_which(quantity, first if has_names else ()), line
+    )
+
+
+def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one: LogColumn, taken: set[int]) -> int:
+    """The place of the only column with a usual name of this quantity."""
+    free = [k for k in range(len(first)) if k not in taken]
+    exact = [k for k in free if first[k] in (OWN_NAMES[quantity], one.unit)]
+    usual = exact or [k for k in free if sounds_like(first[k], quantity)]
+    if len(usual) == 1:
+        return usual[0]
+    if usual:
+        cause = f"several columns may be the {quantity}: {', '.join(shown(first[k]) for k in usual[:20])}"
+    else:
+        cause = f"no column is called like a {quantity}; there are: {', '.join(map(shown, first[:20]))}"
+    raise RecordingError(path, cause, _say_which(quantity, [first[k] for k in usual or free]), line)
+
+
+def _say_which(quantity: str, names: Sequence[str]) -> str:
+    """What to type to name a column."""
+    usual = [name for name in names if sounds_like(name, quantity)]
+    name = next((name for name in (*usual, *names) if name), "1")
+    quoted = f"'{name}:UNIT'" if " " in name else f"{name}:UNIT"
+    return f"say which, for example --{quantity} {quoted}, with one of the units {', '.join(UNITS[quantity])}"
+
+
+def _numbered(choices: Mapping[str, LogColumn]) -> str:
+    return " ".join(f"--{quantity} {k}:{one.unit}" for k, (quantity, one) in enumerate(choices.items(), 1))
+
+
+def _taken(choices: Mapping[str, LogColumn], called: Mapping[str, str], log: LogFormat) -> str:
+    """One sentence: which column is what, in which unit."""
+    beside = {
+        "pwm": f"{log.full:g} is {log.supply_V:g} V" if log.full and log.supply_V else "",
+        "duty": f"1 is {log.supply_V:g} V" if log.supply_V else "",
+        "percent": f"100 is {log.supply_V:g} V" if log.supply_V else "",
+        "counts": f"{log.counts_per_turn:g} a turn" if log.counts_per_turn else "",
+        "counts/s": f"{log.counts_per_turn:g} counts a turn" if log.counts_per_turn else "",
+    }
+    parts = [] if log.period_s is None else [f"each row is {log.period_s:g} s after the one before"]
+    for quantity, one in choices.items():
+        more = f" ({beside[one.unit]})" if beside.get(one.unit) else ""
+        parts.append(f"{quantity} is column {called[quantity]}, {one.unit}{more}")
+    parts += ["reversed"] if log.reversed else []
+    for name, rows in (("drive", log.drive_row), ("time", log.time_row)):
+        if rows:
+            parts.append(f"the {name} was moved {'up' if rows < 0 else 'down'} by {abs(rows)}")
+    return "; ".join(parts)

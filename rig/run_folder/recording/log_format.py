@@ -1,0 +1,273 @@
+"""What the columns of somebody's own log are: which column is the time, the drive, the position, and in which unit."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from rig.core.errors import RigError
+from rig.run_folder.recording.servo_law import ServoLaw
+
+# For each quantity its units: what one of them is in s, V, rad and rad/s. None: it takes a further number of the log.
+UNITS: Final[dict[str, dict[str, float | None]]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "drive": {"V": 1.0, "mV": 1e-3, "pwm": None, "duty": None, "percent": None},
+    "position": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
+    "velocity": {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180.0,
+        "turns/s": 2.0 * math.pi,
+        "rpm": math.pi / 30.0,
+        "counts/s": None,
+    },
+    "goal": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
+}
+# First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "Winkel [deg]".
+# fmt: off
+USUAL_NAMES: Final = {
+    "time": {
+        "t", "time", "times", "timestamp", "millis", "micros", "ms", "us", "sec", "seconds", "zeit", "temps",
+        "tiempo", "tempo",
+    },
+    "drive": {
+        "u", "drive", "pwm", "duty", "volt", "volts", "voltage", "input", "command", "control", "motor", "spannung",
+        "stellgröße", "tension", "tensión", "voltaje", "tensione",
+    },
+    "position": {
+        "y", "pos", "position", "angle", "theta", "phi", "count", "counts", "ticks", "enc", "encoder", "deg",
+        "winkel", "lage", "posición", "posicion", "ángulo", "angulo", "posizione", "angolo",
+    },
+    "velocity": {
+        "v", "vel", "velocity", "speed", "omega", "rpm", "w", "drehzahl", "geschwindigkeit", "vitesse", "velocidad",
+        "velocità",
+    },
+    "goal": {"goal", "target", "setpoint", "reference", "ref", "action", "ziel", "sollwert", "consigne"},
+}
+USUAL_SUPPLY: Final = {"voltage", "volts", "volt", "vin", "supply", "input", "battery", "spannung"}
+# fmt: on
+# Words of a column's name, or of a row of units, that say its unit, in small letters.
+NAMES_UNIT: Final[dict[str, dict[str, str]]] = {
+    "time": {
+        "ms": "ms",
+        "millis": "ms",
+        "milliseconds": "ms",
+        "us": "us",
+        "micros": "us",
+        "microseconds": "us",
+        "s": "s",
+        "sec": "s",
+        "seconds": "s",
+    },
+    "drive": {"pwm": "pwm", "duty": "duty", "volts": "V", "mv": "mV"},
+    "position": {
+        "rad": "rad",
+        "radians": "rad",
+        "deg": "deg",
+        "degrees": "deg",
+        "grad": "deg",
+        "turns": "turns",
+        "count": "counts",
+        "counts": "counts",
+        "ticks": "counts",
+    },
+    "velocity": {"rpm": "rpm"},
+}
+NAMES_UNIT["goal"] = NAMES_UNIT["position"]
+UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {"%", "A", "mA"}
+_WORD: Final = re.compile(r"[^\W\d_]+")
+_PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us)\s*")
+_CURRENTS: Final = ("A", "mA")
+CURRENT_CAUSE: Final = "a current is a torque: under it a motor has no K, and no tau of its own"
+CURRENT_CURE: Final = "log the voltage at the motor, or the bridge's duty"
+MOST_ROWS_OFF: Final = 5
+LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
+OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s", "goal": "yd_rad"}
+"""The column of samples.csv that each quantity becomes; a log may have it under this name."""
+
+
+def words_of(name: str) -> list[str]:
+    """The words of a column's name, in small letters."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def sounds_like(name: str, quantity: str) -> bool:
+    """Whether the first word of a column's name is a usual one for this quantity."""
+    return any(word in USUAL_NAMES[quantity] for word in words_of(name)[:1])
+
+
+def units_said(name: str, quantity: str) -> set[str]:
+    """The units of this quantity that a column's name says."""
+    return {unit for word in words_of(name) if (unit := NAMES_UNIT[quantity].get(word))}
+
+
+class LogFormatError(RigError):
+    """Columns or units of a log that cannot be: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause = cause
+        self.cure = cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+@dataclass(frozen=True)
+class LogColumn:
+    """One column of a log.
+
+    unit    one of ``UNITS`` of its quantity
+    column  its name, or its number from 1; None: the column with a usual name of that quantity
+    """
+
+    unit: str
+    column: str | None = None
+
+    @classmethod
+    def parse(cls, quantity: str, text: str) -> LogColumn:
+        """From ``UNIT`` or ``COLUMN:UNIT``. Raises LogFormatError."""
+        column, colon, unit = text.rpartition(":")
+        units = ", ".join(UNITS[quantity])
+        if unit not in UNITS[quantity]:
+            if quantity == "drive" and unit in _CURRENTS:
+                raise LogFormatError(f"--drive {text}: {CURRENT_CAUSE}", CURRENT_CURE)
+            if column in UNITS[quantity] and unit.isdecimal():
+                raise LogFormatError(
+                    f"--{quantity} {text}: the column comes first, then its unit", f"type --{quantity} {unit}:{column}"
+                )
+            example = next(iter(UNITS[quantity]))
+            named = f"--{quantity} {unit or 'COLUMN'}:{example}"
+            raise LogFormatError(
+                f"--{quantity} {text}: {unit!r} is no unit of {quantity}",
+                f"give one of {units}; with a column before it if its name does not tell: {named}",
+            )
+        if colon and not column.strip():
+            raise LogFormatError(
+                f"--{quantity} {text} names no column", f"give its name or number: --{quantity} 1:{unit}"
+            )
+        return cls(unit, column.strip() or None)
+
+
+def parse_period(text: str) -> float:
+    """A time such as 2ms, 500us or 0.01s, in s, above 0. Raises LogFormatError."""
+    found = _PERIOD.fullmatch(text)
+    try:
+        period_s = float(found[1]) * (UNITS["time"][found[2]] or math.nan) if found else math.nan
+    except ValueError:
+        period_s = math.nan
+    if not 0.0 < period_s < LARGEST:
+        raise LogFormatError(f"--period {text} is no time above 0", "give a number with its unit: --period 2ms")
+    return period_s
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """The columns of a log, and the numbers that turn them into s, V and rad.
+
+    time, drive      each a column; None: the log has t_s or u_V
+    position         None: the log has y_rad, or a velocity alone
+    velocity         instead of a position
+    counts_per_turn  of the measured shaft, gear included, > 0; for counts
+    full             the drive's number at full supply, > 0; for pwm
+    supply_V         volts at the motor at full drive, > 0; for pwm, duty and percent
+    reversed         whether a positive drive turns the shaft to falling positions: positions change their sign
+    period_s         time from row to row, s, > 0, instead of a column of times
+    run              name or number of the column that says which run a row is of; None: a time that begins again does
+    drive_row        rows by which the drive stands too late, negative: too early; at most 5. -1: each row has the drive
+                     that was set before its position was read, so all drives move up by a row
+    time_row         the same of the time. -1: each row has the time of the row before
+    goal, servo      of a log that a servo's own position loop made, in place of a drive
+    Raises LogFormatError if a number is missing, useless or not positive.
+    """
+
+    time: LogColumn | None = None
+    drive: LogColumn | None = None
+    position: LogColumn | None = None
+    velocity: LogColumn | None = None
+    counts_per_turn: float | None = None
+    full: float | None = None
+    supply_V: float | None = None
+    reversed: bool = False
+    period_s: float | None = None
+    run: str | None = None
+    drive_row: int = 0
+    time_row: int = 0
+    goal: LogColumn | None = None
+    servo: ServoLaw | None = None
+
+    def __post_init__(self) -> None:
+        self._require_one_drive()
+        if self.position is not None and self.velocity is not None:
+            raise LogFormatError(
+                "--position and --velocity are both given", "leave --velocity out: the position says more"
+            )
+        if self.time is not None and self.period_s is not None:
+            raise LogFormatError("--time and --period are both given", "leave one of them out")
+        for option, rows in (("--drive-row", self.drive_row), ("--time-row", self.time_row)):
+            if abs(rows) > MOST_ROWS_OFF:
+                raise LogFormatError(
+                    f"{option} {rows} is more than {MOST_ROWS_OFF} rows", f"a log is off by one: {option} -1"
+                )
+        drive = "duty" if self.servo is not None else "V" if self.drive is None else self.drive.unit
+        motion = next((one.unit for one in (self.position, self.velocity, self.goal) if one is not None), "rad")
+        for option, value, needed_by, unit, example in (
+            ("--counts-per-turn", self.counts_per_turn, ("counts", "counts/s"), motion, "1440"),
+            ("--full", self.full, ("pwm",), drive, "255"),
+            ("--supply-V", self.supply_V, ("pwm", "duty", "percent"), drive, "12"),
+        ):
+            if value is None and unit in needed_by and not (option == "--supply-V" and self.servo is not None):
+                raise LogFormatError(f"the unit {unit} needs {option}", f"{_MEANING[option]}: {option} {example}")
+            if value is not None and unit not in needed_by:
+                raise LogFormatError(
+                    f"{option} is for {' and '.join(needed_by)}, and this log has {unit}",
+                    "leave it out, or correct the unit",
+                )
+            if value is not None and not 0.0 < value < LARGEST:
+                raise LogFormatError(f"{option} {value:g} is not above 0", f"{_MEANING[option]}: {option} {example}")
+
+    def _require_one_drive(self) -> None:
+        """Raise LogFormatError where a log has a drive and a servo's goals, or options of the other kind."""
+        if self.servo is None and self.goal is not None:
+            raise LogFormatError("--goal is for the log of a servo's own loop", "add --servo MODEL and --gain P")
+        if self.servo is None:
+            return
+        for option, given in (
+            ("--drive", self.drive), ("--velocity", self.velocity), ("--reversed", self.reversed), ("--full", self.full)
+        ):  # fmt: skip
+            if given:
+                raise LogFormatError(
+                    f"{option} and --servo are both given", "a servo's law gives the drive: leave one out"
+                )
+        if self.drive_row not in (0, -1) or self.time_row:
+            raise LogFormatError("of a servo's log no row can be moved", "--drive-row -1: the goal was written first")
+
+    def columns(self) -> dict[str, LogColumn]:
+        """The column of each quantity that is read: time unless a period is given, drive or goal, and the motion."""
+        motion = "position" if self.velocity is None else "velocity"
+        timed = {"time": self.time} if self.period_s is None else {}
+        drive = {"drive": self.drive} if self.servo is None else {"goal": self.goal}
+        given = {**timed, **drive, motion: self.position or self.velocity}
+        return {name: one or LogColumn(next(iter(UNITS[name])), OWN_NAMES[name]) for name, one in given.items()}
+
+    def most(self, unit: str) -> float | None:
+        """The largest number of a drive in this unit that a bridge can give; None for V and mV."""
+        return {"pwm": self.full, "duty": 1.0, "percent": 100.0}.get(unit)
+
+    def scale(self, quantity: str, unit: str) -> float:
+        """What one unit is in s, V, rad or rad/s; positions and velocities with their sign."""
+        size = UNITS[quantity][unit]
+        if size is None:
+            size = {
+                "pwm": (self.supply_V or math.nan) / (self.full or math.nan),
+                "duty": self.supply_V or math.nan,
+                "percent": 0.01 * (self.supply_V or math.nan),
+                "counts": 2.0 * math.pi / (self.counts_per_turn or math.nan),
+                "counts/s": 2.0 * math.pi / (self.counts_per_turn or math.nan),
+            }[unit]
+        return -size if self.reversed and quantity in ("position", "velocity") else size
+
+
+_MEANING: Final = {
+    "--counts-per-turn": "give the counts of one turn of the shaft, gear and all edges included",
+    "--full": "give the number that means full drive",
+    "--supply-V": "give the volts at the motor at full drive: the supply less the bridge's drop",
+}

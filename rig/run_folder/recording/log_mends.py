@@ -1,0 +1,228 @@
+"""What logs of one's own have that no motor shows, and how it is undone: clocks and numbers that wrap, signs that were
+lost on the way, velocities in the place of positions, several runs in one file.
+
+Each function takes columns of numbers as they stand in the file. It adds a sentence to ``notes`` for what it changed.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from rig.run_folder.recording.log_format import LARGEST
+from rig.run_folder.recording.recording import Floats, Integers
+
+_FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
+_OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
+_COUNTERS: Final = (16, 32)  # bits of a position: one of 8 bits turns over within a stroke
+# Seconds after which clocks begin anew: those of 16 and 32 bits, and those that show a part of a longer time.
+_SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
+_WRAP_PERIODS = 3.0  # longest step over the end of a clock
+_FEWEST_ROWS = 22  # of a run in a file of several: fewer are rows out of order
+_BEGINS_PERIODS = 3.0  # from the first run's time: where another run begins
+_FEWEST_HELD, _HELD = 20, 0.97  # changes of a velocity, and the share at whole multiples of rows, for it to be held
+_ARX_ROUNDS, _SURE = 20, 0.4  # rounds of a wrapped velocity; of its range, the largest error of what is expected
+
+
+def unwrapped_clock(t: Floats, y: Floats, second: float, notes: list[str]) -> Floats:
+    """Times of a clock that begins anew, as they go on; as they are where that is no sign of such a clock.
+
+    second  units of t in a second
+    y       positions or velocities of the same rows: at the end of a clock they go on, at the start of a run not
+    """
+    back = np.flatnonzero(t[1:] < t[:-1])
+    if back.size == 0 or float(np.abs(t).max()) > LARGEST:
+        return t
+    forth = np.diff(t)[np.diff(t) > 0.0]
+    period = float(np.median(forth)) if forth.size else 0.0
+    bits = [size for size in _OF_BITS.values() if second > 1.0]
+    for length in sorted({*bits, *(second * s for s in _SHOWN_S)}):
+        over = np.diff(t)[back] + length
+        close = bool(np.all((over > 0.0) & (over <= _WRAP_PERIODS * period)))
+        if float(np.ptp(t)) < length and close and (length in bits or _is_sure(y, back)):
+            turns = np.zeros(t.size)
+            turns[back + 1] = length
+            notes.append(f"the clock begins anew after {length / second:.6g} s: the times go on")
+            return np.asarray(t + np.cumsum(turns))
+    return t
+
+
+def _is_sure(y: Floats, at: Integers) -> bool:
+    """Whether there are rows enough, and a column changes after these rows by no more than it does elsewhere."""
+    steps = np.abs(np.diff(y))
+    usual = float(np.max(np.delete(steps, at), initial=0.0))
+    return y.size >= _FEWEST_ROWS and (usual == 0.0 or bool(np.all(steps[at] <= 1.5 * usual)))
+
+
+def runs_of(t: Floats) -> list[slice]:
+    """The rows of each run in a file whose time begins again; all rows as one where it does not.
+
+    A run has at least 22 rows, and begins near the time at which the first one begins, or near 0.
+    """
+    back = np.flatnonzero(t[1:] < t[:-1]) + 1
+    if back.size == 0 or float(np.abs(t).max()) > LARGEST:
+        return [slice(0, t.size)]
+    edges = [0, *back.tolist(), t.size]
+    near = _BEGINS_PERIODS * float(np.median(np.abs(np.diff(t))))
+    begins = t[back]
+    begin_again = bool(np.all((np.abs(begins - t[0]) <= near) | (np.abs(begins) <= near)))
+    if not begin_again or min(np.diff(edges)) < _FEWEST_ROWS:
+        return [slice(0, t.size)]
+    return [slice(first, stop) for first, stop in pairwise(edges)]
+
+
+def signed_drive(u: Floats, full: float | None, notes: list[str]) -> Floats:
+    """Drives whose negative numbers were kept as unsigned ones, with their signs.
+
+    full  the largest number that is a drive; None: unknown, then only numbers of 16 and 32 bits are seen
+    """
+    if u.min() < 0.0 or not np.all(u == np.round(u)):
+        return u
+    for bits, size in _OF_BITS.items():
+        most = full if full is not None else 0.25 * size
+        if (full is None and bits == 8) or most >= 0.5 * size:
+            continue
+        negative = u >= size - most
+        if u.max() < size and negative.any() and np.all(negative | (u <= most)):
+            notes.append(
+                f"negative drives stand as unsigned numbers of {bits} bits, such as {u[negative].min():.0f} for "
+                f"{u[negative].min() - size:.0f}: they are read with their sign"
+            )
+            return np.asarray(np.where(negative, u - size, u))
+    return u
+
+
+def unwrapped_position(y: Floats, counts: bool, turn: float, notes: list[str]) -> Floats:
+    """Positions without the jumps of a counter of 16 or 32 bits, or of an angle that begins anew after one turn.
+
+    counts  whether they are whole numbers of a counter
+    turn    of the shaft, in the unit of y
+    """
+    extent = float(np.ptp(y))
+    largest = float(np.abs(np.diff(y)).max())
+    if counts and bool(np.all(y == np.round(y))):
+        for bits in _COUNTERS:
+            size = _OF_BITS[bits]
+            if largest > 0.5 * size and extent < size:
+                notes.append(f"the counter, of {bits} bits, wrapped: the positions go on")
+                return np.asarray(np.unwrap(y, period=size))
+    if largest > 0.5 * turn and extent <= turn * (1.0 + 1e-9):
+        notes.append(
+            "the positions stay within one turn and jump by most of it: they are an angle that wraps, and go on"
+        )
+        return np.asarray(np.unwrap(y, period=turn))
+    return y
+
+
+def unwrapped_velocity(v: Floats, u: Floats, notes: list[str]) -> Floats | None:
+    """Velocities of a number of 16 bits that wraps, as they were; None where they cannot be told.
+
+    Between two rows a quick motor's velocity may change by more than half of what such a number can be. So each row is
+    the one nearest to what a motor of first order does under the drive ``u``; that motor is fitted to all rows, and
+    fitted again until no row changes. At u = 0, turned either way, a motor has no speed of its own: that tells the
+    first row.
+    """
+    size = _OF_BITS[16]
+    if not np.all(v == np.round(v)) or np.ptp(v) >= size or np.abs(np.diff(v)).max(initial=0.0) <= 0.5 * size:
+        return v
+    x: Floats = np.unwrap(v, period=size)
+    rows = np.stack([np.zeros(v.size - 2), np.diff(u)[1:], np.diff(u)[:-1], np.zeros(v.size - 2)], axis=1)
+    law = np.zeros(4)
+    for _ in range(_ARX_ROUNDS):
+        rows[:, 0], rows[:, 3] = np.diff(x)[:-1], np.diff(np.sign(x))[:-1]
+        wanted = np.diff(x)[1:]
+        sound = np.ones(wanted.size, dtype=bool)
+        for _ in range(3):
+            law = np.asarray(np.linalg.lstsq(rows[sound], wanted[sound], rcond=None)[0], dtype=np.float64)
+            sound = np.abs(wanted - rows @ law) < 0.25 * size
+        before, x = x, _nearest(v, x[:2], rows, law, size)
+        if np.array_equal(before, x):
+            break
+    error = np.abs(np.diff(x)[1:] - rows @ law)
+    if float(error.max()) > _SURE * size:
+        return None
+    level = np.stack([x[:-1], u[:-1], u[1:], np.ones(x.size - 1)], axis=1)
+    a, *_, c = np.linalg.lstsq(level, x[1:], rcond=None)[0]
+    x = x - size * np.round(c / max(1.0 - a, 1e-6) / size)
+    notes.append("the velocities, of 16 bits, wrapped: each row is the one nearest to what a motor does, and goes on")
+    return np.asarray(x)
+
+
+def _nearest(v: Floats, first: Floats, rows: Floats, law: Floats, size: float) -> Floats:
+    """Each row's velocity, v up to whole multiples of ``size``, nearest to what the law expects."""
+    x = np.concatenate((first, np.zeros(v.size - 2)))
+    by_drive = rows[:, 1:] @ law[1:]
+    for k in range(2, v.size):
+        expected = x[k - 1] + law[0] * (x[k - 1] - x[k - 2]) + by_drive[k - 2]
+        x[k] = v[k] + size * round((expected - v[k]) / size)
+    return x
+
+
+class Summed(NamedTuple):
+    """Positions from velocities, rad, from 0 on, and the rows at which they are known: None, all of them."""
+
+    y_rad: Floats
+    rows: Integers | None = None
+
+
+def summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Summed:
+    """The position from velocities, rad, from 0 on.
+
+    A velocity is the mean since the row before if it comes from a counter: then each row moves by whole steps. Else it
+    is a sample, and in between it changes evenly. A velocity that is held over several rows, because it is computed
+    less often than rows are written, is the mean since it was last new: it tells of those rows in which it is new.
+    """
+    kept = held_rows(v_rad_per_s)
+    if kept is None:
+        return Summed(_integrated(v_rad_per_s, t_s, notes))
+    notes.append(
+        f"the velocity is new in every {int(kept[1] - kept[0])}th row and held in between: each is the mean since it "
+        "was new before, and the position is known in these rows"
+    )
+    return Summed(np.cumsum(v_rad_per_s[kept] * np.diff(t_s[kept], prepend=t_s[kept[0]])), kept)
+
+
+def held_rows(v: Floats) -> Integers | None:
+    """The rows in which a velocity is new, where it is held over as many rows each time; None where each row is new."""
+    changes = np.flatnonzero(np.diff(v)) + 1
+    if changes.size < _FEWEST_HELD:
+        return None
+    every = int(np.min(np.diff(changes)))
+    if every < 2:
+        return None
+    first = int(np.bincount(changes % every).argmax())
+    if float(np.mean(changes % every == first)) < _HELD:
+        return None
+    return np.arange(first, v.size, every)
+
+
+def _integrated(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Floats:
+    periods_s = np.diff(t_s, prepend=t_s[0])
+    moved = v_rad_per_s * periods_s
+    steps = np.abs(moved[moved != 0.0])
+    of_counter = False
+    if steps.size:
+        one = float(np.median(steps[steps < 1.5 * steps.min()]))
+        few = steps[steps < _FEW_STEPS * one] / one
+        of_counter = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
+    if of_counter:
+        notes.append("the position is the sum of the velocities, from 0: each is the mean since the row before")
+        return np.asarray(np.cumsum(moved))
+    notes.append("the position is the integral of the velocities, from 0: each is a sample, as of a tachometer")
+    middle = 0.5 * (v_rad_per_s[1:] + v_rad_per_s[:-1])
+    return np.concatenate(([0.0], np.cumsum(middle * periods_s[1:])))
+
+
+def has_no_sign(v: Floats, u: Floats) -> bool:
+    """Whether a velocity is a mere size: it is as large at the ends of negative strokes as of positive ones.
+
+    For drives of both signs, with at least three strokes of each.
+    """
+    if v.min() < 0.0 or u.min() >= 0.0 or u.max() <= 0.0:
+        return False
+    sign = np.sign(u)
+    ends = np.flatnonzero((np.diff(sign) != 0.0) & (sign[:-1] != 0.0))
+    forth, back = (v[ends][sign[ends] == way] for way in (1.0, -1.0))
+    return min(forth.size, back.size) >= 3 and float(np.median(back)) > 0.5 * float(np.median(forth)) > 0.0

@@ -1,0 +1,1 @@
+"""All that drives: a config is checked, the bench calibrated, the script run, recorded, replayed."""

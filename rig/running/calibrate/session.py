@@ -1,0 +1,183 @@
+"""One calibration from the config to the changed config, whoever asks the questions: a terminal or a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from rig.backends.links.device_file import require_device_file
+from rig.backends.links.usb_port import usb_port
+from rig.backends.registry import backend_of
+from rig.config.edit import EditError
+from rig.config.load import load_with_places
+from rig.config.problems import ConfigError
+from rig.control.loop.stop_request import Gone
+from rig.core.errors import RigError
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.running.calibrate.dialogue import Ask, Motion, Say, Skipped
+from rig.running.calibrate.draft import Draft
+from rig.running.calibrate.refusal import Refusal
+from rig.running.calibrate.save import require_writable, save
+from rig.running.calibrate.steps import calibration
+from rig.running.preflight import preflight
+
+if TYPE_CHECKING:
+    from rig.running.calibrate.bench import HandBench
+
+_NEEDED_BEFORE = ("daq", "drive.bridge", "emulated", "loop.pace")  # keys without which no device can be opened
+
+
+class NotWrittenError(RigError):
+    """The calibration ended and nothing is written: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+class Front(Protocol):
+    """What shows and asks."""
+
+    def say(self, what: Say) -> None:
+        """Show it."""
+
+    def ask(self, question: Ask) -> str:
+        """The answer as text. Raises Skipped; NotWrittenError if somebody ends the calibration."""
+
+    def does(self, motion: Motion) -> None:
+        """Rig is about to read or to drive."""
+
+    def writes(self) -> None:
+        """Rig is about to write the config: from here on nobody may say that nothing is written."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A config that can be calibrated: its file, the text as it was read, and the draft."""
+
+    file: Path
+    text: str
+    draft: Draft
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What came of a calibration.
+
+    draft     the config with all changes
+    backup    the file as it was; None: there was nothing to change
+    problems  what `rig check` says of the changed config, a line each
+    """
+
+    draft: Draft
+    backup: Path | None
+    problems: tuple[str, ...]
+
+
+def open_config(file: Path, pace: float | None = None) -> Opened:
+    """Read a config. One that `rig check` refuses can be calibrated, if its device can be opened.
+
+    pace  in place of loop.pace; None: as the file says
+    Raises ConfigError; Fault if the device's port is not there.
+    """
+    experiment, document = load_with_places(file)
+    experiment = experiment.at_pace(pace)
+    problems = [p for p in preflight(experiment).problems if p.key.startswith(_NEEDED_BEFORE)]
+    if problems:
+        raise ConfigError(map(document.located, problems))
+    require_device_file(experiment.daq.port)
+    return Opened(file, document.text, _with_its_board(Draft(experiment, document.data)))
+
+
+def _with_its_board(draft: Draft) -> Draft:
+    """With the USB serial number of the board that is there, where the config has none and the board has one."""
+    daq = draft.original.daq
+    if daq.usb_serial is not None or daq.port is None or not daq.port.startswith("/"):
+        return draft
+    if "usb_serial" not in backend_of(draft.original.device).shared_keys:
+        return draft
+    number = usb_port(daq.port).serial_number
+    return draft if number is None else draft.with_changes({("daq", "usb_serial"): number})
+
+
+def calibrate(
+    opened: Opened, steps: Sequence[str], runs: Path, front: Front, flag: StopFlag, gone: Gone | None = None
+) -> Finished:
+    """Go through the steps, show what would change, ask, write.
+
+    steps  names among ``steps_for`` the config
+    runs   folder in which the strokes' run folders are made
+    flag   of the calibration, open: every Stop knows it
+    gone   who has to be there while it drives, and is not: as of ``StopRequest``
+    Raises NotWrittenError, Fault, ConfigError; RecordingError for a full disk.
+    """
+    from rig.running.calibrate.bench import (
+        HandBench,  # scipy comes with it: a config that is refused need not wait for it
+    )
+
+    file = opened.file
+    try:
+        require_writable(file)  # before anybody turns a shaft
+    except EditError as error:
+        raise NotWrittenError(error.cause, error.cure) from error
+    except OSError as error:
+        raise NotWrittenError(f"{file}: {error.strerror}", "check the path") from error
+    found = _measured(opened.draft, steps, front, partial(HandBench, opened.draft.original, runs, flag, gone))
+    problems = tuple(map(str, preflight(found.experiment).problems))
+    if not found.changes:
+        front.say(Say(f"{file}: nothing to change"))
+        return Finished(found, None, problems)
+    front.say(Say("changes: " + f"{file}\n" + "\n".join(f"  {line}" for line in found.lines()), "step"))
+    if problems:
+        front.say(Say("`rig check` will say:\n" + "\n".join(f"  {problem}" for problem in problems), "refused"))
+    if not _yes(front, f"write this to {file}?"):
+        raise NotWrittenError("nothing is written", f"{file} is as it was")
+    front.writes()
+    try:
+        backup = save(file, opened.text, found.changes)
+    except EditError as error:
+        raise NotWrittenError(error.cause, error.cure) from error
+    except OSError as error:
+        raise NotWrittenError(f"{file}: cannot be written: {error.strerror}", f"{file} is as it was") from error
+    return Finished(found, backup, problems)
+
+
+def _measured(draft: Draft, steps: Sequence[str], front: Front, bench_of: Callable[[], HandBench]) -> Draft:
+    """The draft after the steps."""
+    dialogue = calibration(draft, steps)
+    with bench_of() as bench:
+        try:
+            request = next(dialogue)
+            while True:
+                try:
+                    if isinstance(request, Say):
+                        front.say(request)
+                        request = dialogue.send(None)
+                    elif isinstance(request, Ask):
+                        request = dialogue.send(front.ask(request))
+                    else:
+                        front.does(request)
+                        request = dialogue.send(bench.perform(request))
+                except (Skipped, Refusal) as instead:
+                    request = dialogue.throw(instead)
+        except StopIteration as end:
+            found: Draft = end.value
+            return found
+
+
+def _yes(front: Front, words: str) -> bool:
+    """Whether somebody says yes; the empty answer is yes. Leaving it out is no."""
+    question = Ask(words, "choice", "yes", choices=(("yes", ""), ("no", "")), skips=False)
+    while True:
+        try:
+            answer = front.ask(question).strip().lower()
+        except Skipped:
+            return False
+        if answer in ("", "y", "yes"):
+            return True
+        if answer in ("n", "no"):
+            return False
+        front.say(Say(f"{answer!r} is no answer here\ntype yes or no", "refused"))

@@ -1,0 +1,63 @@
+"""Tests that the device runs by itself: the command that it gets, and the law that must decide as it does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rig.backends.driver import RelayCommand, RelayDriver, StrokeDriver, StrokesCommand, StrokeTimes
+from rig.control.relay import RelayOnCounts
+from rig.control.strokes import Stroke, StrokeTiming
+from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
+from rig.core.faults import Fault
+from rig.running.session import Session
+
+
+class RelayInDevice(NamedTuple):
+    """A relay for the device, and the same on the counts that come back."""
+
+    command: RelayCommand
+    relay: RelayOnCounts
+
+
+class StrokesInDevice(NamedTuple):
+    """Strokes for the device, and the same on the counts that come back."""
+
+    command: StrokesCommand
+    law: StrokesOnCounts
+
+
+def relay_in_device(session: Session, gains_V: tuple[float, float], z_bound_rad_s: float) -> RelayInDevice:
+    """The relay at gains (h1, h2), V. Raises Fault CONFIG_MISMATCH if the device cannot run it.
+
+    z_bound_rad_s  bound on its integral
+    """
+    driver = session.bench.driver
+    if not isinstance(driver, RelayDriver):
+        raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
+    command = driver.relay_command(*gains_V, z_bound_rad_s)
+    relay = RelayOnCounts(
+        command.centre_counts,
+        command.direction,
+        command.z_bound_count_ticks,
+        command.drives_V,
+        command.count_tick_rad_s,
+        gains_V,
+    )
+    return RelayInDevice(command, relay)
+
+
+def strokes_in_device(session: Session, strokes: Sequence[Stroke], timing: StrokeTiming) -> StrokesInDevice:
+    """A stroke test that goes on until something ends it. Raises Fault CONFIG_MISMATCH if the device cannot run it."""
+    driver, motion_rad = session.bench.driver, session.experiment.breakaway.motion_rad
+    if not isinstance(driver, StrokeDriver):
+        raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} runs no strokes: set it to host")
+    command = driver.strokes_command(strokes, StrokeTimes(timing.stroke_s, timing.still_s), motion_rad)
+    law = StrokesOnCounts(
+        command.strokes,
+        command.centre_counts,
+        command.direction,
+        CountedTimes(command.stroke_ticks, command.still_ticks),
+        command.still_counts,
+    )
+    return StrokesInDevice(command, law)

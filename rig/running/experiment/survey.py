@@ -1,0 +1,117 @@
+"""The survey: plan the sweeps by what the run has shown so far, rehearse them, run them (docs/theory.md 13)."""
+
+from __future__ import annotations
+
+import math
+
+from rig.control.law import Rest
+from rig.control.loop.pre_run import PreRunBench, pre_run
+from rig.control.sweep_plan import COUNTS_1_S, EDGE_SHARE, SweepPlan, TooShortError, sweep_plan
+from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s, slowest_rad_s
+from rig.core.faults import Fault
+from rig.core.signals import BenchDelay
+from rig.model.describing_function import Oscillation, linear_part
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.run_folder.recording.stage import StageKind
+from rig.run_folder.results import known
+from rig.running.experiment.stages import REST_S, driving
+from rig.running.preflight.survey_room import survey_room
+from rig.running.session import Session
+
+FEWEST_V = 0.05  # of the drive beyond friction, for the describing function
+
+
+def survey(session: Session) -> None:
+    """Sweep the travel to and fro at several speeds, after the breakaway check and a relay test.
+
+    Raises Fault NO_SWEEPS if there is no room for sweeps, or if their rehearsal fails; NOT_FOLLOWING, and what the loop
+    raises.
+    """
+    motor = crude_motor(session)
+    loop = _sweep_loop(session)
+    plan = _plan(session, motor, loop)
+    _rehearse(session, Sweeps(motor, plan, loop))
+    # a replay sweeps by these numbers: it plans nothing, and rehearses nothing
+    session.note(
+        "survey",
+        tau_s=motor.tau_s,
+        K_rad_s_V=motor.K_rad_s_V,
+        plus_V=motor.plus_V,
+        minus_V=motor.minus_V,
+        low_rad=plan.low_rad,
+        high_rad=plan.high_rad,
+        bandwidth_1_s=plan.bandwidth_1_s,
+        latency_s=loop.latency_s,
+        lost_rad=loop.lost_rad,
+    )
+    for speed_rad_s in plan.speeds_rad_s:
+        session.note("sweep", speed_rad_s=speed_rad_s)
+    sweep(session, Sweeps(motor, plan, loop))
+
+
+def sweep(session: Session, sweeps: Sweeps) -> None:
+    """Run the sweeps, from rest to rest."""
+    with driving(session):
+        session.loop.run(Rest(REST_S), "rest")
+        session.loop.run(sweeps, str(StageKind.SURVEY))
+        session.loop.run(Rest(REST_S), "rest")
+
+
+def crude_motor(session: Session) -> CrudeMotor:
+    """The motor by the last live estimate, or by the describing function of the last relay test.
+
+    Raises Fault NO_SWEEPS where tests until the motor is known gave no estimate; ValueError without any test.
+    """
+    found, breakaway, cycle = session.found, session.found.breakaway, session.found.cycle
+    if breakaway is not None and found.stopped is not None:
+        if not found.stopped.live:
+            raise Fault("NO_SWEEPS", "the tests gave no live estimate to plan sweeps by")
+        last = found.stopped.live[-1]
+        return CrudeMotor(known(last.tau_s), known(last.K_rad_s_V), breakaway.plus_V, breakaway.minus_V)
+    if breakaway is None or cycle is None:
+        raise ValueError("a survey needs a breakaway check and a relay test")
+    friction_V = 0.45 * (breakaway.plus_V + breakaway.minus_V)
+    beyond_V = max(cycle.h2_V - friction_V, FEWEST_V)
+    linear = linear_part(
+        Oscillation(2.0 * math.pi / cycle.period_s, cycle.amplitude_rad), cycle.h2_V - beyond_V, cycle.h1_V, cycle.h2_V
+    )
+    return CrudeMotor(linear.tau_s, linear.K_rad_s_V, breakaway.plus_V, breakaway.minus_V)
+
+
+def _sweep_loop(session: Session) -> SweepLoop:
+    e, noise_rad = session.experiment, session.loop.guard.settings.noise_rad
+    low, high = e.limits.soft_rad
+    lost_rad = max(EDGE_SHARE * (high - low), 12.0 * noise_rad)
+    return SweepLoop(e.period_s, session.loop.latency_s, e.drive.max_V, lost_rad, e.sensor.curve.lsb_rad)
+
+
+def _plan(session: Session, motor: CrudeMotor, loop: SweepLoop) -> SweepPlan:
+    e, noise_rad = session.experiment, session.loop.guard.settings.noise_rad
+    bandwidth_1_s = loop_bandwidth_1_s(motor, loop, noise_rad)
+    slowest = max(COUNTS_1_S * e.sensor.curve.lsb_rad, slowest_rad_s(motor, bandwidth_1_s, e.period_s, noise_rad))
+    room = survey_room(e, slowest, bandwidth_1_s)
+    try:
+        return sweep_plan(room, e.survey.speeds_rad_s or ())
+    except TooShortError as error:
+        raise Fault("NO_SWEEPS", str(error)) from error
+
+
+def _rehearse(session: Session, sweeps: Sweeps) -> None:
+    """Run the sweeps on a simulated bench with the crude motor. Raises Fault NO_SWEEPS if they must not be run."""
+    e, motor = session.experiment, sweeps.motor
+    bench = PreRunBench(
+        motor=Motor(motor.tau_s, motor.K_rad_s_V, coulomb(motor.friction_V)),
+        start_rad=session.loop.last_y_rad,
+        noise_rad=session.loop.guard.settings.noise_rad,
+        latency_s=session.loop.latency_s,
+        calibration=e.sensor.curve,
+        drive_map=e.drive.map,
+        rail_counts=e.sensor.rails,
+        period_s=e.period_s,
+        order=session.bench.driver.order,
+        further_delay_s=(session.delay or BenchDelay()).shown_s[1],
+    )
+    reason = pre_run(sweeps, bench, session.loop.guard.settings)
+    if reason is not None:
+        raise Fault("NO_SWEEPS", reason)

@@ -1,0 +1,155 @@
+"""The keeper of a device that has no watchdog: a process that stops it when the host dies or falls silent.
+
+``python -m rig.running.keeper.silence LINK PIPE`` gets its orders as one line of JSON on standard input, and says that
+it is
+ready on standard output. LINK is the descriptor of the open port, PIPE that of a pipe on which the host tells that it
+lives. While that comes in time this process writes nothing. It knows no protocol: the host has given it the bytes.
+
+It covers the end of the host's process. Cable, adapter and machine it does not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from rig.core.link_turn import turn_on
+
+READY: Final = b"ready\n"
+ACTED: Final = b"s"  # it has stopped the device because the host was silent
+BEAT: Final = b"b"  # the host lives, and a drive may be on
+REST: Final = b"r"  # nothing drives: silence is no sign
+DONE: Final = b"d"  # the device is as it was: end
+_ATTEMPTS: Final = 3  # of a stop, at least
+_PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
+_ANSWERS_S: Final = 0.015
+_RESTORES_S: Final = 0.1  # an EEPROM takes its time
+_TURN_S: Final = 0.2  # longest wait for another process that stops the device
+_STOPS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Order(NamedTuple):
+    """Bytes to write, and bytes that must come back; empty: none must."""
+
+    data: bytes
+    answer: bytes
+
+
+def main(arguments: list[str]) -> int:
+    """Keep the device until the host says that it is done, or is gone."""
+    for number in _STOPS:  # one to the whole group must not end it
+        signal.signal(number, signal.SIG_IGN)
+    link, pipe = int(arguments[0]), int(arguments[1])
+    orders = json.loads(sys.stdin.buffer.readline())
+    stop, restore = _orders(orders["stop"]), _orders(orders["restore"])
+    with contextlib.suppress(OSError):
+        os.write(1, READY)
+    kept = Kept(link, stop, restore)
+    ended = keep(pipe, orders["silence_s"], kept)
+    if ended:
+        return 0
+    with turn_on(link, _TURN_S):  # the keeper of a law stops the device, too, and a reply tells not to whom
+        confirmed = kept.stop()
+        restored = kept.restore()
+    kept.tell(orders["before"], orders["note"], stopped=confirmed, restored=restored)
+    return 0
+
+
+def keep(pipe: int, silence_s: float, kept: Kept) -> bool:
+    """Until the host is done (True) or gone (False). Stops the device each time the host falls silent."""
+    beats = False
+    while True:
+        ready = select.select([pipe], [], [], silence_s if beats else None)[0]
+        if not ready:
+            kept.stop()
+            beats = False  # until it is heard again
+            with contextlib.suppress(OSError):
+                os.write(1, ACTED)
+            continue
+        heard = os.read(pipe, 4096)
+        if not heard:
+            return False
+        if DONE in heard:
+            return True
+        beats = heard[-1:] == BEAT
+
+
+class Kept:
+    """The device on its link, and the bytes that stop it and put it back."""
+
+    def __init__(self, link: int, stop: Sequence[Order], restore: Sequence[Order]) -> None:
+        self._link, self._stop, self._restore = link, stop, restore
+
+    def stop(self) -> bool:
+        """Write the stop, three times, and on until one is confirmed, for a second; whether one was."""
+        confirmed, until_s = False, time.monotonic() + _PERSISTS_S
+        written = 0
+        while written < _ATTEMPTS or not (confirmed or time.monotonic() > until_s):
+            # the last order alone stops the device where it refuses those before
+            confirmed = self._given(self._stop, _ANSWERS_S)[-1] or confirmed
+            written += 1
+        return confirmed
+
+    def restore(self) -> bool:
+        """Put the device back, one order after the other; whether each was confirmed.
+
+        None goes out before the one ahead of it was confirmed: the first takes the torque away, and without that the
+        next ones could let an old drive act again. What may stay on in between the last one ends, whatever became of
+        the others.
+        """
+        until_s = time.monotonic() + _PERSISTS_S
+        for order in self._restore:
+            while not self._confirmed(order, _RESTORES_S):
+                if time.monotonic() > until_s:
+                    self._given(self._restore[-1:], _RESTORES_S)
+                    return False
+        return True
+
+    def _given(self, orders: Sequence[Order], answers_s: float) -> list[bool]:
+        """Whether each order was confirmed. Each goes out, whatever became of the one before."""
+        return [self._confirmed(order, answers_s) for order in orders]
+
+    def _confirmed(self, order: Order, answers_s: float) -> bool:
+        heard = b""
+        try:
+            while select.select([self._link], [], [], 0.0)[0] and os.read(self._link, 4096):
+                pass  # late bytes
+            os.write(self._link, order.data)
+            until_s = time.monotonic() + answers_s
+            while order.answer not in heard and (left_s := until_s - time.monotonic()) > 0.0:
+                if select.select([self._link], [], [], left_s)[0]:
+                    more = os.read(self._link, 4096)
+                    if not more:
+                        return False
+                    heard += more
+        except OSError:
+            return False
+        return order.answer in heard
+
+    def tell(self, before: str, note: str, *, stopped: bool, restored: bool) -> None:
+        """Leave word for the next run: what happened; and nothing to put back where all of it was confirmed."""
+        words = "stopped it" if stopped else "could not see that it stopped"
+        words += " and put its registers back" if restored else ""
+        with contextlib.suppress(OSError):
+            if restored and before:
+                Path(before).unlink(missing_ok=True)
+            if note:
+                fresh = Path(f"{note}.{os.getpid()}")
+                fresh.write_text(words, encoding="utf-8")
+                fresh.replace(note)  # whole, or not there
+
+
+def _orders(pairs: Sequence[Sequence[str]]) -> list[Order]:
+    return [Order(bytes.fromhex(data), bytes.fromhex(answer)) for data, answer in pairs]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,442 @@
+"""One recorded run on the bench. Whatever ends it: the drive stops, and recording, result and report are kept."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.backends.clock import MonotonicClock, PacedClock
+from rig.backends.driver import Clock
+from rig.backends.registry import Bench, connect
+from rig.config import Experiment, dump
+from rig.control.guard import Guard
+from rig.control.loop.device_relay import STOPPING
+from rig.control.loop.runner import Loop
+from rig.control.loop.stop_request import Gone, StopRequest, stop_on_signals
+from rig.control.tracking import tracking_error
+from rig.core.estimators import ESTIMATORS
+from rig.core.faults import Fault, since_the_last_run
+from rig.core.signals import BenchDelay
+from rig.identification import Identification, IdentifyError, identify
+from rig.model.supply import SupplyReading
+from rig.output.report import write_report
+from rig.output.report.words import NOTHING_TO_IDENTIFY
+from rig.run_folder.live.stop_flag import StopFlag
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
+from rig.run_folder.recording.reader import read_run
+from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.sink import JsonScalar, RowSink
+from rig.run_folder.recording.stage import Stage, StageKind
+from rig.run_folder.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
+from rig.running.preflight.loop_settings import guard_settings_of
+from rig.running.run_summary import Findings, is_rehearsal, least_result, run_meta, run_result, run_time
+
+Array = NDArray[np.float64]
+
+COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
+MOST_TESTS = 40  # designed tests of one run
+FADE_S = 1.5  # of the tracking reference; errors count after it
+SHAFT_GAP_S = 0.02  # by which the path of an emulated shaft may be shorter than the rows
+_LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
+
+
+@dataclass
+class Outcome:
+    """How a run ended: its folder, its result.json, the fault that ended it, what else failed, how it was paced."""
+
+    folder: Path
+    result: RunResult
+    fault: Fault | None = None
+    failures: list[str] = field(default_factory=list)
+    paced: str = ""  # in words; empty where no pace was asked for
+
+    @property
+    def traceback(self) -> str:
+        """Where a law of the user's own raised what ended the run; empty if none did."""
+        return "" if self.fault is None else traceback_of(self.fault)
+
+    @property
+    def failure(self) -> str:
+        """Why the run failed, in words; empty if it did not."""
+        why = ([] if self.fault is None else [str(self.fault)]) + self.failures
+        # without another relay test the run was for friction alone
+        friction_alone = () if self.result.relays else [e.name for e in ESTIMATORS if not e.finds_motor]
+        answer = self.result.answer
+        of_friction = {name: one for name, one in self.result.estimates.items() if name in friction_alone}
+        for method, estimate in ({} if answer is None else {answer.method: answer} | of_friction).items():
+            if not why and estimate.is_refused:
+                why.append(f"the {method} estimate was refused: " + "; ".join(estimate.reasons))
+        return "; ".join(why)
+
+    def as_json(self) -> JsonObject:
+        """What `--json` prints: whether all is well, the folder, if not the cause and the cure; then result.json."""
+        printed: JsonObject = {"ok": not self.failure, "folder": str(self.folder)}
+        if self.failure:
+            printed |= {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        return printed | self.result.as_json()
+
+
+@dataclass
+class Session:
+    """One run in progress: the open bench, its loop, the run folder, meta.json, and the findings so far."""
+
+    experiment: Experiment
+    folder: Path
+    bench: Bench
+    recorder: RowSink
+    loop: Loop
+    meta: RunMeta
+    found: Findings = field(default_factory=Findings)
+    recording: Recording | None = None  # the rows that were read last
+    delay: BenchDelay | None = None  # of the bench, once it is known; in a replay from the begin
+    paced: str = ""  # at the end: as of ``Outcome``
+
+    def read(self) -> Recording:
+        """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
+        self.recording = read_run(self.folder, self.recording)
+        return self.recording
+
+    def note(self, kind: str, **fields: JsonScalar) -> None:
+        """Write an event, with the time of now."""
+        self.recorder.event(self.loop.now_s, kind, **fields)
+
+
+Script = Callable[[Session], None]
+OnStart = Callable[[Path, tuple[str, ...]], None]  # called with the run folder and the first notes
+
+
+def record(
+    experiment: Experiment,
+    parent: Path,
+    what: ScriptCall,
+    script: Script,
+    on_start: OnStart | None,
+    again: Bench | None = None,
+    gone: Gone | None = None,
+    series: StopFlag | None = None,
+) -> Outcome:
+    """Run ``script`` on the bench and record it. Whatever ends it, the drive stops and the recording is kept.
+
+    parent    folder in which the run folder is made
+    what      name and arguments of the script, for meta.json: a replay needs them
+    on_start  called once with the run folder and the first notes
+    again     a bench that the same command has opened already; its opener closes it
+    gone      who has to be there while it drives, and is not: as of ``StopRequest``
+    series    the flag of a series of runs, which goes with it from run to run; None: the run is alone
+
+    result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
+    Raises Fault if the bench cannot be opened, RecordingError if the run folder cannot be made.
+    """
+    started = datetime.now(UTC)
+    session: Session | None = None
+    fault: Fault | None = None
+    failures: list[str] = []
+    with StopFlag() if series is None else nullcontext(series) as flag:  # until the report is there
+        with stop_on_signals(flag, gone) as stop:
+            with suppress(OSError):  # then there is no room for a run folder either, which is said
+                flag.open(parent, what.name)
+            try:
+                with connect(experiment.device) if again is None else nullcontext(again) as bench:
+                    session, recorder = _begin(experiment, parent, what, bench, stop, started)
+                    try:
+                        fault = _run_script(script, session, on_start)
+                    finally:
+                        lost = _close(recorder)
+                        if fault is not None and lost is not None and lost.detail not in fault.detail:
+                            failures.append(f"{lost.code}: {lost.detail}")
+                        fault = fault or lost
+            except Exception as error:
+                if session is None:
+                    raise
+                failures.append(f"the bench was not closed well: {_defect(error)}")
+            outcome = Outcome(session.folder, RunResult(), fault, failures, session.paced)
+            _measure_tracking(session, outcome)
+            _write_result(session, outcome)
+            late = stop.look()
+            if late is not None and fault is None:
+                outcome.failures.append(_came_late(late))
+        outcome = _conclude(session, outcome)
+        if fault is None and late is None and (by := flag.asked_by()):
+            outcome.failures.append(_came_late(f"Stop by {by}"))
+        return outcome
+
+
+def _came_late(reason: str) -> str:
+    return f"{reason} came after the experiment had ended"
+
+
+def _begin(
+    experiment: Experiment,
+    parent: Path,
+    what: ScriptCall,
+    bench: Bench,
+    stop: StopRequest,
+    started: datetime,
+) -> tuple[Session, Recorder]:
+    """Make the run folder, its recorder and the loop."""
+    command = "rehearsal" if is_rehearsal(bench, experiment) else what.name
+    folder = create_run(parent, f"{command}-{experiment.name}", started)
+    no_flag = _set_up_flag(stop, folder)
+    write_config(folder, dump(experiment), follows_links=False)
+    meta = run_meta(experiment, bench, what, started)
+    write_meta(folder, meta, follows_links=False)
+    guard = Guard(guard_settings_of(experiment))
+    recorder = Recorder(folder, _stages(experiment), waits=not isinstance(bench.clock, MonotonicClock))
+    loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
+    _tell_time(stop, loop, bench.clock)
+    first_notes = [*no_flag, *bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]
+    supply = _supply(experiment, bench).objection
+    first_notes += [] if supply is None else [supply]
+    return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
+
+
+def _set_up_flag(stop: StopRequest, folder: Path) -> list[str]:
+    """Make the stop flag in the run folder. Returns a note where that fails: the run goes on without it."""
+    try:
+        if stop.flag is not None:
+            stop.flag.begin(folder)
+    except OSError as error:
+        return [f"no stop flag in {folder}: {error.strerror}. no panel can stop this run; Ctrl-C can"]
+    return []
+
+
+def _tell_time(stop: StopRequest, loop: Loop, clock: Clock) -> None:
+    """Tell who looks on which time of this machine's clock is the run's time 0. Virtual time has none."""
+    zero_s = -loop.since_start_s(0.0) if isinstance(clock, MonotonicClock) else math.nan
+    with suppress(OSError):  # on a disk that has just become full the age of a row stays unknown
+        if stop.flag is not None:
+            stop.flag.tell(zero_s, loop.statistics.period_s)
+
+
+def _run_script(script: Script, session: Session, on_start: OnStart | None) -> Fault | None:
+    """Run the script to its end. Returns the fault that ended it, or None."""
+    fault: Fault | None = None
+    try:
+        if on_start is not None:
+            on_start(session.folder, tuple(session.found.notes))
+        script(session)
+        session.loop.check_stop()
+    except Fault as seen:
+        fault = seen
+        if text := traceback_of(seen):
+            session.note("traceback", text=text[-2000:])
+    except IdentifyError as error:
+        fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
+    except RecordingError as error:
+        fault = Fault("NOT_IDENTIFIED", str(error))
+    except KeyboardInterrupt:  # a law has set Python's own handler
+        fault = Fault("INTERRUPTED", "SIGINT")
+    except BaseException as error:  # noqa: BLE001 - whatever it is, SystemExit too, the run has its record and a result
+        fault = Fault("INTERNAL", f"{type(error).__name__}: {error}")
+        session.note("traceback", text="".join(traceback.format_exception(error))[-2000:])
+    finally:
+        session.loop.close()
+    if fault is not None:
+        session.note("fault", **fault.as_dict())
+    session.paced = _told_pace(session)
+    session.found.notes += _loop_notes(session.loop) + ([session.paced] if session.paced else [])
+    session.note("end")
+    return fault
+
+
+def traceback_of(fault: Fault) -> str:
+    """The traceback of the exception that a user's law raised, for the user; empty of any other fault."""
+    if fault.code != "LAW_FAILED" or fault.__cause__ is None:
+        return ""
+    return "".join(traceback.format_exception(fault.__cause__))
+
+
+def _loop_notes(loop: Loop) -> list[str]:
+    """Notes on the loop of a run that is over."""
+    notes = []
+    braked = loop.guard.braked_ticks
+    if braked:
+        notes.append(f"the guard braked in {braked} ticks: for this motion the limits leave too little room to stop")
+    if loop.unconfirmed_stops:
+        notes.append("the device did not confirm the stop: its watchdog sets 0 V; make sure that the shaft stands")
+    gap_s = loop.pause_watch.longest_gap_s
+    if gap_s > _LONG_GAP_S:
+        notes.append(
+            f"in a pause nothing read the device for {1e3 * gap_s:.0f} ms: an e-stop that opened for less may have "
+            "passed unseen; wire the e-stop so that it cuts the motor's supply"
+        )
+    return notes
+
+
+def _told_pace(session: Session) -> str:
+    """Whether a paced time kept its pace, in words; also into meta.json. Empty for any other time."""
+    clock = session.bench.clock
+    if not isinstance(clock, PacedClock):
+        return ""
+    session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
+    with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
+        write_meta(session.folder, session.meta, follows_links=False)
+    stood = "without a stall"
+    if clock.stalls:
+        times = "once" if clock.stalls == 1 else f"{clock.stalls} times"
+        stood = f"it stood {times}, {clock.longest_stall_s:.3g} s at most, for the machine or for sums of rig itself"
+    return f"virtual time at pace {clock.pace:g}: {stood}"
+
+
+def _close(recorder: Recorder) -> Fault | None:
+    """Close the recording. Returns the fault if rows could not be written."""
+    try:
+        recorder.close()
+    except Fault as lost:
+        return lost
+    except Exception as error:  # noqa: BLE001 - what was recorded is there, and gets its result
+        return Fault("INTERNAL", f"closing the recording: {type(error).__name__}: {error}")
+    return None
+
+
+def _conclude(session: Session, outcome: Outcome) -> Outcome:
+    """Identify what was recorded before a fault, complete result.json, write the report, note what failed."""
+    if session.found.identification is None and session.found.models_from is None:
+        try:
+            recording = session.read()
+            if any(Stage.parse(stage).tells_motor for stage in recording.stages()):
+                found = session.found.identification = identify([recording])
+                session.found.notes += beside_data_sheet(session.experiment, found)
+        except (IdentifyError, RecordingError) as error:
+            session.found.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
+        except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
+            outcome.failures.append(f"the recording was not identified: {_defect(error)}")
+        _write_result(session, outcome)
+    try:
+        if session.folder.is_symlink():  # somebody has put it in the folder's place
+            raise OSError(f"{session.folder} is a link now, and rig follows none here")
+        write_report(session.folder, session.found.identification, session.recording)
+    except RecordingError as error:
+        outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
+    except OSError as error:
+        outcome.failures.append(f"no report: {error}")
+    except Exception as error:  # noqa: BLE001 - recording and result are there
+        outcome.failures.append(f"no report: {_defect(error)}")
+    return outcome
+
+
+def beside_data_sheet(e: Experiment, identification: Identification) -> list[str]:
+    """A note if the motor is faster than the config says: the bound on unseen travel depends on that speed.
+
+    By a bridge that lets the motor run free while PWM is low, K and tau come out several times too large, because its
+    drive brakes for its share of the time only (docs/real-bench.md).
+    """
+    best = identification.leading
+    if e.motor is None or best is None or not best.is_motor:
+        return []
+    expected_rad_s = e.motor.no_load_speed_rad_s
+    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
+    if identification.best is not None and 1.1 < no_load_rad_s / expected_rad_s <= COASTING:
+        return [
+            f"motor.no_load_speed_rad_s is {expected_rad_s:g}, but by this estimate the shaft would reach "
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it; the breakaway check's strokes rely on it"
+        ]
+    if no_load_rad_s > COASTING * expected_rad_s:
+        return [
+            f"by this estimate the shaft would reach {no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V, but "
+            f"motor.no_load_speed_rad_s is {expected_rad_s:g}: if that is true, the bridge lets the motor run free "
+            "while PWM is low, as an L298 does with PWM on its enable; docs/real-bench.md names the wires to move"
+        ]
+    return []
+
+
+def _defect(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}; please report this with the run folder"
+
+
+def _write_result(session: Session, outcome: Outcome) -> None:
+    try:
+        outcome.result = run_result(
+            session.experiment, session.bench, session.loop.statistics, session.found, outcome.fault
+        )
+    except Exception as error:  # noqa: BLE001 - a result that says why is better than none
+        outcome.failures.append(f"the result is incomplete: {_defect(error)}")
+        outcome.result = _least_result(session, outcome)
+    try:
+        write_result(session.folder, outcome.result, follows_links=False)
+    except RecordingError as error:
+        words = f"{error.path.name} {error.cause}; {error.cure}"
+        outcome.failures += [] if words in outcome.failures else [words]  # it is written twice
+
+
+def _least_result(session: Session, outcome: Outcome) -> RunResult:
+    """The result that needs nothing but the notes."""
+    notes = [*session.found.notes, *outcome.failures]
+    return least_result(session.bench, session.experiment, session.loop.statistics, notes, outcome.fault)
+
+
+def _measure_tracking(session: Session, outcome: Outcome) -> None:
+    """Measure the tracking error of each tracking run that came to its end."""
+    tracking = session.found.tracking
+    finished = [method for method, entry in tracking.items() if entry.not_run is None]
+    for method in finished:
+        try:
+            recording = session.read()
+            rows = recording.stage_rows(str(Stage.track(method)))
+            t_s, yd_rad = recording.t_s[rows], recording.yd_rad[rows]
+            real = session.found.real_motors.get(method)
+            measured_rad = recording.y_rad[rows] if real is None else real.positions(recording.y_rad[rows])
+            rms_rad, max_rad = tracking_error(t_s, measured_rad, yd_rad, after_s=FADE_S)
+            true = (
+                None if (y_rad := _true_position(session, t_s)) is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
+            )
+        except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
+            words = error.cause if isinstance(error, RecordingError) else _defect(error)
+            tracking[method] = TrackingResult(not_run=f"it ran, but its recording cannot be read: {words}")
+            outcome.failures.append(f"no tracking error of {method}: {words}")
+        else:
+            true_rms_rad, true_max_rad = (None, None) if true is None else true
+            tracking[method] = tracking[method].model_copy(
+                update={
+                    "rms_rad": rms_rad,
+                    "max_rad": max_rad,
+                    "true_rms_rad": true_rms_rad,
+                    "true_max_rad": true_max_rad,
+                }
+            )
+
+
+def _true_position(session: Session, t_s: Array) -> Array | None:
+    """Where the emulated shaft was at these times, by the config's calibration (docs/theory.md 11.4); None: unknown.
+
+    Also None where the device told less than all of that time.
+    """
+    path, truth = session.found.shaft, session.bench.truth
+    if path is None or truth is None or len(path.t_s) == 0:
+        return None
+    at_s = np.asarray(path.t_s, dtype=float) + session.loop.since_start_s(0.0)
+    if t_s[0] < at_s[0] - SHAFT_GAP_S or t_s[-1] > at_s[-1] + SHAFT_GAP_S:
+        return None
+    shaft_rad = np.interp(t_s, at_s, np.asarray(path.y_rad, dtype=float))
+    counts = truth.centre_counts + (shaft_rad + truth.offset_rad) / truth.rad_per_count
+    return np.array([session.experiment.sensor.curve.to_rad(one) for one in counts.tolist()])
+
+
+def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
+    """The motor supply as the device measures it, beside the config's."""
+    info, drive = bench.info, experiment.drive
+    return SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V)
+
+
+def _stages(experiment: Experiment) -> list[str]:
+    """Every stage that a run can record."""
+    relays = [str(Stage.relay(number)) for number in range(1, 5)]
+    if experiment.relay.until is not None:
+        kinds = (Stage.relay, Stage.strokes)
+        relays = [str(kind(number)) for number in range(1, MOST_TESTS + 2) for kind in kinds]
+    if experiment.relay.hysteretic is not None:
+        runs = range(1, len(experiment.relay.hysteretic) + 1)
+        relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
+    relays.append(str(StageKind.SURVEY))
+    tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]
