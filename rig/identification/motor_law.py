@@ -25,10 +25,9 @@ from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known,
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.in_place import bare_fits, gained, in_place
 from rig.identification.departures.nuisances import Nuisances
-from rig.identification.departures.outside import instead_of_sag, outside
+from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Cut
 from rig.identification.departures.profile import profiles
-from rig.identification.departures.sag import Sag
 from rig.identification.departures.soft_coupling import SoftCoupling
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
@@ -451,8 +450,8 @@ def motor_law(
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
     like = () if begun.chooser.is_rounding(parts) else only_like(parts, others)
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
-    if Sag.name in bare:
-        instead += instead_of_sag(parts, choice.laws, begun.chooser, bare[Sag.name])
+    for sag in (one for one in choice.laws if isinstance(one, INSTEAD_OF)):
+        instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
     scales = ScaleErrors.of(stated, *begun.travel_rad)

@@ -301,12 +301,16 @@ def _estimate(
     scale[:2] = tau, K
     jacobian = problem.whiten(best.jacobian[:, mask] / scale[mask])
     residual = problem.whiten(best.residual)
+    fitted = np.flatnonzero(mask)
+    # a window that begins at a standstill shows no velocity there: nothing else depends on it
+    acts = (fitted < SHARED) | np.any(jacobian != 0.0, axis=0)
+    jacobian, fitted = jacobian[:, acts], fitted[acts]
     covariance, freedom = covariance_of(jacobian, residual)
     pairs = repetitions(problem.windows, periods_s)
     share = repeated_share(residual, pairs)
     covariance = with_repetition(covariance, jacobian, pairs, share)
     full = np.zeros((mask.size, mask.size))
-    full[np.ix_(mask, mask)] = covariance
+    full[np.ix_(fitted, fitted)] = covariance
     shared = full[:SHARED, :SHARED]
     delay, delay_error = best.x[4], math.sqrt(shared[4, 4])
     if not problem.free[4]:

@@ -15,7 +15,6 @@ import yaml
 from command_line import rig
 from rich.console import Console
 
-from rig import terminal
 from rig.run_folder.recording.csv_file import read_csv
 from rig.run_folder.results import (
     Answer,
@@ -48,7 +47,7 @@ TRACKING = {method: TrackingResult(rms_rad=0.0123) for method in METHODS}
 @pytest.mark.parametrize("width", [80, 60])
 def test_a_table_on_a_terminal_never_cuts_the_name_of_a_method(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = io.StringIO()
-    monkeypatch.setattr(terminal, "Console", partial(Console, width=width, file=shown, force_terminal=True))
+    monkeypatch.setattr("rich.console.Console", partial(Console, width=width, file=shown, force_terminal=True))
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     show_estimates({method: estimate() for method in METHODS}, TRUTH, TRACKING)
     for method in METHODS:

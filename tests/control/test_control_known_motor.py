@@ -24,6 +24,8 @@ FRAME = Frame(0.0, 0.8, 0.0, 60.0)
 # Of each part that a drive can make up for: its numbers.
 SIZES: dict[str, dict[str, float]] = {
     "dead_band": {"dead_band_V": 0.15},
+    "load_friction": {"load_friction": 0.15, "viscous_share": 0.3},
+    "source": {"source_per_V2": 0.02, "viscous_share": 0.3},
     "gain_by_sign": {"gain_by_sign": 0.1},
     "sag": {"sag_per_V": 0.1},
     "lag": {"lag_s": 0.015},

@@ -16,7 +16,7 @@ from evidence import evidence
 from rig.backends.serial import opening
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.cli import main
-from rig.config.schema import Experiment
+from rig.config.schema import DeviceSetup
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "demo-pico.yaml"
 FROM_S = 6.5  # in the relay test
@@ -65,8 +65,8 @@ def test_the_run_ends_by_its_code_with_the_pins_at_0(
     trouble, code, within_s = TROUBLES[name]
     picos: list[Troubled] = []
 
-    def made(e: Experiment) -> Troubled:
-        picos.append(Troubled(opening._pico_parameters(e.device), trouble))
+    def made(d: DeviceSetup) -> Troubled:
+        picos.append(Troubled(opening._pico_parameters(d), trouble))
         return picos[-1]
 
     monkeypatch.setattr(opening, "emulated_pico", made)

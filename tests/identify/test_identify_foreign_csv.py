@@ -164,9 +164,13 @@ def test_origins_do_not_matter(tmp_path: Path, relay_test: Columns) -> None:
     other = estimate(plain_csv(tmp_path / "b.csv", moved))
     assert certain_but_for_laws(plain)
     assert certain_but_for_laws(other)
-    assert (other.tau_s, other.K_rad_s_V, other.fc_V) == pytest.approx(
-        (plain.tau_s, plain.K_rad_s_V, plain.fc_V), rel=1e-4
-    )
+    for name in (
+        "tau_s",
+        "K_rad_s_V",
+        "fc_V",
+    ):  # the shaft stops at other rounded instants: another of many equal minima
+        low, high = plain.ci95[name]
+        assert abs(getattr(other, name) - getattr(plain, name)) < 0.05 * (high - low), name
 
 
 # -- refused where it does not ----------------------------------------------------------------------------------------

@@ -186,7 +186,8 @@ def test_pieces_begin_from_several_starts_and_come_near_a_motor_with_an_unbalanc
 def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
     bench = Bench(20.0, 0.6, 12.0, 100.0, 3.0, 0.01, 0.1)
     for law in DEPARTURES:
-        assert law.most(bench) >= (12.0 if law.unit == "V" else 10.0 * law.range_of(bench))
+        if law.name != "load_friction":  # a share of the torque: beyond 1 nothing moves
+            assert law.most(bench) >= (12.0 if law.unit == "V" else 10.0 * law.range_of(bench))
 
 
 def test_a_force_over_the_angle_of_any_period_is_found_where_the_travel_shows_it() -> None:

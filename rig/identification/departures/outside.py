@@ -45,6 +45,7 @@ from rig.run_folder.recording.series import Steps
 Array = NDArray[np.float64]
 
 SIZES = (0.5, 1.0, 1.5)  # of the sag that was found
+INSTEAD_OF = (Sag, Source)  # a resistance behind a bridge that does not chop is neither
 AT_REST = 0.02  # of the largest speed
 FIRST = 1.0 / 3.0  # of the range: the size of a sag by the current whose effect stands for all
 
@@ -72,7 +73,7 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
             Outside(coupling, by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
             for rad_s in FREQUENCIES_RAD_S
         ]
-    if not any(isinstance(law, Sag | Source) for law in laws):
+    if not any(isinstance(law, INSTEAD_OF) for law in laws):
         found.append(Outside(SagByCurrent(), _by_sag(fit, bench)))
     if not fit.problem.noise.white and Cogging().fits(bench):
         orders = [trial["cogging_per_rad"] for trial in Cogging().trials(bench)]
@@ -82,19 +83,18 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
     return found
 
 
-def instead_of_sag(fit: Fit, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
-    """The best sag by the current in the place of the fit's sag; empty where it has none.
+def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, bare: Fit) -> list[InPlace]:
+    """The best sag by the current in the place of the fit's sag, or of its supply's resistance.
 
     fit    with its noise
-    bare   the same without its sag
+    law    that of ``laws``, one of ``INSTEAD_OF``
+    bare   the same without that law
     """
-    law = next((one for one in laws if isinstance(one, Sag)), None)
-    if law is None:
-        return []
+    like_per_V = fit.motor.sag_per_V if isinstance(law, Sag) else fit.motor.source_per_V2 * chooser.bench.largest_V
     others = [one for one in laws if one is not law]
     found = []
     for share in SIZES:
-        size = share * fit.motor.sag_per_V
+        size = share * like_per_V
         trial = bare
         for _ in range(2):  # the current is that of the motor as it is fitted
             cut = by_current(fit, trial.motor.K_rad_s_V, size)
