@@ -6,7 +6,6 @@ import importlib
 import resource
 import signal
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,23 +31,8 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that take longest begin first, so that workers that share the files end together.
-
-    Those that run in real time wait more than they compute: they stand among the others, so that not all workers wait
-    at once, and all have begun when four fifths of the others have.
-    """
-    files: dict[Path, list[pytest.Item]] = {}
-    for item in sorted(items, key=lambda item: item.get_closest_marker("long") is None):
-        files.setdefault(item.path, []).append(item)
-    waits = [own for own in files.values() if any(item.get_closest_marker("realtime") for item in own)]
-    computes = [own for own in files.values() if own not in waits]
-    apart = max(int(0.8 * len(computes) / max(len(waits), 1)), 1)
-    ordered: list[pytest.Item] = []
-    for k, own in enumerate(computes):
-        if k % apart == 0 and waits:
-            ordered += waits.pop(0)
-        ordered += own
-    items[:] = [*ordered, *(item for own in waits for item in own)]
+    """Files that take longest begin first, so that workers that share the files end together."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 @pytest.fixture(autouse=True, scope="module")
