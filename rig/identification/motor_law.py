@@ -38,7 +38,7 @@ from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import one_way
 from rig.identification.repetition import repeated_share, repetitions
 from rig.identification.stated_errors import ScaleErrors, StatedErrors
-from rig.identification.thinning import thinned
+from rig.identification.thinning import showing_the_angle, thinned
 from rig.identification.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.run_folder.recording.series import TimeSeries, Window
@@ -559,7 +559,7 @@ def _record(series: TimeSeries) -> FittedRecord:
 def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSeries:
     """The series as it is taken where all records have ``of_rows``, for at most ``most``."""
     rows_of_tau = ROWS_OF_TAU if most == MOST_ROWS else FEWER_OF_TAU
-    rows = math.ceil(of_rows / most)
+    rows = showing_the_angle(series, math.ceil(of_rows / most))
     if most == FEWER_ROWS and series.steps.edge_s.size <= len(series) // max(rows, 1):
         return thinned(series, rows)  # its edges stay where they were: the motion between them has a closed form
     return thinned(series, min(rows, int(tau_s / series.period_s / rows_of_tau)))

@@ -6,7 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from rig.identification.departures.departure import COARSEST_PATH_RAD
 from rig.run_folder.recording.series import TimeSeries
+
+OF_COARSEST = 0.8  # mean way of several rows as one, at most, of that beyond which no law over the angle is looked for
+
+
+def showing_the_angle(test: TimeSeries, rows: int) -> int:
+    """How many rows at a time may be one, at most ``rows``: rows that show a law over the angle still do.
+
+    A quick shaft turns so far in a few rows that nobody would look for a force over its angle any more.
+    """
+    path_rad = float(np.mean(np.abs(np.diff(test.y_rad))))
+    if not 0.0 < path_rad < COARSEST_PATH_RAD:
+        return rows
+    return max(min(rows, int(OF_COARSEST * COARSEST_PATH_RAD / path_rad)), 1)
 
 
 def thinned(test: TimeSeries, rows: int) -> TimeSeries:

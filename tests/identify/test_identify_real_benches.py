@@ -15,7 +15,7 @@ from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Columns, levels
 from rig.identification.departures.cogging import Cogging
-from rig.identification.departures.departure import Bench
+from rig.identification.departures.departure import COARSEST_PATH_RAD, Bench
 from rig.identification.departures.fit import CORE, Problem, limits_of, solve, start
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Cut
@@ -25,6 +25,7 @@ from rig.identification.in_pieces import fit_in_pieces
 from rig.identification.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
+from rig.identification.thinning import showing_the_angle, thinned
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
@@ -181,6 +182,17 @@ def test_pieces_begin_from_several_starts_and_come_near_a_motor_with_an_unbalanc
     assert pieces.motor.tau_s == pytest.approx(0.05, rel=0.5)
     assert pieces.motor.K_rad_s_V == pytest.approx(20.0, rel=0.3)
     assert blocks.count >= 5
+
+
+def test_a_quick_shafts_rows_are_not_taken_as_one_until_no_angle_shows() -> None:
+    """A load of 2 V at 10 turns a second was not looked for once three rows were one."""
+    t_s, u_V, y_rad = recorded(MOTOR, (3.0, 5.0))
+    quick = TimeSeries(t_s, y_rad, None, u_V)
+    rows = showing_the_angle(quick, 10)
+    assert 1 < rows < 10
+    assert np.mean(np.abs(np.diff(thinned(quick, rows).y_rad))) < COARSEST_PATH_RAD
+    assert showing_the_angle(replace(quick, y_rad=0.01 * quick.y_rad), 10) == 10
+    assert showing_the_angle(replace(quick, y_rad=10.0 * quick.y_rad), 10) == 10  # the law is not looked for anyway
 
 
 def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
