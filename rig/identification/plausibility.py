@@ -25,6 +25,7 @@ SHORTEST_RECORD_S = 0.1
 LARGEST_SPAN_RAD = 40.0  # six turns
 SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
 FINE_RAD = 0.05  # 126 steps a turn; in degrees it would be 7,200
+FEWEST_COUNTS, WHOLE = 8, 0.01  # counts a turn of the coarsest encoder whose step tells radians, and how whole they are
 COARSE_STEP_RAD, COARSEST_STEP_RAD = 0.1, 0.5  # 63 and 13 steps a turn
 LARGEST_DRIVE_V = 100.0
 SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
@@ -193,6 +194,12 @@ def _turns_against_drive(test: TimeSeries) -> bool:
     return work < -5.0 * scatter
 
 
+def _divides_a_turn(step_rad: float) -> bool:
+    """Whether a turn is a whole number of such steps: those of degrees are not, 0.9 degrees as 0.9 rad included."""
+    counts = 2.0 * np.pi / max(step_rad, 1e-9)
+    return bool(counts > FEWEST_COUNTS - 0.5 and abs(counts - round(counts)) < WHOLE)
+
+
 def _units(test: TimeSeries) -> list[Objection]:
     name, period = test.name, test.period_s
     y, span, largest = test.y_rad, float(np.ptp(test.y_rad)), float(np.abs(test.u_V).max())
@@ -216,8 +223,8 @@ def _units(test: TimeSeries) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
-    elif max(step, test.noise_rad()) < FINE_RAD:
-        pass  # as fine as an encoder's radians: no sign of degrees, and the column's name says rad
+    elif max(step, test.noise_rad()) < FINE_RAD or _divides_a_turn(step):
+        pass  # an encoder's radians, fine or of few counts: no sign of degrees, and the column's name says rad
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
     elif span > LARGE_SPAN_RAD:

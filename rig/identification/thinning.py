@@ -33,9 +33,9 @@ def thinned(test: TimeSeries, rows: int) -> TimeSeries:
     if rows < 2:
         return test
     first = np.arange(0, len(test) - rows + 1, rows)
-    spans = np.diff(np.append(test.edge_s, test.edge_s[-1] + test.period_s))
-    whole = np.add.reduceat(spans, first)
-    mean_V = np.add.reduceat(test.u_V * spans, first) / np.where(whole > 0.0, whole, 1.0)
+    ends_s = np.append(test.edge_s[first], test.edge_s[-1] + test.period_s)
+    whole = np.diff(ends_s)
+    mean_V = np.diff(test.steps.area_V_s(ends_s)) / np.where(whole > 0.0, whole, 1.0)
     return replace(
         test,
         t_s=test.t_s[first],

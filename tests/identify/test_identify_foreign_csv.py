@@ -333,17 +333,19 @@ def test_a_handful_of_rows_is_one_clear_line(tmp_path: Path, relay_test: Columns
         identify([read(plain_csv(tmp_path / "a.csv", short))])
 
 
-def test_where_units_are_stated_the_shaft_may_turn_as_often_as_it_likes(tmp_path: Path) -> None:
-    """300 rad, in the steps of an encoder with 44 counts a turn: no sign of degrees, as it is where nobody says."""
-    step_rad = 2.0 * np.pi / 44
+@pytest.mark.parametrize("step_rad, objections", [(0.15, 1), (2.0 * np.pi / 44, 0), (2.0 * np.pi / 12, 0)])
+def test_many_turns_in_coarse_steps_are_degrees_but_for_steps_that_divide_a_turn(
+    tmp_path: Path, step_rad: float, objections: int
+) -> None:
+    """300 rad: in steps of 0.15 it may be degrees, as an encoder's 44 or 12 counts a turn they are not."""
     columns = sampled(motor(**PAPER), binary(-3.0, 4.0, 0.9), ticks(2000), 0.004, 0.0, step_rad)
     path = plain_csv(tmp_path / "a.csv", columns)
     unsaid = read(path)
     said = read(path, LogFormat(LogColumn("s"), LogColumn("V"), LogColumn("rad")))
-    for recording, objections in ((unsaid, 1), (said, 0)):
+    for recording, expected in ((unsaid, objections), (said, 0)):
         series, _ = from_recording(recording, slice(0, len(recording)), "a")
         assert float(np.ptp(series.y_rad)) > 100.0
-        assert len(judge_records([series])) == objections
+        assert len(judge_records([series])) == expected
 
 
 def test_beyond_one_turn_cogging_has_whole_orders() -> None:

@@ -67,9 +67,9 @@ def test_a_reading_that_stays_while_there_is_no_drive_is_a_shaft_at_rest() -> No
 
 def test_a_position_against_its_name_is_asked_about_with_what_to_type_if_the_name_is_right() -> None:
     moved = to_and_fro(0.0)
-    turns = replace(moved, y_rad=100.0 * moved.y_rad, name="steps.csv")
+    turns = replace(moved, y_rad=110.0 * moved.y_rad, name="steps.csv")
     (objection,) = judge_records([turns])
-    assert "span 49.9 rad, 7.9 turns" in objection.reason
+    assert "span 54.9 rad, 8.7 turns" in objection.reason
     assert "if it is right, type --position y_rad:rad" in objection.reason
     assert judge_records([replace(turns, units_stated=True)]) == []
 

@@ -195,6 +195,17 @@ def test_a_quick_shafts_rows_are_not_taken_as_one_until_no_angle_shows() -> None
     assert showing_the_angle(replace(quick, y_rad=10.0 * quick.y_rad), 10) == 10  # the law is not looked for anyway
 
 
+def test_rows_taken_as_one_keep_the_mean_of_a_ramped_drive() -> None:
+    """They took the mean of what was commanded, and the ramp was gone from a long log."""
+    t_s = 0.01 * np.arange(60.0)
+    u_V = np.where(t_s < 0.2, 0.0, 9.0)
+    ramped = TimeSeries(t_s, t_s, None, u_V)
+    ramped = replace(ramped, edges=ramped.steps.ramped(30.0))
+    taken = thinned(ramped, 10)
+    assert taken.edges is None  # more stairs than rows
+    assert taken.u_V == pytest.approx([0.0, 0.0, 1.5, 4.5, 7.5, 9.0], abs=1e-6)
+
+
 def test_voltages_of_laws_may_be_as_large_as_the_drive() -> None:
     bench = Bench(20.0, 0.6, 12.0, 100.0, 3.0, 0.01, 0.1)
     for law in DEPARTURES:

@@ -38,6 +38,12 @@ class Steps(NamedTuple):
     edge_s: Array
     u_V: Array
 
+    def area_V_s(self, t_s: Array) -> Array:
+        """Integral of the drive from the first edge to each of these times, V s; the first one acts before it, too."""
+        area = np.concatenate(([0.0], np.cumsum(self.u_V[:-1] * np.diff(self.edge_s))))
+        acts = np.maximum(np.searchsorted(self.edge_s, t_s, side="right") - 1, 0)
+        return np.asarray(area[acts] + self.u_V[acts] * (t_s - self.edge_s[acts]))
+
     def ramped(self, slew_V_s: float) -> Steps:
         """The drive of a device that goes from each of these drives to the next at so many V/s, > 0.
 
