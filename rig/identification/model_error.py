@@ -86,18 +86,20 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     return ModelError(tuple(found), effect)
 
 
-def only_like(fit: Fit, bare: Iterable[Fit]) -> tuple[Entry, ...]:
+def only_like(fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] = ()) -> tuple[Entry, ...]:
     """The line for laws that leave more than white noise: what they may be off.
 
     fit    with its noise
     bare   for each of its laws the fit without it
+    near   with other laws in place of one, which leave hardly more, and how much each counts: the motor may be that one
     """
     if fit.problem.noise.white:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     there = np.array([[getattr(one.motor, name) for name in OF] for one in bare]).reshape(-1, len(OF))
     moves = np.minimum(np.abs(there - here), FARTHEST * np.abs(here))
-    half = ALIKE * np.sqrt((moves**2).sum(axis=0))
+    apart = [count * np.abs([getattr(one.motor, name) for name in OF] - here) for one, count in near]
+    half = np.max([ALIKE * np.sqrt((moves**2).sum(axis=0)), *apart], axis=0)
     return (Entry(LIKE, *half.tolist()),) if half.any() else ()
 
 

@@ -23,7 +23,7 @@ from rig.identification.departures.departure import Departure
 from rig.identification.departures.drift import DriftEach, LevelEach
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
-from rig.identification.departures.in_place import bare_fits, gained, in_place
+from rig.identification.departures.in_place import bare_fits, gained, in_place, nearly_as_good
 from rig.identification.departures.nuisances import Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Cut
@@ -448,7 +448,9 @@ def motor_law(
     bare = bare_fits(parts, choice.laws, begun.chooser)
     coupled = fit.problem.cut.coupling_rad_s
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
-    like = () if begun.chooser.is_rounding(parts) else only_like(parts, others)
+    like: tuple[Entry, ...] = ()
+    if not begun.chooser.is_rounding(parts):
+        like = only_like(parts, others, nearly_as_good(parts, choice.laws, begun.chooser, bare))
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     for sag in (one for one in choice.laws if isinstance(one, INSTEAD_OF)):
         instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])

@@ -266,6 +266,36 @@ def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_mov
     assert line.K_rad_s_V == pytest.approx(0.03 * fit.motor.K_rad_s_V)
     assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)  # a fit that lost its way counts as half
     assert only_like(fit, []) == ()
+    near = start(problem, fit.motor._replace(K_rad_s_V=0.4 * fit.motor.K_rad_s_V))
+    for count in (1.0, 0.5):  # as well another law's motor
+        (line,) = only_like(fit, bare, [(near, count)])
+        assert line.K_rad_s_V == pytest.approx(0.6 * count * fit.motor.K_rad_s_V)
+    assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)
+
+
+@pytest.mark.evidence
+def test_where_a_law_of_another_kind_leaves_hardly_more_the_number_is_as_wide_as_both() -> None:
+    """Friction that falls with the square of the speed, in a slow loop: a drag and K 80 % too large fit it, too."""
+    step_s, y_rad, speed, u_V, rows = 1e-4, 0.0, 0.0, 0.0, []
+    for k in range(300_000):
+        t_s = k * step_s
+        if k % 20 == 0:
+            goal_rad = 2.0 * math.sin(math.pi * t_s) + math.sin(2.6 * math.pi * t_s)
+            u_V = float(np.clip(25.0 * (goal_rad - y_rad), -12.0, 12.0))
+            rows.append((t_s, u_V, round(y_rad / STEP_RAD) * STEP_RAD))
+        way = math.copysign(1.0, speed or u_V)
+        friction_V = 0.9 + 0.4 * math.exp(-((speed / 6.0) ** 2))
+        if speed == 0.0 and abs(u_V) <= friction_V:
+            continue
+        after = speed + step_s * (6.5 * (u_V - way * friction_V) - speed) / 0.11
+        after = 0.0 if speed * after < 0.0 else after
+        y_rad, speed = y_rad + 0.5 * step_s * (speed + after), after
+    t_s, u_V, y_rad = np.array(rows).T
+    answer = answered((t_s, u_V, y_rad))
+    assert answer.grade is not None and answer.verdict == "doubtful"
+    for name, true in (("tau_s", 0.11), ("K_rad_s_V", 6.5), ("fc_V", 0.9)):
+        given = answer.grade[name].value
+        assert given is None or given == pytest.approx(true, rel=0.1)
 
 
 def test_a_soft_coupling_holds_the_reading_back_by_its_acceleration_and_a_current_takes_of_the_drive() -> None:

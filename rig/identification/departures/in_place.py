@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Chooser
 from rig.identification.departures.departure import Departure
-from rig.identification.departures.fit import Fit, solve, unit
+from rig.identification.departures.fit import Fit, refitted, solve, unit
 from rig.identification.departures.nuisances import OF, Nuisance, Nuisances
+from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
 
 Array = NDArray[np.float64]
 
 FAR = 0.1  # of tau, K or friction: what the linear model would move it by, beyond which a fit is asked
+FAR_WORSE = 1.5  # what another law leaves beyond the sensor's noise over what the fit leaves: then it counts no more
 RIVAL = 20.0  # rise of Schwarz's criterion up to which a law in place of another counts at all
 
 
@@ -72,6 +74,39 @@ def in_place(
             if best is None or new.rise < best.rise or new.other.name in far:
                 found[law.name, new.other.name] = new
     return list(found.values())
+
+
+def nearly_as_good(
+    fit: Fit, laws: Sequence[Departure], chooser: Chooser, bare: Mapping[str, Fit]
+) -> list[tuple[Fit, float]]:
+    """Fits with another law in place of one, of a fit that leaves more than white noise, and how much each counts.
+
+    What both leave beyond the sensor's noise is no noise but the motor, so likelihood says nothing of the two. A law
+    enters where it takes away a share of what is left, ``asked.cuts``; so one that leaves no more than that share more
+    counts in full, and one that leaves 1.5 times as much not at all.
+    """
+    if fit.problem.noise.white:
+        return []
+
+    def by_squares(one: Fit) -> Fit:
+        return solve(refitted(one, replace(one.problem, noise=WHITE)), TRIAL_ITERATIONS)
+
+    def left_rad(one: Fit) -> float:
+        return math.sqrt(max(one.rms_rad**2 - chooser.sigma_rad**2, 0.0))
+
+    least_rad = max(left_rad(by_squares(fit)), 1e-300)
+    alike = 1.0 / (1.0 - chooser.asked.cuts)
+    tried = []
+    for law in laws:
+        others = [one for one in laws if one is not law]
+        without_it = by_squares(bare[law.name])
+        promises = [one for one in chooser.promises(without_it, others) if one.law is not law]
+        for promise in promises[:TRIED]:
+            motor = without_it.motor._replace(**promise.first)
+            tried.append(chooser.with_laws(without_it, [*others, promise.law], motor))
+    fits = side_by_side(lambda one: solve(one, TRIAL_ITERATIONS), tried, fit.residual_rad.size)
+    counts = [min((FAR_WORSE - left_rad(one) / least_rad) / (FAR_WORSE - alike), 1.0) for one in fits]
+    return [(one, count) for one, count in zip(fits, counts, strict=True) if count > 0.0]
 
 
 def gained(fit: Fit, bare: Fit) -> float:
