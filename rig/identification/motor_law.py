@@ -564,7 +564,8 @@ def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSe
     rows = showing_the_angle(series, math.ceil(of_rows / most))
     if most == FEWER_ROWS and series.steps.edge_s.size <= len(series) // max(rows, 1):
         return thinned(series, rows)  # its edges stay where they were: the motion between them has a closed form
-    return thinned(series, min(rows, int(tau_s / series.period_s / rows_of_tau)))
+    of_drive = max(int(tau_s / series.period_s / ROWS_OF_TAU), 1)
+    return thinned(series, min(rows, int(tau_s / series.period_s / rows_of_tau)), of_drive)
 
 
 def _slow(series: TimeSeries) -> TimeSeries:
