@@ -42,6 +42,7 @@ MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 TURN_STEPS = 16.0  # of the sensor: a shaft that turns within one step goes no farther in as many rows ahead or behind
+FAR_STEPS = 10.0  # from an end of the travel: no reading there is one of that end
 LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 FEW_LEVELS = 8
 # Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
@@ -320,7 +321,8 @@ def _rails(test: TimeSeries) -> list[Objection]:
         under_drive = driven[edges[1::2]] - driven[begins]
         k = int(np.argmax(under_drive))
         row = int(begins[k])
-        if under_drive[k] >= RAIL_ROWS and not _turns(test, row, row + int(lengths[k])):
+        stop = row + int(lengths[k])
+        if under_drive[k] >= RAIL_ROWS and not _turns(test, row, stop) and not _sticks(test, row, stop):
             first = test.first_row + row
             found.append(
                 Objection(
@@ -337,6 +339,17 @@ def _turns(test: TimeSeries, first: int, stop: int) -> bool:
     y, step, rows = test.y_rad, test.resolution_rad(), stop - first
     ahead, behind = y[max(first - rows, 0) : first + 1], y[stop - 1 : stop + rows]
     return test.noise_rad() <= step and max(float(np.ptp(ahead)), float(np.ptp(behind))) <= TURN_STEPS * step
+
+
+def _sticks(test: TimeSeries, first: int, stop: int) -> bool:
+    """Whether friction may hold the shaft in these rows: inside the travel it stands as long, as hard driven."""
+    y, step, rows = test.y_rad, test.resolution_rad(), stop - first
+    windows = np.lib.stride_tricks.sliding_window_view(y, rows)
+    low, high = windows.min(axis=1), windows.max(axis=1)
+    inside = (low > y.min() + FAR_STEPS * step) & (high < y.max() - FAR_STEPS * step)
+    stands = np.flatnonzero(inside & (high - low <= MOVED_STEPS * step))
+    drives = np.lib.stride_tricks.sliding_window_view(np.abs(test.u_V), rows)[stands]
+    return bool(np.any(drives.max(axis=1, initial=0.0) >= np.abs(test.u_V[first:stop]).max()))
 
 
 def _say_unit(test: TimeSeries) -> str:

@@ -37,6 +37,19 @@ def test_a_reading_cut_off_in_spite_of_noise_is_one(noise_rad: float) -> None:
     assert "stays at exactly" in objection.reason
 
 
+def test_a_shaft_that_friction_holds_at_its_turn_as_it_does_elsewhere_is_at_no_end_of_a_sensor() -> None:
+    """A position loop's shaft stands still under its drive wherever it turns."""
+    cut = to_and_fro(0.7 * STEP_RAD, 100 * STEP_RAD)
+    longest = max(len(run) for run in np.split(cut.y_rad, np.flatnonzero(np.diff(cut.y_rad)) + 1))
+    held = np.concatenate((np.arange(1000), np.full(longest + 1, 1000), np.arange(1001, cut.t_s.size - longest)))
+    y_rad, u_V = cut.y_rad[held], cut.u_V[held]
+    assert abs(y_rad[1000]) < 0.8 * y_rad.max()
+    assert judge_records([replace(cut, y_rad=y_rad, u_V=u_V)]) == []
+    softly = np.where(y_rad == y_rad.max(), u_V, 0.3 * u_V)
+    (objection,) = judge_records([replace(cut, y_rad=y_rad, u_V=softly)])
+    assert "stays at exactly" in objection.reason  # there it stands under a third of this drive
+
+
 def _test_of_run(name: str, travel_rad: float, seed: int = 1) -> TimeSeries:
     """A relay test of a run over so much travel, 100 rows a second."""
     t_s: NDArray[np.float64] = np.linspace(0.0, 6.0, 601)
