@@ -349,7 +349,7 @@ def _sticks(test: TimeSeries, first: int, stop: int) -> bool:
     inside = (low > y.min() + FAR_STEPS * step) & (high < y.max() - FAR_STEPS * step)
     stands = np.flatnonzero(inside & (high - low <= MOVED_STEPS * step))
     drives = np.lib.stride_tricks.sliding_window_view(np.abs(test.u_V), rows)[stands]
-    return bool(np.any(drives.max(axis=1, initial=0.0) >= np.abs(test.u_V[first:stop]).max()))
+    return bool(np.any(drives.mean(axis=1) >= np.abs(test.u_V[first:stop]).mean()))
 
 
 def _say_unit(test: TimeSeries) -> str:
