@@ -45,6 +45,7 @@ class Number(NamedTuple):
         return max(self.least, self.above, 0.0 if self.one_sided else -math.inf)
 
 
+_CURVE = "the sensor's curvature: of"
 _SINE, _COSINE = "times sin(y - centre)", "times cos(y - centre) less its mean over the travel"
 
 
@@ -95,7 +96,9 @@ class RealMotor(NamedTuple):
             at_rest=True,
         ),
     ] = 0.0  # fmt: skip
-    stribeck_rad_s: Annotated[float, Number("rad/s", "v_s", ("stribeck",), "v_s", is_shape=True, least=0.0)] = 0.0
+    stribeck_rad_s: Annotated[
+        float, Number("rad/s", "v_s: speed of the Stribeck effect", ("stribeck",), "v_s", is_shape=True, least=0.0)
+    ] = 0.0
     drag_V_s2_rad2: Annotated[
         float, Number("V s2/rad2", "c: drag c v |v|", ("drag",), "c", one_sided=True, steers=True)
     ] = 0.0
@@ -117,17 +120,25 @@ class RealMotor(NamedTuple):
     cogging_sin_V: Annotated[float, Number("V", "cogging: times sin(n y)", ("cogging",), "A", steers=True)] = 0.0
     cogging_cos_V: Annotated[float, Number("V", "cogging: times cos(n y)", ("cogging",), "B", steers=True)] = 0.0
     cogging_per_rad: Annotated[
-        float, Number("1/rad", "n, order of the cogging", ("cogging",), "n", is_shape=True, one_sided=True)
+        float,
+        Number(
+            "1/rad",
+            "n, order of the cogging: cogs for each radian of the shaft",
+            ("cogging",),
+            "n",
+            is_shape=True,
+            one_sided=True,
+        ),
     ] = 0.0
     backlash_rad: Annotated[
         float, Number("rad", "whole width of the play between motor and sensor", ("backlash",), least=0.0)
     ] = 0.0
     linearity_sin1_rad: Annotated[
-        float, Number("rad", "the sensor's curvature: its terms over the travel", ("linearity",))
+        float, Number("rad", f"{_CURVE} one sine over the travel, less its line", ("linearity",))
     ] = 0.0
-    linearity_cos1_rad: Annotated[float, Number("rad", "the sensor's curvature", ("linearity",))] = 0.0
-    linearity_sin2_rad: Annotated[float, Number("rad", "the sensor's curvature", ("linearity",))] = 0.0
-    linearity_cos2_rad: Annotated[float, Number("rad", "the sensor's curvature", ("linearity",))] = 0.0
+    linearity_cos1_rad: Annotated[float, Number("rad", f"{_CURVE} one cosine", ("linearity",))] = 0.0
+    linearity_sin2_rad: Annotated[float, Number("rad", f"{_CURVE} two sines, less their line", ("linearity",))] = 0.0
+    linearity_cos2_rad: Annotated[float, Number("rad", f"{_CURVE} two cosines", ("linearity",))] = 0.0
     drift: Annotated[
         float,
         Number("1", "relative change of Coulomb friction from the start of the tests to their end", ("drift",), "d"),
@@ -139,12 +150,17 @@ class RealMotor(NamedTuple):
             ("load_friction",), "L", least=0.0, below=1.0, steers=True,
         ),
     ] = 0.0  # fmt: skip
-    load_outside: Annotated[float, Number("1", "l", ("load_friction",), "l", is_shape=True, least=0.0)] = 0.0
+    load_outside: Annotated[
+        float,
+        Number(
+            "1", "l: share of the force over position that it sees", ("load_friction",), "l", is_shape=True, least=0.0
+        ),
+    ] = 0.0
     viscous_share: Annotated[
         float,
         Number(
-            "1", "r: share of 1/K that is viscous friction", ("load_friction", "source"), "r", is_shape=True, least=0.0,
-            below=1.0,
+            "1", "r: share of 1/K that is viscous friction; the rest is back-EMF", ("load_friction", "source"), "r",
+            is_shape=True, least=0.0, below=1.0,
         ),
     ] = 0.0  # fmt: skip
     source_per_V2: Annotated[

@@ -47,7 +47,7 @@ def _sag_per_V(bench: Bench) -> float:
 
 def _dead_bands(bench: Bench) -> Sequence[float]:
     """Where a drive is smaller than it may be: even steps, and close to each such drive, before and behind it."""
-    largest = _dead_band_V(bench)
+    largest = _least_pulse_V(bench)
     near = [share * drive for drive in bench.small_drives_V if drive < largest for share in (0.9, 1.1)]
     if not near:
         return ()
@@ -55,7 +55,7 @@ def _dead_bands(bench: Bench) -> Sequence[float]:
     return sorted({*(size for size in near if size < largest), *even})
 
 
-def _dead_band_V(bench: Bench) -> float:
+def _least_pulse_V(bench: Bench) -> float:
     return min(0.1, bench.half_drive_V)
 
 
@@ -102,7 +102,7 @@ def _bristles(bench: Bench, *shares: float) -> list[float]:
 DEPARTURES: list[Departure] = [
     Departure(
         "dead_band", "dead band of the drive", "a bridge whose transistors need a least pulse?",
-        _dead_band_V,  # a duty of 1 % at 12 V
+        _least_pulse_V,  # a duty of 1 % at 12 V
         "a relay test with drives against the motion: h1 nearly as large as h2",
         # from sizes, too, that swallow a small drive whole: that is no longer linear
         trials=lambda bench: _from("dead_band", 0.0, 0.02 * bench.largest_V, 0.05 * bench.largest_V),
