@@ -1,4 +1,4 @@
-"""Write the list of a motor's numbers into firmware/motor/real_motor.h, of rig/model/real_numbers.py.
+"""Write the list of a motor's numbers into firmware/motor/real_motor.h, of rig/core/motor_numbers.py.
 
 ``python tools/motor_numbers.py``
 """
@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from rig.model.real_numbers import NUMBERS, of_every_bench
+from rig.core.motor_numbers import NUMBERS, of_every_bench
 
 HEADER = Path(__file__).resolve().parent.parent / "firmware" / "motor" / "real_motor.h"
 LIST = re.compile(r"(?<=#define REAL_MOTOR_NUMBERS\(NUMBER\) \\\n)(?:    NUMBER\(.*\n)+")

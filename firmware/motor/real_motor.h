@@ -18,7 +18,7 @@
 #define RIG_REAL_MOTOR_H
 
 /* The numbers, in the order of every vector and Jacobian of them: name, whether it is of a PART or of every MOTOR, the least
- * that it may be, and what it has to be below. rig/model/real_numbers.py says what each is; tools/motor_numbers.py makes
+ * that it may be, and what it has to be below. rig/core/motor_numbers.py says what each is; tools/motor_numbers.py makes
  * this list of it. */
 #define REAL_MOTOR_NUMBERS(NUMBER) \
     NUMBER(tau_s, MOTOR, 0.0, INFINITY) \

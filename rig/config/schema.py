@@ -38,10 +38,10 @@ from rig.core.calibration import (
     TachometerScale,
 )
 from rig.core.estimators import ESTIMATORS
+from rig.core.motor_numbers import NUMBERS, Number, of_every_bench
 from rig.core.section import Interval, NonNegative, Positive
 from rig.core.section import Section as _Section
 from rig.core.signals import Limits
-from rig.model.real_numbers import NUMBERS, Number, of_every_bench
 
 if TYPE_CHECKING:
     Method = str

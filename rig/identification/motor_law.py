@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
@@ -40,7 +41,6 @@ from rig.identification.stated_errors import ScaleErrors, StatedErrors
 from rig.identification.thinning import showing_the_angle, thinned
 from rig.identification.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
-from rig.model.real_numbers import NUMBERS
 from rig.run_folder.recording.series import TimeSeries, Window
 from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import (

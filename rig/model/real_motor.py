@@ -13,16 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.motor_numbers import FRAME, NUMBERS, Number, Numbers, State
+from rig.core.motor_numbers import PARTS as PARTS
+from rig.core.motor_numbers import Frame as Frame
+from rig.core.motor_numbers import RealMotor as RealMotor
 from rig.model import real_step
 from rig.model.compiled import real_motion
 from rig.model.compiled.real_motion import Record, Windows
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_inverse import position
-from rig.model.real_numbers import FRAME, NUMBERS, Number, Numbers, State
-from rig.model.real_numbers import PARTS as PARTS
-from rig.model.real_numbers import Frame as Frame
-from rig.model.real_numbers import RealMotor as RealMotor
 
 Array = NDArray[np.float64]
 
@@ -211,7 +211,7 @@ class MovingMotor:
 def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float) -> State:
     """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start.
 
-    state   as ``rig.model.real_numbers.State``
+    state   as ``rig.core.motor_numbers.State``
     """
     return real_step.advance(framed.motor, framed.frame, state, u_V, framed.frame.start_s, dt_s)
 

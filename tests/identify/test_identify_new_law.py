@@ -61,7 +61,7 @@ def test_a_new_law_is_a_row_a_term_and_a_sentence(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "firmware" / "motor", tmp_path / "firmware" / "motor")
     (tmp_path / "tools").mkdir()
     shutil.copy(ROOT / "tools" / "motor_numbers.py", tmp_path / "tools")
-    table = tmp_path / "rig/model/real_numbers.py"
+    table = tmp_path / "rig/core/motor_numbers.py"
     put(table, "    bristle_V_rad: Annotated[", ROW + "    bristle_V_rad: Annotated[")
     for name, changes in TERM.items():
         for change in changes:

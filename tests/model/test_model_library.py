@@ -19,13 +19,13 @@ from real_motors import CASES, FRAME, relay, with_parts
 
 import motor_numbers
 from rig.core.errors import LibraryError
+from rig.core.motor_numbers import NUMBERS, PARTS
 from rig.design import compiled as design
 from rig.identification.noise import noise_of
 from rig.model import library, library_build, stribeck
 from rig.model.compiled import coloured_noise, motion, real_motion, sampled_relay, steady_cycle
 from rig.model.library import LIBRARY
 from rig.model.real_motor import Frame, Pieces, RealMotor, index, response_and_jacobian
-from rig.model.real_numbers import NUMBERS, PARTS
 from rig.model.step import Plant, State
 
 C = library.CLONE

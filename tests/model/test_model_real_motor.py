@@ -15,6 +15,7 @@ from real_motors import CASES, EACH, FRAME, PLAIN, relay, with_parts
 from scipy.integrate import solve_ivp
 from synthetic import motor as plain_motor
 
+from rig.core.motor_numbers import NUMBERS
 from rig.model.friction import tustin
 from rig.model.motor import Motor, State
 from rig.model.real_motor import (
@@ -28,7 +29,6 @@ from rig.model.real_motor import (
     response,
     response_and_jacobian,
 )
-from rig.model.real_numbers import NUMBERS
 from rig.model.sensitivity import Theta, position_and_jacobian
 
 Record = tuple[tuple[np.ndarray, np.ndarray], np.ndarray, Pieces]

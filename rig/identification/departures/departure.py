@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rig.model.real_numbers import NUMBERS, PARTS
+from rig.core.motor_numbers import NUMBERS, PARTS
 
 LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
 LARGEST_FORCE = 3.0  # of a law over the angle, times the largest drive

@@ -1,6 +1,6 @@
 """The laws that a real motor may have beyond the plain one (docs/theory.md 12): a row each, with its sentences.
 
-Their numbers are in the table of ``rig.model.real_numbers``. A row says in words what the law may come from and what
+Their numbers are in the table of ``rig.core.motor_numbers``. A row says in words what the law may come from and what
 tells it apart, and its bounds as multiples of the bench's drive, speed, friction and travel.
 """
 
@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from rig.core.motor_numbers import PARTS
 from rig.identification.departures.departure import Bench, Departure, Start
-from rig.model.real_numbers import PARTS
 
 EVEN = 8  # sizes of a dead band, evenly up to the largest
 VISCOUS, MOST_VISCOUS = 0.1, 0.9  # of 1/K: the rest is back-EMF

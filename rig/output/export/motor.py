@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from rig.core.motor_numbers import FRAME, PARTS
+from rig.core.motor_numbers import NUMBERS as OF_MOTOR
 from rig.core.package import VERSION
 from rig.identification.known_model import known_model
 from rig.model.real_motor import FramedMotor
-from rig.model.real_numbers import FRAME, PARTS
-from rig.model.real_numbers import NUMBERS as OF_MOTOR
 from rig.output.export.whole_run import ExportedRun
 from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.recording.writer import SAMPLES

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from rig.core.motor_numbers import NUMBERS, of_every_bench
 from rig.model.bench import BenchParameters
-from rig.model.real_numbers import NUMBERS, of_every_bench
 
 
 def device_options(

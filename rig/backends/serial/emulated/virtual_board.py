@@ -130,7 +130,7 @@ class VirtualBoard(VirtualDevice):
     ) -> tuple[tuple[float, ...], float]:
         """State and reading of a motor with parts ``dt_s`` after ``t_s`` of constant drive; the board is untouched.
 
-        state   v, y, f, w and x, as in ``rig.model.real_numbers``; None: at rest at the start
+        state   v, y, f, w and x, as in ``rig.core.motor_numbers``; None: at rest at the start
         """
         numbers = (ctypes.c_double * 6)(*(state or ()))
         when = (ctypes.c_double * 2)(t_s, dt_s)
