@@ -80,12 +80,12 @@ class Point(NamedTuple):
 
     @classmethod
     def of(cls, x: Array, rows: Callable[[Array], tuple[Array, Array]]) -> Point:
-        """Where ``rows`` gives residual and Jacobian."""
+        """At the numbers ``x``, each in its unit, where ``rows`` gives residual and Jacobian."""
         residual, jacobian = rows(x)
         return cls(x, residual, jacobian, float(residual @ residual))
 
     def step(self, free: NDArray[np.bool_], damping: float) -> Array:
-        """The damped step (p,) of the numbers that are free; the others stay."""
+        """The step (p,) of the numbers that are free, by a damping from 0 on; the others stay. Each in its unit."""
         jacobian = self.jacobian[:, free]
         normal = jacobian.T @ jacobian
         normal += np.diag(damping * np.maximum(np.diag(normal), 1e-30))
