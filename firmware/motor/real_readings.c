@@ -1,38 +1,6 @@
 #include "real_readings.h"
 
-#include <stddef.h>
-
 #include "real_motor.c" /* its steps are taken here, too, with what they leave of their stages */
-
-#define AT(number) ((int)(offsetof(real_motor, number) / sizeof(double)))
-enum {
-    TAU = AT(tau_s),
-    K = AT(K_rad_s_V),
-    FC = AT(fc_V),
-    BIAS = AT(bias_V),
-    DELAY = AT(delay_s),
-    DEAD_BAND = AT(dead_band_V),
-    GAIN = AT(gain_by_sign),
-    SAG = AT(sag_per_V),
-    LAG = AT(lag_s),
-    VISCOUS = AT(viscous_by_direction_V_s_rad),
-    STATIC = AT(static_V),
-    STRIBECK = AT(stribeck_V),
-    UNIT = AT(stribeck_rad_s),
-    DRAG = AT(drag_V_s2_rad2),
-    BRISTLE = AT(bristle_V_rad),
-    FORCE = AT(force_sin_V), /* and the cosines behind */
-    FRICTION = AT(friction_sin_V),
-    COGGING = AT(cogging_sin_V),
-    ORDER = AT(cogging_per_rad),
-    BACKLASH = AT(backlash_rad),
-    LINEARITY = AT(linearity_sin1_rad),
-    DRIFT = AT(drift),
-    LOAD = AT(load_friction),
-    OUTSIDE = AT(load_outside),
-    SHARE = AT(viscous_share),
-    SOURCE = AT(source_per_V2)
-};
 
 /* No motor is as fast: numbers that a fit tries may drive it on by themselves, as a drag that pushes does. */
 static const double RUNAWAY_RAD_S = 1e5;
@@ -95,23 +63,23 @@ static wave wave_at(const real_motor *m, const slopes *d, double y)
 static void level_slopes(const real_motor *m, const slopes *d, double speed, wave at, double t, double *out, double by[2])
 {
     const double course = (t - m->start_s) / m->duration_s - 0.5;
-    out[FC] = 1.0 + m->drift * course;
-    out[DRIFT] = m->fc_V * course;
+    out[AT_fc_V] = 1.0 + m->drift * course;
+    out[AT_drift] = m->fc_V * course;
     by[0] = by[1] = 0.0;
     if (d->position) {
-        out[FRICTION] = at.sine;
-        out[FRICTION + 1] = at.cosine - d->mean;
+        out[AT_friction_sin_V] = at.sine;
+        out[AT_friction_cos_V] = at.cosine - d->mean;
         by[1] = m->friction_sin_V * at.cosine - m->friction_cos_V * at.sine;
     }
     if (d->stribeck && m->stribeck_rad_s > 0.0) {
         const double share = exp(-speed / m->stribeck_rad_s);
-        out[STRIBECK] = share;
-        out[UNIT] = m->stribeck_V * share * speed / (m->stribeck_rad_s * m->stribeck_rad_s);
+        out[AT_stribeck_V] = share;
+        out[AT_stribeck_rad_s] = m->stribeck_V * share * speed / (m->stribeck_rad_s * m->stribeck_rad_s);
         by[0] = -m->stribeck_V * share / m->stribeck_rad_s;
     }
 }
 
-static const int OF_LEVEL[] = {FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT};
+static const int OF_LEVEL[] = {AT_fc_V, AT_drift, AT_friction_sin_V, AT_friction_cos_V, AT_stribeck_V, AT_stribeck_rad_s};
 enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
 
 static double side_of(const real_motor *m, const real_state *at)
@@ -132,11 +100,11 @@ static double load_slopes(const real_motor *m, double sign, double side, const r
     const double passed = 1.0 - load; /* of a change of the torque */
     by->aw = gain * passed * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * share);
     by->av += (1.0 - m->viscous_share) * (1.0 - passed * share);
-    a[K] += back * (passed * share - 1.0);
-    a[LOAD] = -gain * sign * fabs(seen);
-    a[OUTSIDE] = -gain * load * force(m, at->y);
-    a[SHARE] = at->v * (passed * share - 1.0);
-    a[SOURCE] = -gain * passed * (w - back) * w * w * share * share;
+    a[AT_K_rad_s_V] += back * (passed * share - 1.0);
+    a[AT_load_friction] = -gain * sign * fabs(seen);
+    a[AT_load_outside] = -gain * load * force(m, at->y);
+    a[AT_viscous_share] = at->v * (passed * share - 1.0);
+    a[AT_source_per_V2] = -gain * passed * (w - back) * w * w * share * share;
     return -gain * (1.0 + load * m->load_outside);
 }
 
@@ -152,18 +120,18 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
     const double speed = sign * v;
     by_state by = {0.0, 0.0, gain, 0.0, 0.0, 0.0};
     double by_force = -gain;
-    a[K] = aim / gain;
-    a[BIAS] = gain;
-    a[VISCOUS] = -gain * speed;
-    a[DRAG] = -gain * v * speed;
+    a[AT_K_rad_s_V] = aim / gain;
+    a[AT_bias_V] = gain;
+    a[AT_viscous_by_direction_V_s_rad] = -gain * speed;
+    a[AT_drag_V_s2_rad2] = -gain * v * speed;
     by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
     if (d->transmits) {
         by_force = load_slopes(m, sign, side, at, a, &by);
     }
     const wave here = wave_at(m, d, y);
     if (d->position) {
-        a[FORCE] = by_force * here.sine;
-        a[FORCE + 1] = by_force * (here.cosine - d->mean);
+        a[AT_force_sin_V] = by_force * here.sine;
+        a[AT_force_cos_V] = by_force * (here.cosine - d->mean);
         by.ay += by_force * (m->force_sin_V * here.cosine - m->force_cos_V * here.sine);
     }
     if (d->cogging) {
@@ -171,9 +139,9 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
         const double sine = sin(q);
         const double cosine = cos(q);
         const double slope = m->cogging_sin_V * cosine - m->cogging_cos_V * sine;
-        a[COGGING] = by_force * sine;
-        a[COGGING + 1] = by_force * cosine;
-        a[ORDER] = by_force * y * slope;
+        a[AT_cogging_sin_V] = by_force * sine;
+        a[AT_cogging_cos_V] = by_force * cosine;
+        a[AT_cogging_per_rad] = by_force * y * slope;
         by.ay += by_force * m->cogging_per_rad * slope;
     }
     wave at_order = {0.0, 1.0};
@@ -211,7 +179,7 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
     for (int k = 0; k < LEVELS; k++) {
         r[OF_LEVEL[k]] *= of_level;
     }
-    r[BRISTLE] = limited ? 0.0 : v - speed * share;
+    r[AT_bristle_V_rad] = limited ? 0.0 : v - speed * share;
     by.rv = stiff * (1.0 - sign * share) + of_level * sign * by_level[0];
     by.ry = of_level * by_level[1];
     by.rf = -stiff * speed / top;
@@ -221,16 +189,16 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
 /* Fills `out` at the numbers of the drive stage with the derivatives of the drive behind it. */
 static void staged_slopes(const real_motor *m, double u_V, double *out)
 {
-    out[DEAD_BAND] = out[GAIN] = out[SAG] = 0.0;
+    out[AT_dead_band_V] = out[AT_gain_by_sign] = out[AT_sag_per_V] = 0.0;
     const double beyond = fabs(u_V) - m->dead_band_V;
     if (beyond > 0.0) {
         const double sign = u_V > 0.0 ? 1.0 : -1.0;
         const double share = 1.0 + sign * m->gain_by_sign;
         const double size = beyond * share;
         const double slope = sign * (1.0 - 2.0 * m->sag_per_V * size);
-        out[DEAD_BAND] = -slope * share;
-        out[GAIN] = slope * sign * beyond;
-        out[SAG] = -sign * size * size;
+        out[AT_dead_band_V] = -slope * share;
+        out[AT_gain_by_sign] = slope * sign * beyond;
+        out[AT_sag_per_V] = -sign * size * size;
     }
 }
 
@@ -259,7 +227,7 @@ static void fade_drive(const real_motor *m, const slopes *d, double faded_V, dou
     for (int i = 0; i < REAL_NUMBERS; i++) {
         d->w[i] = d->given[i] + (d->w[i] - d->given[i]) * keep;
     }
-    d->w[LAG] += faded_V * keep * h_s / (m->lag_s * m->lag_s);
+    d->w[AT_lag_s] += faded_V * keep * h_s / (m->lag_s * m->lag_s);
 }
 
 /* Takes the derivatives over an edge from `staged_V` to the drive `u_V`; returns it as it is before the lag. */
@@ -268,7 +236,7 @@ static double step_drive(const real_motor *m, const slopes *d, double staged_V, 
     const double new_V = staged(m, u_V);
     staged_slopes(m, u_V, d->given);
     if (m->lag_s > 0.0) {
-        d->w[DELAY] += (staged_V - new_V) / m->lag_s;
+        d->w[AT_delay_s] += (staged_V - new_V) / m->lag_s;
     } else {
         copy_given(d);
     }
@@ -285,7 +253,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
     for (int i = 0; i < d->columns; i++) {
         d->v[i] = d->which[i] == REAL_V0 ? 1.0 : 0.0;
         d->x[i] = d->which[i] == REAL_Y0 ? 1.0 : 0.0;
-        d->y[i] = d->x[i] + (d->which[i] == BACKLASH ? 0.5 * side : 0.0);
+        d->y[i] = d->x[i] + (d->which[i] == AT_backlash_rad ? 0.5 * side : 0.0);
         d->f[i] = 0.0;
     }
     if (m->bristle_V_rad <= 0.0) {
@@ -313,7 +281,8 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         if (bend != 0.0) {
             d->f[i] = bend * (d->level[p] + by_v * d->v[i] + by_level[1] * d->y[i]);
         } else {
-            const bool known = p == BIAS || p == FORCE || p == FORCE + 1 || (COGGING <= p && p <= ORDER) || p >= REAL_WAVES;
+            const bool known = p == AT_bias_V || p == AT_force_sin_V || p == AT_force_cos_V ||
+                               (AT_cogging_sin_V <= p && p <= AT_cogging_per_rad) || p >= REAL_WAVES;
             d->f[i] = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (known ? d->stage[0][p] / gain : 0.0);
         }
     }
@@ -366,8 +335,8 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
         const int64_t p = d->which[i];
         const double drive = d->given[p];
         const double from = d->w[p] - drive;
-        const double mid = drive + from * half + (p == LAG ? by_lag[0] : 0.0);
-        const double far = drive + from * keep + (p == LAG ? by_lag[1] : 0.0);
+        const double mid = drive + from * half + (p == AT_lag_s ? by_lag[0] : 0.0);
+        const double far = drive + from * keep + (p == AT_lag_s ? by_lag[1] : 0.0);
         a1_of[i] = d1.aw * d->w[p] + d->stage[0][p];
         a2_of[i] = d2.aw * mid + d->stage[2][p];
         a3_of[i] = d3.aw * mid + d->stage[4][p];
@@ -375,7 +344,7 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
         for (int stage = 0; bristles && stage < STAGES / 2; stage++) {
             d->by_stage[2 * stage + 1][i] = d->stage[2 * stage + 1][p];
         }
-        of_tau = p == TAU ? i : of_tau;
+        of_tau = p == AT_tau_s ? i : of_tau;
     }
     /* by tau the weights change, too */
     double tau_v = 0.0, tau_y = 0.0;
@@ -476,13 +445,13 @@ static void release(const real_motor *m, const slopes *d, double sign, const rea
     double rate = m->lag_s > 0.0 ? by.aw / gain * (staged_V - at->w) / m->lag_s : 0.0;
     rate -= sign * m->fc_V * m->drift / m->duration_s; /* of the pull beyond the level */
     double *const a = d->stage[0];
-    a[STATIC] = -gain * sign;
+    a[AT_static_V] = -gain * sign;
     for (int i = 0; i < d->columns; i++) {
         const int64_t p = d->which[i];
-        const double by_p = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (p != K ? a[p] / gain : 0.0);
+        const double by_p = (by.ay * d->y[i] + by.aw * d->w[p]) / gain + (p != AT_K_rad_s_V ? a[p] / gain : 0.0);
         d->v[i] += aim / m->tau_s * by_p / rate;
     }
-    a[STATIC] = 0.0;
+    a[AT_static_V] = 0.0;
 }
 
 /* Jump of the velocity's derivatives at an edge without lag, at `t`, from one drive to another. */
@@ -498,9 +467,9 @@ static void kick(const real_motor *m, const slopes *d, const real_state *before,
         slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
     }
     for (int i = 0; i < d->columns; i++) {
-        if (d->which[i] == DELAY) {
+        if (d->which[i] == AT_delay_s) {
             d->v[i] += later;
-        } else if (d->which[i] == LAG) {
+        } else if (d->which[i] == AT_lag_s) {
             d->v[i] += slower;
         }
     }
@@ -522,7 +491,7 @@ static void read_slopes(const real_motor *m, const slopes *d, double x, double *
     slope -= m->linearity_cos2_rad * 2.0 * PI * s2;
     const double by_x = 1.0 + slope / m->half_travel_rad;
     for (int i = 0; i < d->columns; i++) {
-        const int64_t k = d->which[i] - LINEARITY;
+        const int64_t k = d->which[i] - AT_linearity_sin1_rad;
         row[i] = by_x * d->x[i] + (0 <= k && k < 4 ? by[k] : 0.0);
     }
 }
@@ -646,7 +615,7 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
                     fade_drive(m, &d, at.w - staged_V, s.duration_s);
                     if (s.sign != 0.0 && s.sign * (s.end.y - at.x) >= 0.5 * m->backlash_rad) {
                         for (int i = 0; i < d.columns; i++) { /* the play is taken up */
-                            d.x[i] = d.y[i] - (d.which[i] == BACKLASH ? 0.5 * s.sign : 0.0);
+                            d.x[i] = d.y[i] - (d.which[i] == AT_backlash_rad ? 0.5 * s.sign : 0.0);
                         }
                     }
                 }

@@ -17,6 +17,7 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     ValidationInfo,
+    create_model,
     field_validator,
     model_serializer,
     model_validator,
@@ -37,6 +38,7 @@ from rig.core.calibration import (
     TachometerScale,
 )
 from rig.core.estimators import ESTIMATORS
+from rig.core.motor_numbers import NUMBERS, Number, of_every_bench
 from rig.core.section import Interval, NonNegative, Positive
 from rig.core.section import Section as _Section
 from rig.core.signals import Limits
@@ -655,44 +657,25 @@ class LawSection(_Section):
     options: dict[str, Any] = Field({}, description="whatever the law asks for, by name; see its own documentation")
 
 
-class EmulatedParts(_Section):
+def _key(number: Number) -> Any:
+    """The key of a config for a number of the motor's table, which is 0 where it is left out."""
+    bounds = {"gt" if number.above > -math.inf else "ge": number.of_benches, "lt": number.below}
+    given: dict[str, Any] = {name: bound for name, bound in bounds.items() if math.isfinite(bound)}
+    return float, Field(0.0, description=number.meaning, **given)
+
+
+if TYPE_CHECKING:
+    _PartsOfMotor = _Section
+else:  # the friction that every emulated motor has is in its own section
+    _keys = {name: _key(number) for name, number in NUMBERS.items() if not of_every_bench(name)}
+    _PartsOfMotor = create_model("_PartsOfMotor", __base__=_Section, **_keys)
+
+
+class EmulatedParts(_PartsOfMotor):
     """What a real motor has beyond tau, K and friction by direction (docs/theory.md 12.1); 0: it has not."""
 
-    dead_band_V: NonNegative = Field(0.0, description="drive up to which the stage passes nothing, unknown to `drive`")
-    gain_by_sign: Annotated[float, Field(gt=-1.0, lt=1.0)] = Field(
-        0.0, description="the stage gives 1 + this of a positive drive, 1 - this of a negative one"
-    )
-    sag_per_V: NonNegative = Field(0.0, description="share that the supply sags by for each volt of drive")
-    lag_s: NonNegative = Field(0.0, description="time constant of stage and current")
-    viscous_by_direction_V_s_rad: float = Field(
-        0.0, description="half the difference of the viscous friction of both directions"
-    )
-    drag_V_s2_rad2: NonNegative = Field(0.0, description="drag that grows with the square of the speed")
-    bristle_V_rad: NonNegative = Field(0.0, description="stiffness of friction before it slides; 0: it is rigid")
-    force_sin_V: float = Field(0.0, description="force over position: of sin(y - centre_rad)")
-    force_cos_V: float = Field(0.0, description="force over position: of cos(y - centre_rad) less its mean")
-    friction_sin_V: float = Field(0.0, description="friction over position: of sin(y - centre_rad)")
-    friction_cos_V: float = Field(0.0, description="friction over position: of cos(y - centre_rad) less its mean")
-    cogging_sin_V: float = Field(0.0, description="cogging: of sin(cogging_per_rad y)")
-    cogging_cos_V: float = Field(0.0, description="cogging: of cos(cogging_per_rad y)")
-    cogging_per_rad: NonNegative = Field(0.0, description="cogs for each radian of the shaft")
-    backlash_rad: NonNegative = Field(0.0, description="whole play between motor and sensor")
-    linearity_sin1_rad: float = Field(0.0, description="sensor's curvature: of one sine over the travel, less its line")
-    linearity_cos1_rad: float = Field(0.0, description="sensor's curvature: of one cosine over the travel")
-    linearity_sin2_rad: float = Field(0.0, description="sensor's curvature: of two sines over the travel")
-    linearity_cos2_rad: float = Field(0.0, description="sensor's curvature: of two cosines over the travel")
     drift: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(
         0.0, description="relative change of friction over drift_over_s, with the given friction in its middle"
-    )
-    load_friction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
-        0.0, description="friction beside, as a share of the torque that the motor gives"
-    )
-    load_outside: NonNegative = Field(0.0, description="and of this share of the force over position")
-    viscous_share: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
-        0.0, description="share of 1/K that is viscous friction; the rest is back-EMF"
-    )
-    source_per_V2: NonNegative = Field(
-        0.0, description="the supply's resistance over the winding's, over the square of the supply's voltage"
     )
     drift_over_s: Positive = Field(60.0, description="time from arming that `drift` refers to")
     centre_rad: float = Field(0.0, description="middle of the travel that the parts over position refer to")

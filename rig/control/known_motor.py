@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Any, Protocol, TypeVar
 
+from rig.core.motor_numbers import State as RealState
 from rig.model import real_inverse
 from rig.model.motor import Motor, State
 from rig.model.real_motor import PARTS, FramedMotor, moved
-from rig.model.real_numbers import State as RealState
 
 # Parts that no drive makes up for: friction of tomorrow; bristles, which bend less than a sensor sees; and a play, in
 # which the shaft does not feel the drive.

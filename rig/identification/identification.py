@@ -14,7 +14,7 @@ from rig.core.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identification.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.departures.blocks import HeldOut
-from rig.identification.departures.drift import LevelEach
+from rig.identification.departures.laws import LEVEL_EACH
 from rig.identification.drive_scale import in_unsure_volts, widest
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
@@ -466,7 +466,7 @@ def _add_motor_law(
     if law.estimate is not None:
         judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
-        has_levels = any(one.law.name == LevelEach.name for one in law.found)  # then friction is what differs
+        has_levels = any(one.law.name == LEVEL_EACH for one in law.found)  # then friction is what differs
         one_motor = has_levels or are_one_motor(each, law.estimate.rms_rad, numbers)
         odd = None if one_motor else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies, *law.bounded]

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
@@ -20,15 +21,14 @@ from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry,
 from rig.identification.departures.choice import Choice, Chooser, as_likely, levels, with_own_noise
 from rig.identification.departures.coupled import coupling_rad_s, takes_enough
 from rig.identification.departures.departure import Departure
-from rig.identification.departures.drift import DriftEach, LevelEach
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.in_place import bare_fits, gained, in_place, nearly_as_good
+from rig.identification.departures.laws import DRIFT_EACH, LEVEL_EACH, SOFT_COUPLING, level_each
 from rig.identification.departures.nuisances import Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Cut
 from rig.identification.departures.profile import profiles
-from rig.identification.departures.soft_coupling import SoftCoupling
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
@@ -78,7 +78,9 @@ SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU, FEWER_OF_TAU = 20, 5  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
-AT_REST_V = ("fc_V", "dead_band_V", "static_V", "stribeck_V")  # their sum holds a shaft at rest (docs/theory.md 8.4)
+AT_REST_V = tuple(
+    name for name, number in NUMBERS.items() if number.at_rest
+)  # their sum holds a shaft at rest (docs/theory.md 8.4)
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
@@ -411,8 +413,8 @@ def motor_law(
         if not further and len(set(names)) > 1:
             level = levels(with_own_noise(choice.fit), names)
             for each, drift in (
-                (begun.whole.each(names), DriftEach()),
-                (begun.whole.with_levels(level, names), LevelEach(len(level))),
+                (begun.whole.each(names), DRIFT_EACH),
+                (begun.whole.with_levels(level, names), level_each(len(level))),
             ):
                 if begun.chooser.better_each(choice, each, drift):
                     begun = replace(begun, whole=each, chooser=begun.chooser.with_drift(drift))
@@ -441,7 +443,7 @@ def motor_law(
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
     of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
-    of_levels = levels_line(parts, level) if any(isinstance(law, LevelEach) for law in choice.laws) else ()
+    of_levels = levels_line(parts, level) if any(law.name == LEVEL_EACH for law in choice.laws) else ()
     bench = begun.chooser.bench
     hidden = [law for law in begun.chooser.candidates if law.may_hide]
     nuisances = Nuisances.of(parts, choice.laws, hidden, bench, outside(parts, choice.laws, bench))
@@ -452,7 +454,7 @@ def motor_law(
     if not begun.chooser.is_rounding(parts):
         like = only_like(parts, others, nearly_as_good(parts, choice.laws, begun.chooser, bare))
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
-    for sag in (one for one in choice.laws if isinstance(one, INSTEAD_OF)):
+    for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
         instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
@@ -605,7 +607,7 @@ def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw
     half = student_975(_freedom(fit)) * error
     ci95 = as_likely(fit, law) if law.leaps else (size - half, size + half)
     price = law.costs * math.log(_freedom(fit))
-    fields = () if isinstance(law, LevelEach) else (*law.numbers, *law.shape)  # no other record has such a level
+    fields = () if law.name == LEVEL_EACH else (*law.numbers, *law.shape)  # no other record has such a level
     numbers = {name: float(getattr(fit.motor, name)) for name in fields}
     return FoundLaw(law, size, ci95, gain - price, numbers)
 
@@ -623,7 +625,7 @@ def _coupling(fit: Fit) -> FoundLaw:
     half = 1.96 * math.sqrt(2.0 * unit(fit) / bend)
     stiff = solve(begin(replace(free, cut=replace(fit.problem.cut, coupling_rad_s=0.0)), fit.motor)).cost
     bic = (stiff - here) / unit(fit) - math.log(_freedom(fit))
-    return FoundLaw(SoftCoupling(), size, (size - half, size + half), bic, {})
+    return FoundLaw(SOFT_COUPLING, size, (size - half, size + half), bic, {})
 
 
 def _estimate(

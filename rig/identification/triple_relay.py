@@ -10,7 +10,7 @@ from several starts.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification import describing_function
+from rig.identification.descent import Damping, Point, descend
 from rig.identification.estimate import Estimate, student_intervals
 from rig.identification.estimator import Estimator
 from rig.identification.mean_cycle import Bins, Cycle, MeanHalf
@@ -32,6 +33,7 @@ Array = NDArray[np.float64]
 METHOD = "triple-relay"
 FINE_SAMPLING = 120.0  # samples in a cycle: with fewer, averaging cycles that jitter costs more than 4 %
 MAX_ITERATIONS = 60
+DELAY = 5  # its place among the unknowns of the curve
 FARTHEST = 12.0  # largest distance of log tau and log K from the cycle's own
 LEAST_FRICTION = -0.1  # in units of h2: a motor without friction may seem to have a little less than none
 SAME = 1e-3  # largest difference between equal solutions: relative in tau and K, of fc in units of h2
@@ -169,14 +171,46 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
         )
     measured, weight = _conditions(features)
     data = compiled.Data((h1_V, h2_V), np.array(features[:3]), (0, 0), np.empty(0), measured, weight)
-    search = compiled.Search(*_reach(abs(features.y_extremum_rad), sum(features[:3]), h2_V), np.full(3, EXACT), FAR)
+    reach = _reach(abs(features.y_extremum_rad), sum(features[:3]), h2_V)
     fits = []
     for start in starts:
-        theta, iterates = _logarithmic(start), np.empty((MAX_ITERATIONS + 1, 3))
-        count, cost = compiled.solve(theta, (True,) * 3, data, search, iterates)
-        if math.isfinite(cost):
-            fits.append(Fit(_natural(theta), cost, _all_natural(iterates[:count]), count <= MAX_ITERATIONS))
+        found, path, converged = _searched(_logarithmic(start), (True,) * 3, data, reach, np.full(3, EXACT), FAR)
+        if math.isfinite(found.cost):
+            fits.append(Fit(_natural(found.x), found.cost, path, converged))
     return _best(fits, h2_V)
+
+
+def _searched(
+    start: Array, free: Sequence[bool], data: compiled.Data, reach: tuple[Array, Array], enough: Array, damping: float
+) -> tuple[Point, Array, bool]:
+    """Where the descent ends, tau, K and fc at each of its places, and whether it has arrived.
+
+    reach   range of the numbers. The delay, the last of six, goes up to its bounds and stays there
+    enough  steps that end the search
+    """
+    low, high = reach
+    path = [start]
+
+    def linearised(at: Point) -> Callable[[float], Point] | None:
+        uphill = at.jacobian.T @ at.residual
+        moving = np.array(free)
+        moving[DELAY:] &= ~(((at.x <= low) & (uphill > 0.0)) | ((at.x >= high) & (uphill < 0.0)))[DELAY:]
+
+        def moved(share: float) -> Point:
+            x = at.x + at.step(moving, share)
+            x[DELAY:] = np.clip(x, low, high)[DELAY:]
+            inside = np.all((low < x) & (x < high), where=np.arange(x.size) < DELAY)
+            return Point.of(x, lambda x: compiled.rows(x, data)) if inside else at._replace(cost=math.inf)
+
+        return moved if math.isfinite(at.cost) else None
+
+    def is_enough(before: Point, after: Point) -> bool:
+        path.append(after.x)
+        return bool(np.all(np.abs(after.x - before.x) <= enough))
+
+    begun = Point.of(start, lambda x: compiled.rows(x, data))
+    found, arrived = descend(begun, linearised, is_enough, MAX_ITERATIONS, Damping(damping, 10.0, 0.1, 1e-10, 20))
+    return found, _all_natural(np.array(path)), arrived
 
 
 def solve_cycle(cycle: Cycle, starts: Sequence[Start], halves: tuple[MeanHalf, MeanHalf] | None = None) -> Fit:
@@ -224,16 +258,14 @@ def _descend(
     high = np.array([*high, h2, math.inf, LONGEST_DELAY * tick])
     free = (True,) * 5 + (not cycle.drive_times_known,)
     data = compiled.Data((cycle.h1_V, h2), edges, counts, at_s, y_rad, weight)
-    search = compiled.Search(low, high, tolerance * np.array([1.0, 1.0, h2, h2, amplitude, tick]), damping)
+    enough = tolerance * np.array([1.0, 1.0, h2, h2, amplitude, tick])
     fits = []
     for start in starts:
-        x, iterates = start.copy(), np.empty((MAX_ITERATIONS + 1, 6))
-        count, cost = compiled.solve(x, free, data, search, iterates)
-        if math.isfinite(cost):
-            path = _all_natural(iterates[:count])
-            delay = math.nan if cycle.drive_times_known else float(x[5])
-            fit = Fit(_natural(x), cost, path, count <= MAX_ITERATIONS, float(x[3]), delay)
-            fits.append((fit, x))
+        found, path, converged = _searched(start, free, data, (low, high), enough, damping)
+        if math.isfinite(found.cost):
+            delay = math.nan if cycle.drive_times_known else float(found.x[DELAY])
+            fit = Fit(_natural(found.x), found.cost, path, converged, float(found.x[3]), delay)
+            fits.append((fit, found.x))
     return fits
 
 

@@ -112,17 +112,8 @@ class CycleData(Structure):
     """``cycle_data``."""
 
     _fields_ = (
-        ("gains", c_double * 2), ("edges", c_double * 4), ("t_s", c_void_p), ("measured", c_void_p),
-        ("weight", c_void_p), ("samples", c_int64), ("first_half", c_int64),
-    )  # fmt: skip
-
-
-class CycleSearch(Structure):
-    """``cycle_search``."""
-
-    _fields_ = (
-        ("low", c_void_p), ("high", c_void_p), ("tolerance", c_void_p), ("damping", c_double),
-        ("most_iterates", c_int64),
+        ("gains", c_double * 2), ("edges", c_double * 4), ("t_s", c_void_p), ("samples", c_int64),
+        ("first_half", c_int64),
     )  # fmt: skip
 
 
@@ -172,7 +163,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "cycle_conditions": (None, [_P, _P, _P, _P, _P]),
     "cycle_reversal_times": (None, [_P, POINTER(CycleData), _P]),
     "cycle_curve": (None, [_P, POINTER(CycleData), _P, _P]),
-    "cycle_solve": (_I, [_P, _I, _P, POINTER(CycleData), POINTER(CycleSearch), _P, _P, _P]),
 }
 
 

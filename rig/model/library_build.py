@@ -52,13 +52,13 @@ def compiler() -> list[str]:
 
 
 def compiled(sources: Sequence[Path], folder: Path) -> Path:
-    """The library of C files in ``folder``, compiled where there is none of just these sources, headers and options.
+    """The library of C files in ``folder``, compiled where there is none of just these C files, headers and options.
 
     Its name tells of what it is. By the times of files nobody could: a copy keeps them, and so an old library stayed.
     Raises CompileError.
     """
     digest = hashlib.sha256(repr((platform.machine(), OPTIONS, [source.name for source in sources])).encode())
-    read = {*sources, *(header for source in sources for header in source.parent.glob("*.h"))}
+    read = {*sources, *(file for source in sources for file in source.parent.glob("*.[ch]"))}
     for path in sorted(read):
         digest.update(path.name.encode() + path.read_bytes())
     name = Path(NAME)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from rig.model.real_numbers import Frame, RealMotor
+from rig.core.motor_numbers import Frame, RealMotor
 from rig.model.real_step import force, level, reading
 
 SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and the dead band is crossed within it

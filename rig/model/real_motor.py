@@ -13,51 +13,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.motor_numbers import FRAME, NUMBERS, Number, Numbers, State
+from rig.core.motor_numbers import PARTS as PARTS
+from rig.core.motor_numbers import Frame as Frame
+from rig.core.motor_numbers import RealMotor as RealMotor
 from rig.model import real_step
 from rig.model.compiled import real_motion
 from rig.model.compiled.real_motion import Record, Windows
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_inverse import position
-from rig.model.real_numbers import Frame as Frame
-from rig.model.real_numbers import Numbers, State
-from rig.model.real_numbers import RealMotor as RealMotor
 
 Array = NDArray[np.float64]
 
-# The parts by their names in a result, each with its numbers.
-PARTS: dict[str, tuple[str, ...]] = {
-    "dead_band": ("dead_band_V",),
-    "gain_by_sign": ("gain_by_sign",),
-    "sag": ("sag_per_V",),
-    "lag": ("lag_s",),
-    "viscous_by_direction": ("viscous_by_direction_V_s_rad",),
-    "static": ("static_V",),
-    "stribeck": ("stribeck_V", "stribeck_rad_s"),
-    "drag": ("drag_V_s2_rad2",),
-    "bristle": ("bristle_V_rad",),
-    "force_over_position": ("force_sin_V", "force_cos_V"),
-    "friction_over_position": ("friction_sin_V", "friction_cos_V"),
-    "cogging": ("cogging_sin_V", "cogging_cos_V", "cogging_per_rad"),
-    "backlash": ("backlash_rad",),
-    "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
-    "drift": ("drift",),
-    "load_friction": ("load_friction", "load_outside", "viscous_share"),
-    "source": ("source_per_V2", "viscous_share"),
-}
-SHARED = "viscous_share"  # a number of two parts: by itself it is none
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
 TRACE = 1e-12
-TRACED = (
-    "viscous_by_direction_V_s_rad", "stribeck_V", "drag_V_s2_rad2", "force_sin_V", "force_cos_V", "friction_sin_V",
-    "friction_cos_V", "cogging_sin_V", "cogging_cos_V", "load_friction", "source_per_V2",
-)  # fmt: skip
-AT_LEAST_ZERO = (
-    "fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad", "load_friction",
-    "load_outside", "viscous_share", "source_per_V2",
-)  # fmt: skip
-BELOW_ONE = ("load_friction", "viscous_share")  # at 1 no torque passes, and no back-EMF is left
+TRACED = tuple(name for name, number in NUMBERS.items() if number.steers)
 
 
 @dataclass(frozen=True)
@@ -99,7 +71,9 @@ class FramedMotor:
     def parts(self) -> tuple[str, ...]:
         """Names of the parts that the motor has."""
         return tuple(
-            name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers if n != SHARED)
+            name
+            for name, numbers in PARTS.items()
+            if any(getattr(self.motor, n) for n in numbers if not NUMBERS[n].is_shape)
         )
 
 
@@ -237,7 +211,7 @@ class MovingMotor:
 def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float) -> State:
     """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start.
 
-    state   as ``rig.model.real_numbers.State``
+    state   as ``rig.core.motor_numbers.State``
     """
     return real_step.advance(framed.motor, framed.frame, state, u_V, framed.frame.start_s, dt_s)
 
@@ -303,23 +277,21 @@ def is_plain(motor: RealMotor) -> bool:
 
 def _checked_frame(frame: Frame) -> Numbers:
     """As plain numbers. Raises ValueError on numbers out of range."""
-    constants = tuple(map(float, frame))
-    if not (all(map(math.isfinite, constants)) and frame.half_travel_rad > 0.0 and frame.duration_s > 0.0):
-        raise ValueError(f"the numbers of a frame must be finite, its travel and its duration must be > 0, not {frame}")
-    return constants
+    return _checked(frame, FRAME)
 
 
 def _checked_motor(motor: RealMotor) -> Numbers:
     """As plain numbers. Raises ValueError on numbers out of range."""
-    numbers = tuple(map(float, motor))
+    return _checked(motor, NUMBERS)
+
+
+def _checked(of: RealMotor | Frame, rows: Mapping[str, Number]) -> Numbers:
+    numbers = tuple(map(float, of))
     if not all(map(math.isfinite, numbers)):
-        raise ValueError(f"all numbers of a motor must be finite, not {motor}")
-    if not (motor.tau_s > 0.0 and motor.K_rad_s_V > 0.0):
-        raise ValueError("tau_s and K_rad_s_V must be > 0")
-    below = [name for name in AT_LEAST_ZERO if getattr(motor, name) < 0.0]
-    if below:
-        raise ValueError(f"{', '.join(below)} must be at least 0")
-    above = [name for name in BELOW_ONE if getattr(motor, name) >= 1.0]
-    if above:
-        raise ValueError(f"{', '.join(above)} must be below 1")
+        raise ValueError(f"all numbers of a motor and its frame must be finite, not {of}")
+    for value, (name, number) in zip(numbers, rows.items(), strict=True):
+        if not (number.least <= value < number.below and value > number.above):
+            bounds = f"at least {number.least:g}", f"above {number.above:g}", f"below {number.below:g}"
+            said = " and ".join(bound for bound in bounds if "inf" not in bound)
+            raise ValueError(f"{name} must be {said}, not {value:g}")
     return numbers

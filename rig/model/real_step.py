@@ -1,7 +1,7 @@
 """One step of a real motor: its parts, and its motion from one event to the next (docs/theory.md 12.1, 12.2 and 12.3).
 
 The formulas are in C (firmware/motor/real_motor.h says them), for emulated boards and exported controllers as well as
-for rig. ``rig.model.real_numbers`` names all numbers; a part whose numbers are 0 is not there.
+for rig. ``rig.core.motor_numbers`` names all numbers; a part whose numbers are 0 is not there.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from rig.core.motor_numbers import Frame, RealMotor, State
 from rig.model.library import LIBRARY, numbers
-from rig.model.real_numbers import Frame, RealMotor, State
 
 NO_STOPS = numbers(-math.inf, math.inf)
 

@@ -4,32 +4,16 @@ The devices: the firmware compiled for this machine, the Uno's firmware on its e
 or TCP, and smart servos on a bus.
 """
 
-from rig.backends.emulated.bench import bench_parameters
-from rig.backends.emulated.line_faults import Corruption
-from rig.backends.modbus.emulated.reply_faults import ReplyFault
-from rig.backends.modbus.emulated.rtu_slave import Disturbance
-from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
-from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
-from rig.backends.modbus.opening import emulated_io_block
-from rig.backends.serial.emulated.behind_usb import BehindUsb
-from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.opening import emulated_chip
-from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
-from rig.backends.servo.line import emulated_bus
-
-__all__ = [
-    "BehindUsb",
-    "Corruption",
-    "Disturbance",
-    "ReplyFault",
-    "VirtualBoard",
-    "VirtualChip",
-    "VirtualIoBlock",
-    "VirtualServoBus",
-    "VirtualTcpBlock",
-    "bench_parameters",
-    "emulated_bus",
-    "emulated_chip",
-    "emulated_io_block",
-]
+from rig.backends.emulated.bench import bench_parameters as bench_parameters
+from rig.backends.emulated.line_faults import Corruption as Corruption
+from rig.backends.modbus.emulated.reply_faults import ReplyFault as ReplyFault
+from rig.backends.modbus.emulated.rtu_slave import Disturbance as Disturbance
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock as VirtualIoBlock
+from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock as VirtualTcpBlock
+from rig.backends.modbus.opening import emulated_io_block as emulated_io_block
+from rig.backends.serial.emulated.behind_usb import BehindUsb as BehindUsb
+from rig.backends.serial.emulated.virtual_board import VirtualBoard as VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip as VirtualChip
+from rig.backends.serial.opening import emulated_chip as emulated_chip
+from rig.backends.servo.emulated.virtual_bus import VirtualServoBus as VirtualServoBus
+from rig.backends.servo.line import emulated_bus as emulated_bus

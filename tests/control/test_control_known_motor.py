@@ -14,8 +14,8 @@ from rig.control.known_motor import NOT_COMPENSATED, RealKnown
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, tracking_error
 from rig.control.trajectory import SumOfSines
+from rig.core.motor_numbers import Frame, RealMotor
 from rig.model.real_motor import PARTS, FramedMotor
-from rig.model.real_numbers import Frame, RealMotor
 
 Array = NDArray[np.float64]
 YD = [(0.5, 1.5), (0.2, 3.1)]

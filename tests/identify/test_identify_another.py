@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,6 @@ from rig.config.campaign import Campaign
 from rig.core.estimators import ESTIMATORS, EstimatorEntry
 from rig.identification import Identification, identification, identify
 from rig.identification.departures import DEPARTURES
-from rig.identification.departures.gain_by_sign import GainBySign
 from rig.identification.estimate import Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.measurements import Measurements
@@ -56,13 +56,6 @@ class LargestSpeed(Estimator):
 
     def notes(self, estimate: Estimate, data: Measurements) -> list[str]:
         return ["largest-speed: quick"]
-
-
-class Lopsided(GainBySign):
-    """An amplifier that gives more one way, under another name."""
-
-    name = "lopsided"
-    title = "a lopsided amplifier"
 
 
 LINE = EstimatorEntry("largest-speed", "VM", f"{__name__}:LargestSpeed")
@@ -144,7 +137,10 @@ def found_lopsided() -> Iterator[Identification]:
     """What is identified of a motor with another gain each way, with the law in the place of the list's own."""
     one = case(Campaign(name="another", experiments=1, seed=1), 1, [k for k in KINDS if k.name == "gain_by_sign 3"])
     own = list(DEPARTURES)
-    DEPARTURES[:] = [Lopsided() if law.name == "gain_by_sign" else law for law in own]
+    DEPARTURES[:] = [
+        replace(law, name="lopsided", title="a lopsided amplifier") if law.name == "gain_by_sign" else law
+        for law in own
+    ]
     yield identify(one.recordings(), ["sampled-data"])
     DEPARTURES[:] = own
 

@@ -20,15 +20,12 @@ from rig.control.simulation import Sampling
 from rig.control.simulation import simulate as simulate_real
 from rig.core.signals import Sample
 from rig.identification import identify, sampled_data
+from rig.identification.departures import DEPARTURES
 from rig.identification.departures.budget import COVERAGE, PRESENT, Budget, Entry, Hidden, Shifts, absolute, instead_of
-from rig.identification.departures.dead_band import DeadBand
 from rig.identification.departures.departure import Departure
-from rig.identification.departures.drag import Drag
 from rig.identification.departures.in_place import InPlace
 from rig.identification.departures.nuisances import Nuisance
 from rig.identification.departures.profile import Profile
-from rig.identification.departures.sag import Sag
-from rig.identification.departures.stribeck import Stribeck
 from rig.identification.identification import Identification, other_times_explain
 from rig.identification.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
 from rig.model.real_motor import RealMotor
@@ -38,6 +35,7 @@ from rig.run_folder.results import RunMeta, SensorBelieved, SupplyBelieved
 from rig.run_folder.results.budget_lines import BudgetLine, that_matter
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
+LAW = {law.name: law for law in DEPARTURES}
 STATED = RunMeta(
     sensor=SensorBelieved(
         linearity_percent=0.2, full_range_rad=5.0, calibration_error_rad=0.02, calibration_rad=(-2.0, 2.0)
@@ -179,7 +177,7 @@ def test_two_laws_that_are_never_below_0_are_weighed_there(coupling: float, pull
 
 
 def test_an_improbable_law_that_would_break_the_promise_is_counted_by_its_probability() -> None:
-    laws = [nuisance(Drag(), 0)]
+    laws = [nuisance(LAW["drag"], 0)]
     shifts = Shifts(np.ones(3), np.array([[0.0], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), np.array([True]))
     probability, named = Hidden.of(shifts, laws).beyond("K_rad_s_V", 0.1)
     assert named == ("drag",)
@@ -189,7 +187,7 @@ def test_an_improbable_law_that_would_break_the_promise_is_counted_by_its_probab
 
 @pytest.mark.parametrize("pull", [2e3, 3e4, 1e6])
 def test_a_law_far_below_0_leaves_numbers_that_are_numbers(pull: float) -> None:
-    laws = [nuisance(Drag(), 0), nuisance(Sag(), 1)]
+    laws = [nuisance(LAW["drag"], 0), nuisance(LAW["sag"], 1)]
     one_sided = np.array([True, False])
     shifts = Shifts(np.ones(3), np.full((3, 2), 0.1), 3.0 * np.eye(2), np.array([pull, 0.0]), one_sided)
     hidden = Hidden.of(shifts, laws)
@@ -200,14 +198,14 @@ def test_a_law_far_below_0_leaves_numbers_that_are_numbers(pull: float) -> None:
 
 def test_a_law_that_the_record_cannot_see_keeps_its_whole_range_and_its_odds() -> None:
     shifts = Shifts(np.ones(3), np.array([[0.3], [0.1], [0.0]]), np.zeros((1, 1)), np.zeros(1), np.array([True]))
-    [entry] = Hidden.of(shifts, [nuisance(Drag(), 0)]).lines()
+    [entry] = Hidden.of(shifts, [nuisance(LAW["drag"], 0)]).lines()
     assert (entry.source, entry.laws) == ("drag", ("drag",))
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.3)
 
 
 def test_three_laws_that_hide_each_other_count_though_each_alone_is_excluded() -> None:
     """Their sum acts as nothing on the record: it says much of each, and nothing of all three."""
-    laws = [nuisance(law, k) for k, law in enumerate((Drag(), Sag(), Stribeck()))]
+    laws = [nuisance(law, k) for k, law in enumerate((LAW["drag"], LAW["sag"], LAW["stribeck"]))]
     away = np.eye(3) - np.ones((3, 3)) / 3.0
     shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), 1e8 * away, np.zeros(3), TWO_SIDED)
     entries = {entry.source: entry for entry in Hidden.of(shifts, laws).lines()}
@@ -218,16 +216,16 @@ def test_three_laws_that_hide_each_other_count_though_each_alone_is_excluded() -
 
 def test_a_law_with_several_starts_has_its_odds_once() -> None:
     shifts = Shifts(np.ones(3), np.full((3, 3), 0.1), np.zeros((3, 3)), np.zeros(3), np.ones(3, dtype=bool))
-    [entry] = Hidden.of(shifts, [nuisance(Stribeck(), k, 3) for k in range(3)]).lines()
+    [entry] = Hidden.of(shifts, [nuisance(LAW["stribeck"], k, 3) for k in range(3)]).lines()
     assert entry.tau_s == pytest.approx(COVERAGE * math.sqrt(PRESENT) * 0.1)
 
 
 def test_a_law_that_is_known_size_by_size_has_the_odds_of_each() -> None:
     """Two sizes that the record tells apart: by hand."""
     moves = np.array([[0.01, 0.2, 0.03], [0.02, 0.4, 0.06]])
-    known = Profile(DeadBand(), np.array([0.5, 0.25 * math.exp(-1.0)]), moves, np.zeros((2, 3)))
+    known = Profile(LAW["dead_band"], np.array([0.5, 0.25 * math.exp(-1.0)]), moves, np.zeros((2, 3)))
     none = Shifts(np.ones(3), np.zeros((3, 1)), np.zeros((1, 1)), np.zeros(1), np.ones(1, dtype=bool))
-    hidden = Hidden.of(none, [nuisance(DeadBand(), 0)], [known])
+    hidden = Hidden.of(none, [nuisance(LAW["dead_band"], 0)], [known])
     odds = PRESENT / (1.0 - PRESENT) * np.array([0.5, 0.25 * math.exp(-1.0)])
     chances = odds / (1.0 + odds.sum())
     [entry] = hidden.lines()
@@ -238,10 +236,10 @@ def test_a_law_that_is_known_size_by_size_has_the_odds_of_each() -> None:
 
 def test_a_law_that_explains_as_well_in_place_of_another_is_as_likely() -> None:
     moves = np.array([0.01, 0.2, 0.03])
-    [entry] = instead_of([InPlace(Drag(), Stribeck(), 0.0, moves)])
+    [entry] = instead_of([InPlace(LAW["drag"], LAW["stribeck"], 0.0, moves)])
     assert entry.source == "another law instead of drag"
     assert [entry.tau_s, entry.K_rad_s_V, entry.fc_V] == pytest.approx((COVERAGE * math.sqrt(0.5) * moves).tolist())
-    [rare] = instead_of([InPlace(Drag(), Stribeck(), 20.0, moves)])
+    [rare] = instead_of([InPlace(LAW["drag"], LAW["stribeck"], 20.0, moves)])
     assert rare.tau_s < 0.01 * entry.tau_s
 
 

@@ -34,8 +34,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.identification import identify
-from rig.identification.departures.cogging import Cogging
 from rig.identification.departures.departure import Bench
+from rig.identification.departures.laws import orders
 from rig.identification.estimate import Estimate
 from rig.identification.plausibility import judge_records
 from rig.identification.preprocessing import from_recording
@@ -351,8 +351,8 @@ def test_many_turns_in_coarse_steps_are_degrees_but_for_steps_that_divide_a_turn
 def test_beyond_one_turn_cogging_has_whole_orders() -> None:
     """Else their number would grow with the turns, and with it the time: 2,700 orders over 300 rad."""
     far, near = (Bench(6.5, 0.5, 3.0, 20.0, half_rad, 0.01, 0.05) for half_rad in (150.0, 1.0))
-    assert [order["cogging_per_rad"] for order in Cogging().trials(far)] == list(range(3, 30))
-    assert len(Cogging().trials(near)) == 18
+    assert orders(far) == list(range(3, 30))
+    assert len(orders(near)) == 18
 
 
 # -- anything else ----------------------------------------------------------------------------------------------------

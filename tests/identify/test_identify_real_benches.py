@@ -14,9 +14,9 @@ from rig.identification import identify
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Columns, levels
-from rig.identification.departures.cogging import Cogging
 from rig.identification.departures.departure import COARSEST_PATH_RAD, Bench
 from rig.identification.departures.fit import CORE, Problem, limits_of, solve, start
+from rig.identification.departures.laws import orders
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import Estimate
@@ -223,15 +223,15 @@ def test_a_force_over_the_angle_of_any_period_is_found_where_the_travel_shows_it
 
 
 def test_waves_over_the_angle_begin_at_one_over_the_travel_and_end_where_rows_no_longer_show_them() -> None:
-    def orders(half_travel_rad: float, path_per_row_rad: float) -> list[float]:
-        bench = Bench(20.0, 0.6, 12.0, 100.0, half_travel_rad, 0.01, path_per_row_rad)
-        return [one["cogging_per_rad"] for one in Cogging().trials(bench)]
+    def of(half_travel_rad: float, path_per_row_rad: float) -> list[float]:
+        return orders(Bench(20.0, 0.6, 12.0, 100.0, half_travel_rad, 0.01, path_per_row_rad))
 
-    assert orders(0.5, 0.01)[0] == pytest.approx(6.0) and orders(2.0, 0.01)[0] == pytest.approx(1.5)
-    assert max(orders(2.0, 0.01)) > 28.0 and 0.0 < max(orders(2.0, 0.1)) < 15.0
-    assert min(orders(100.0, 0.01)) == 3.0  # more starts than a search bears
+    assert of(0.5, 0.01)[0] == pytest.approx(6.0) and of(2.0, 0.01)[0] == pytest.approx(1.5)
+    assert max(of(2.0, 0.01)) > 28.0 and 0.0 < max(of(2.0, 0.1)) < 15.0
+    assert min(of(100.0, 0.01)) == 3.0  # more starts than a search bears
     fast = Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.9)
-    assert not Cogging().fits(fast) and Cogging().fits(Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.1))
+    (cogging,) = (law for law in DEPARTURES if law.name == "cogging")
+    assert not cogging.fits(fast) and cogging.fits(Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.1))
 
 
 def test_of_three_recordings_each_is_predicted_from_the_others_unless_it_alone_turns_a_way() -> None:

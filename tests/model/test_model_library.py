@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 from real_motors import CASES, FRAME, relay, with_parts
 
+import motor_numbers
 from rig.core.errors import LibraryError
+from rig.core.motor_numbers import NUMBERS, PARTS
 from rig.design import compiled as design
 from rig.identification.noise import noise_of
 from rig.model import library, library_build, stribeck
@@ -37,17 +39,43 @@ def fields(header: str, name: str) -> tuple[str, ...]:
     return tuple(re.findall(r"(\w+)(?=[,;])", body))
 
 
+def test_the_list_of_a_motors_numbers_in_c_is_that_of_the_table() -> None:
+    """If this fails: `python tools/motor_numbers.py`."""
+    (found,) = motor_numbers.LIST.findall(motor_numbers.HEADER.read_text(encoding="utf-8"))
+    assert found == motor_numbers.c_list()
+
+
+def test_the_numbers_of_the_parts_in_the_theory_are_those_of_the_table() -> None:
+    """A cell is like `e, V; v_s, rad/s`: symbols, then their unit."""
+    page = (C.parents[1] / "docs" / "theory.md").read_text(encoding="utf-8")
+    (rows,) = re.findall(r"^\| part \| numbers \| law \|\n\|---.*\n((?:\|.*\n)+)", page, re.MULTILINE)
+    cells = dict(re.findall(r"^\| (.+?) \| (.+?) \|", rows, re.MULTILINE))
+    titles = {
+        "viscous friction by direction": "viscous_by_direction",
+        "static friction": "static",
+        "bristles": "bristle",
+    }
+    titles |= {"Stribeck effect": "stribeck", "resistance of the supply": "source"}
+    listed = {titles.get(title, title.replace(" ", "_")): cell for title, cell in cells.items()}
+    assert listed.keys() == PARTS.keys()
+    for part, names in PARTS.items():
+        by_unit: dict[str, list[str]] = {}
+        for name in sorted(names, key=lambda name: NUMBERS[name].is_shape):
+            by_unit.setdefault(NUMBERS[name].unit, []).append(NUMBERS[name].symbol)
+        said = [[*symbols, unit if unit != "1" else ""] for unit, symbols in by_unit.items()]
+        assert listed[part] == "; ".join(", ".join(filter(None, words)) for words in said)
+
+
 def constant(header: str, name: str) -> int:
     (value,) = re.findall(rf"\b{name} = (\d+)", (C / header).read_text(encoding="utf-8"))
     return int(value)
 
 
 def test_numbers_stand_in_the_same_order_on_both_sides() -> None:
-    assert fields("real_motor.h", "real_motor") == RealMotor._fields + Frame._fields
+    assert fields("real_motor.h", "real_motor") == Frame._fields  # behind the list of the numbers
     assert fields("real_motor.h", "real_state") == ("v", "y", "f", "w", "x")
     assert fields("plain_motor.h", "plain_motor") == Plant._fields
     assert fields("plain_motor.h", "plain_state") == State._fields
-    assert constant("real_readings.h", "REAL_NUMBERS") == real_motion.NUMBERS == len(RealMotor._fields)
     assert constant("real_readings.h", "REAL_COLUMN_ROWS") == real_motion._COLUMN_ROWS
     assert constant("real_readings.h", "REAL_STAGE_ROWS") == real_motion._STAGE_ROWS
     assert constant("plain_motor.h", "SERIES_ORDER") == stribeck.ORDER

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from rig.core.motor_numbers import Frame, RealMotor, State
 from rig.model import real_step
 from rig.model.real_inverse import SOFT_SHARE, drive_before_stage, drive_for, position
-from rig.model.real_numbers import Frame, RealMotor, State
 from rig.model.real_step import reading, staged, target
 
 FRAME = Frame(0.1, 0.6, 0.0, 30.0)

@@ -15,10 +15,10 @@ from real_motors import CASES, EACH, FRAME, PLAIN, relay, with_parts
 from scipy.integrate import solve_ivp
 from synthetic import motor as plain_motor
 
+from rig.core.motor_numbers import NUMBERS
 from rig.model.friction import tustin
 from rig.model.motor import Motor, State
 from rig.model.real_motor import (
-    AT_LEAST_ZERO,
     PARTS,
     Frame,
     MovingMotor,
@@ -219,7 +219,7 @@ def difference(motor: RealMotor, place: int, record: Record) -> np.ndarray:
         numbers[place] += steps * size
         return response(RealMotor(*numbers), FRAME, *record)
 
-    if motor[place] < size and RealMotor._fields[place] in AT_LEAST_ZERO:
+    if motor[place] < size and NUMBERS[RealMotor._fields[place]].least == 0.0:
         return np.asarray((4.0 * at(1.0) - 3.0 * at(0.0) - at(2.0)) / (2.0 * size))
     return np.asarray((at(1.0) - at(-1.0)) / (2.0 * size))
 
@@ -387,7 +387,7 @@ def test_numbers_out_of_range_are_refused() -> None:
         response(PLAIN._replace(backlash_rad=-0.1), FRAME, *record)
     with pytest.raises(ValueError, match="finite"):
         response(PLAIN._replace(drift=math.nan), FRAME, *record)
-    with pytest.raises(ValueError, match="must be > 0"):
+    with pytest.raises(ValueError, match="half_travel_rad must be above 0"):
         response(PLAIN, Frame(half_travel_rad=0.0), *record)
     with pytest.raises(ValueError, match="increase from 0"):
         Pieces(np.array([1]), np.zeros(1), np.zeros(1))

@@ -340,6 +340,17 @@ void bench_defaults(bench_params *p)
     p->real.duration_s = 60.0;
 }
 
+/* Of the motor's numbers those of its parts: the others are the bench's own. */
+#define OPTION_MOTOR(name)
+#define OPTION_PART(name) {#name, REAL, offsetof(bench_params, real.name)},
+#define OPTION(name, of, least, below) OPTION_##of(name)
+#define IN_RANGE_MOTOR(name, least, below)
+#define IN_RANGE_PART(name, least, below) \
+    if (!(p->real.name >= (least) && p->real.name < (below))) { \
+        return #name " must be at least " #least " and below " #below; \
+    }
+#define IN_RANGE(name, of, least, below) IN_RANGE_##of(name, least, below)
+
 enum kind { REAL, INTEGER, UNSIGNED, DRIVE_WIRING, SENSOR_WIRING };
 
 static const struct {
@@ -385,30 +396,7 @@ static const struct {
     {"sensor", SENSOR_WIRING, offsetof(bench_params, sensor_wiring)},
     {"fault-after-s", REAL, offsetof(bench_params, fault_after_s)},
     {"parts", INTEGER, offsetof(bench_params, parts)},
-    {"dead-band-V", REAL, offsetof(bench_params, real.dead_band_V)},
-    {"gain-by-sign", REAL, offsetof(bench_params, real.gain_by_sign)},
-    {"sag-per-V", REAL, offsetof(bench_params, real.sag_per_V)},
-    {"lag-s", REAL, offsetof(bench_params, real.lag_s)},
-    {"viscous-by-direction-V-s-rad", REAL, offsetof(bench_params, real.viscous_by_direction_V_s_rad)},
-    {"drag-V-s2-rad2", REAL, offsetof(bench_params, real.drag_V_s2_rad2)},
-    {"bristle-V-rad", REAL, offsetof(bench_params, real.bristle_V_rad)},
-    {"force-sin-V", REAL, offsetof(bench_params, real.force_sin_V)},
-    {"force-cos-V", REAL, offsetof(bench_params, real.force_cos_V)},
-    {"friction-sin-V", REAL, offsetof(bench_params, real.friction_sin_V)},
-    {"friction-cos-V", REAL, offsetof(bench_params, real.friction_cos_V)},
-    {"cogging-sin-V", REAL, offsetof(bench_params, real.cogging_sin_V)},
-    {"cogging-cos-V", REAL, offsetof(bench_params, real.cogging_cos_V)},
-    {"cogging-per-rad", REAL, offsetof(bench_params, real.cogging_per_rad)},
-    {"backlash-rad", REAL, offsetof(bench_params, real.backlash_rad)},
-    {"linearity-sin1-rad", REAL, offsetof(bench_params, real.linearity_sin1_rad)},
-    {"linearity-cos1-rad", REAL, offsetof(bench_params, real.linearity_cos1_rad)},
-    {"linearity-sin2-rad", REAL, offsetof(bench_params, real.linearity_sin2_rad)},
-    {"linearity-cos2-rad", REAL, offsetof(bench_params, real.linearity_cos2_rad)},
-    {"drift", REAL, offsetof(bench_params, real.drift)},
-    {"load-friction", REAL, offsetof(bench_params, real.load_friction)},
-    {"load-outside", REAL, offsetof(bench_params, real.load_outside)},
-    {"viscous-share", REAL, offsetof(bench_params, real.viscous_share)},
-    {"source-per-V2", REAL, offsetof(bench_params, real.source_per_V2)},
+    REAL_MOTOR_NUMBERS(OPTION)
     {"centre-rad", REAL, offsetof(bench_params, real.centre_rad)},
     {"half-travel-rad", REAL, offsetof(bench_params, real.half_travel_rad)},
     {"drift-over-s", REAL, offsetof(bench_params, real.duration_s)},
@@ -540,13 +528,7 @@ const char *bench_check(const bench_params *p)
     if (p->parts > 1 || !(p->real.half_travel_rad > 0.0 && p->real.duration_s > 0.0)) {
         return "parts must be 0 or 1, half-travel-rad and drift-over-s > 0";
     }
-    if (!(fmin(fmin(p->real.dead_band_V, p->real.lag_s), fmin(p->real.bristle_V_rad, p->real.backlash_rad)) >= 0.0)) {
-        return "dead-band-V, lag-s, bristle-V-rad and backlash-rad must be >= 0";
-    }
-    if (!(fmin(fmin(p->real.load_friction, p->real.viscous_share), fmin(p->real.load_outside, p->real.source_per_V2)) >= 0.0) ||
-        !(fmax(p->real.load_friction, p->real.viscous_share) < 1.0)) {
-        return "load-friction, load-outside, viscous-share and source-per-V2 must be >= 0, the first and the third below 1";
-    }
+    REAL_MOTOR_NUMBERS(IN_RANGE)
     if (!(fabs(p->clock_error_ppm) <= 50000.0)) {
         return "clock-error-ppm must be within 50000";
     }

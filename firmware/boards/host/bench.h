@@ -60,7 +60,7 @@ typedef struct {
 
 void bench_defaults(bench_params *p);
 
-/* Sets a parameter from text: `name` as in the struct with '-' for '_', also "drive" and "sensor" for the wiring.
+/* Sets a parameter from text: `name` as in the struct with '-' for '_', a part's as in real_motor, also "drive" and "sensor" for the wiring.
  * Returns NULL, or what is wrong in words. */
 const char *bench_option(bench_params *p, const char *name, const char *value);
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.departure import NOTHING, Bench, Departure
-from rig.identification.departures.drift import Drift, DriftEach, LevelEach
 from rig.identification.departures.fit import (
     Fit,
     Known,
@@ -167,11 +166,11 @@ class Chooser:
             )
         return Choice(laws, fit, tuple(growth))
 
-    def with_drift(self, law: Drift) -> Chooser:
+    def with_drift(self, law: Departure) -> Chooser:
         """The same, but friction drifts as ``law`` says: of records whose frames say so."""
-        return replace(self, candidates=[law if one.name == Drift.name else one for one in self.candidates])
+        return replace(self, candidates=[law if one.name == "drift" else one for one in self.candidates])
 
-    def better_each(self, choice: Choice, each: Cut, drift: DriftEach | LevelEach) -> bool:
+    def better_each(self, choice: Choice, each: Cut, drift: Departure) -> bool:
         """Whether this drift alone explains the pieces of ``choice`` as well as all its laws do.
 
         each   the records with the course of friction that ``drift`` goes by

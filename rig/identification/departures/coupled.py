@@ -17,9 +17,9 @@ from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.choice import LAW_BLOCK, Choice, Chooser, Columns
 from rig.identification.departures.fit import solve
 from rig.identification.departures.fit import start as begin
+from rig.identification.departures.laws import FREQUENCIES_RAD_S
 from rig.identification.departures.outside import by_coupling
 from rig.identification.departures.pieces import Cut
-from rig.identification.departures.soft_coupling import FREQUENCIES_RAD_S
 from rig.identification.lowest import lowest
 
 Array = NDArray[np.float64]

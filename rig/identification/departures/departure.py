@@ -1,4 +1,4 @@
-"""A departure of a real motor from the plain law, as identification sees it. Each is one file, and one line in a list.
+"""A departure of a real motor from the plain law, as identification sees it. Each is a row of ``laws``.
 
 A departure is a part of ``rig.model.real_motor`` whose numbers are 0 for the plain motor. Its effect on the recorded
 position is linear in its numbers while they are small. What is not linear, a speed or an order, is its ``shape``: it
@@ -7,9 +7,10 @@ starts from a few values, and is fitted with the rest.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+from rig.core.motor_numbers import NUMBERS, PARTS
 
 LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
 LARGEST_FORCE = 3.0  # of a law over the angle, times the largest drive
@@ -47,68 +48,84 @@ class Bench:
         return 0.5 * self.largest_V
 
 
-class Departure(ABC):
+Start = Mapping[str, float]
+
+
+def one_from_nothing(bench: Bench) -> Sequence[Start]:
+    """Begin at 0, with no shape."""
+    return (NOTHING,)
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
     """One law that a real motor may have beyond tau, K and Coulomb friction.
 
-    name             in results
+    name             in results, and in the table of the motor's numbers
     title            in sentences
     cause            what it may come from, as a question to the user
-    unit             of its size
-    numbers          fields of ``RealMotor`` that are 0 without it; its size is their root sum of squares
-    shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
-    one_sided        whether its numbers are never below 0
-    over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
+    range_of         largest size that a bench may well have without anybody knowing, in ``unit``, > 0
+    told_by          what to record to tell it from laws that look alike
+    trials           starts of ``shape``, and of ``numbers`` where the motion has no derivative at 0; at least one
+    limits           bounds of its fields in a fit, beside 0 and up for a law of one side
+    sizes            sizes up to ``range_of`` to be looked at one by one, where the motion is not linear in a law of one
+                     number; none: it is nearly linear
+    shown            on which benches it can be looked for, beside ``over_position``
+    largest          largest size that a fit may give it; None: see ``most``
     leaps            whether the motion leaps where its one number grows: no derivative shows its size
     both_ways        whether only a shaft that turns both ways can show it
-    told_by          what to record to tell it from laws that look alike
+    beyond           gain that it must bring, beyond Schwarz's criterion
     may_hide         whether it is a line of the budget where the tests neither show nor exclude it
+    over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
+    numbers          fields of ``RealMotor`` that are 0 without it; its size is their root sum of squares
+    shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
+    unit             of its size
+    one_sided        whether its numbers are never below 0
+    costs            how many numbers it has in a fit, for Schwarz's criterion
+    The last five are those of the table, if they are not given.
     """
 
     name: str
     title: str
     cause: str
-    unit: str
-    numbers: tuple[str, ...]
-    shape: tuple[str, ...] = ()
-    one_sided: bool = False
-    over_position: bool = False
+    range_of: Callable[[Bench], float]
+    told_by: str = "a relay test of another amplitude"
+    trials: Callable[[Bench], Sequence[Start]] = one_from_nothing
+    limits: Callable[[Bench], Mapping[str, tuple[float, float]]] = lambda bench: {}
+    sizes: Callable[[Bench], Sequence[float]] = lambda bench: ()
+    shown: Callable[[Bench], bool] = lambda bench: True
+    largest: float | None = None
     leaps: bool = False
     both_ways: bool = False
-    told_by: str = "a relay test of another amplitude"
+    beyond: float = 0.0
     may_hide: bool = True
+    over_position: bool = False
+    numbers: tuple[str, ...] = ()
+    shape: tuple[str, ...] = ()
+    unit: str = ""
+    one_sided: bool = False
+    costs: int = 0
 
-    @property
-    def costs(self) -> int:
-        """How many numbers it has in a fit, for Schwarz's criterion."""
-        return len(self.numbers + self.shape)
-
-    @abstractmethod
-    def range_of(self, bench: Bench) -> float:
-        """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""
+    def __post_init__(self) -> None:
+        if not self.numbers:
+            of_table = {name: NUMBERS[name] for name in PARTS[self.name]}
+            own = [name for name, number in of_table.items() if not number.is_shape]
+            object.__setattr__(self, "numbers", tuple(own))
+            object.__setattr__(self, "shape", tuple(name for name in of_table if name not in own))
+            object.__setattr__(self, "unit", of_table[own[0]].unit)
+            object.__setattr__(self, "one_sided", all(of_table[name].of_benches == 0.0 for name in own))
+        if not self.costs:
+            object.__setattr__(self, "costs", len(self.numbers + self.shape))
 
     def most(self, bench: Bench) -> float:
         """Largest size that a fit may give it, in ``unit``: a voltage may be as large as the largest drive.
 
         A force over the angle may be larger: the record may hold a part of the turn in which it is small.
         """
+        if self.largest is not None:
+            return self.largest
         largest_V = bench.largest_V * (LARGEST_FORCE if self.over_position else 1.0)
         return max(LARGEST * self.range_of(bench), largest_V if self.unit == "V" else 0.0)
 
     def fits(self, bench: Bench) -> bool:
         """Whether it can be looked for on this bench."""
-        return not self.over_position or bench.path_per_row_rad < COARSEST_PATH_RAD
-
-    def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
-        """Starts of ``shape``, and of ``numbers`` where the motion has no derivative at 0. At least one entry."""
-        return (NOTHING,)
-
-    def sizes(self, bench: Bench) -> Sequence[float]:
-        """Sizes up to ``range_of`` to be looked at one by one, where the motion is not linear in a law of one number.
-
-        Default: none, for the motion is nearly linear in the law.
-        """
-        return ()
-
-    def limits(self, bench: Bench) -> Mapping[str, tuple[float, float]]:
-        """Bounds of its fields in a fit; default: none, or 0 and up for a law of one side."""
-        return {}
+        return self.shown(bench) and not (self.over_position and bench.path_per_row_rad >= COARSEST_PATH_RAD)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from ctypes import byref
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.pieces import Cut
+from rig.identification.descent import descend
 from rig.identification.noise import WHITE, Noise
 from rig.model.library import LIBRARY, BorderedRows, address
 from rig.model.real_motor import RealMotor, index
@@ -23,8 +24,6 @@ DELAY = "delay_s"
 POSITIVE = ("tau_s", "K_rad_s_V")  # fitted by their logarithms
 LARGEST_STEP = 1.0  # of a logarithm, in one iteration
 ITERATIONS = 40
-TRIES = 12  # of the damping, in one iteration
-DAMPING = 1e-3
 VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
 
@@ -241,31 +240,24 @@ def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None =
 
 def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fit:
     """The local solution from there."""
-    problem, damping = fit.problem, DAMPING
-    iterates = [fit.iterates]
-    for _ in range(iterations):
-        normal = Normal.of(problem.rows(fit.motor, fit.starts), problem.cut)
-        if not normal.is_finite:
-            return replace(fit, iterates=np.concatenate(iterates))
-        held = problem.held(fit.motor, normal.gradient)
-        better = None
-        for _ in range(TRIES):
+    problem, iterates = fit.problem, [fit.iterates]
+
+    def linearised(at: Fit) -> Callable[[float], Fit] | None:
+        normal = Normal.of(problem.rows(at.motor, at.starts), problem.cut)
+        held = problem.held(at.motor, normal.gradient)
+
+        def moved(damping: float) -> Fit:
             change, starts = normal.step(held, damping)
-            motor = problem.moved(fit.motor, change)
-            trial = fit.starts + starts
-            residual = problem.cut.readings(motor, trial) - problem.cut.y_rad
-            cost = problem.cost(residual, motor)
-            if cost < fit.cost:  # false for nan
-                better = Fit(problem, motor, trial, residual, cost, False)
-                break
-            damping *= 8.0
-        if better is None:
-            return replace(fit, arrived=True, iterates=np.concatenate(iterates))
-        iterates.append(np.array([[motor.tau_s, motor.K_rad_s_V, motor.fc_V]]))
-        gain, fit, damping = fit.cost - better.cost, better, max(1e-9, 0.2 * damping)
-        if gain < max(enough.squares, enough.share * fit.cost):
-            return replace(fit, arrived=True, iterates=np.concatenate(iterates))
-    return replace(fit, iterates=np.concatenate(iterates))
+            return begun(problem, problem.moved(at.motor, change), at.starts + starts)
+
+        return moved if normal.is_finite else None
+
+    def is_enough(before: Fit, after: Fit) -> bool:
+        iterates.append(np.array([[after.motor.tau_s, after.motor.K_rad_s_V, after.motor.fc_V]]))
+        return before.cost - after.cost < max(enough.squares, enough.share * after.cost)
+
+    found, arrived = descend(fit, linearised, is_enough, iterations)
+    return replace(found, arrived=arrived, iterates=np.concatenate(iterates))
 
 
 def unit(fit: Fit) -> float:

@@ -28,24 +28,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.choice import TRIAL_ITERATIONS, Chooser, without
-from rig.identification.departures.cogging import Cogging
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, refitted, solve
-from rig.identification.departures.friction_wave import FrictionWave
 from rig.identification.departures.in_place import InPlace, gained
+from rig.identification.departures.laws import (
+    DEPARTURES,
+    FREQUENCIES_RAD_S,
+    FRICTION_WAVE,
+    SAG_BY_CURRENT,
+    SOFT_COUPLING,
+    WAVES_PER_RAD,
+    orders,
+)
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Cut
-from rig.identification.departures.sag import Sag
-from rig.identification.departures.sag_by_current import SagByCurrent
-from rig.identification.departures.soft_coupling import FREQUENCIES_RAD_S, SoftCoupling
-from rig.identification.departures.source import Source
 from rig.model.compiled.row_filter import filtered
 from rig.run_folder.recording.series import Steps
 
 Array = NDArray[np.float64]
 
+(COGGING,) = (law for law in DEPARTURES if law.name == "cogging")
 SIZES = (0.5, 1.0, 1.5)  # of the sag that was found
-INSTEAD_OF = (Sag, Source)  # a resistance behind a bridge that does not chop is neither
+INSTEAD_OF = ("sag", "source")  # a resistance behind a bridge that does not chop is neither
 AT_REST = 0.02  # of the largest speed
 FIRST = 1.0 / 3.0  # of the range: the size of a sag by the current whose effect stands for all
 
@@ -67,19 +71,19 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
 
     laws   those of the fit: a sag has its own in its place, and a supply's resistance is what a sag by the current is
     """
-    coupling, found = SoftCoupling(), list[Outside]()
+    found = list[Outside]()
     if not fit.problem.cut.coupling_rad_s:
         found = [
-            Outside(coupling, by_coupling(fit, rad_s) / coupling.range_of(bench), len(FREQUENCIES_RAD_S))
+            Outside(SOFT_COUPLING, by_coupling(fit, rad_s) / SOFT_COUPLING.range_of(bench), len(FREQUENCIES_RAD_S))
             for rad_s in FREQUENCIES_RAD_S
         ]
-    if not any(isinstance(law, INSTEAD_OF) for law in laws):
-        found.append(Outside(SagByCurrent(), _by_sag(fit, bench)))
-    if not fit.problem.noise.white and Cogging().fits(bench):
-        orders = [trial["cogging_per_rad"] for trial in Cogging().trials(bench)]
-        orders = [order for order in orders if order <= FrictionWave.most_per_rad] or orders[:1]
-        by_waves = by_friction_waves(fit, orders)
-        found += [Outside(FrictionWave(), by_waves[:, 2 * k : 2 * k + 2], len(orders)) for k in range(len(orders))]
+    if not any(law.name in INSTEAD_OF for law in laws):
+        found.append(Outside(SAG_BY_CURRENT, _by_sag(fit, bench)))
+    if not fit.problem.noise.white and COGGING.fits(bench):
+        every = orders(bench)
+        slow = [order for order in every if order <= WAVES_PER_RAD] or every[:1]
+        by_waves = by_friction_waves(fit, slow)
+        found += [Outside(FRICTION_WAVE, by_waves[:, 2 * k : 2 * k + 2], len(slow)) for k in range(len(slow))]
     return found
 
 
@@ -90,7 +94,7 @@ def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser:
     law    that of ``laws``, one of ``INSTEAD_OF``
     bare   the same without that law
     """
-    like_per_V = fit.motor.sag_per_V if isinstance(law, Sag) else fit.motor.source_per_V2 * chooser.bench.largest_V
+    like_per_V = fit.motor.sag_per_V if law.name == "sag" else fit.motor.source_per_V2 * chooser.bench.largest_V
     others = [one for one in laws if one is not law]
     found = []
     for share in SIZES:
@@ -101,12 +105,12 @@ def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser:
             problem = replace(chooser.problem(cut, others, fit.problem.robust_rad), noise=fit.problem.noise)
             trial = solve(refitted(trial, problem, without(trial.motor, law)), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
-        found.append(InPlace(law, SagByCurrent(), gained(fit, trial), moves))
+        found.append(InPlace(law, SAG_BY_CURRENT, gained(fit, trial), moves))
     return [min(found, key=lambda one: one.rise)]
 
 
 def _by_sag(fit: Fit, bench: Bench) -> Array:
-    size = FIRST * SagByCurrent().range_of(bench)
+    size = FIRST * SAG_BY_CURRENT.range_of(bench)
     cut = by_current(fit, fit.motor.K_rad_s_V, size)
     change = cut.readings(fit.motor, fit.starts) - fit.problem.cut.readings(fit.motor, fit.starts)
     return np.asarray(change / size)[:, None]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.departure import Bench
-from rig.identification.departures.soft_coupling import DAMPING
+from rig.identification.departures.laws import DAMPING
 from rig.identification.motions import Motion, fitted_rows
 from rig.model.compiled.real_motion import Windows
 from rig.model.compiled.row_filter import filtered

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.motor_numbers import Numbers, RealMotor
 from rig.model.library import (
     LIBRARY,
     RealColumns,
@@ -21,7 +22,6 @@ from rig.model.library import (
     require_size,
     room,
 )
-from rig.model.real_numbers import Numbers, RealMotor
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

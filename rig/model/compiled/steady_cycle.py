@@ -1,4 +1,4 @@
-"""The steady cycle under given edges of the relays, in closed form, with its derivatives, and fits to it.
+"""The steady cycle under given edges of the relays, in closed form, with its derivatives.
 
 Velocity is linear in the drive, and w = y + tau v moves in straight lines. So a periodic motion under given edges needs
 no iteration. The reversal needs none either: exp(t1 / tau) solves a linear equation.
@@ -7,15 +7,13 @@ no iteration. The reversal needs none either: exp(t1 / tau) solves a linear equa
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Sequence
 from ctypes import byref
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.library import LIBRARY, CycleData, CycleSearch, address, filled, given, numbers, require_size, room
+from rig.model.library import LIBRARY, CycleData, address, filled, given, numbers, require_size
 
 Array = NDArray[np.float64]
 CONDITIONS = 5
@@ -40,20 +38,6 @@ class Data(NamedTuple):
     t_s: Array
     measured: Array
     weight: Array
-
-
-class Search(NamedTuple):
-    """How theta is searched.
-
-    low, high   its range. The delay goes up to its bounds and stays there
-    tolerance   steps that end the search
-    damping     of the first step
-    """
-
-    low: Array
-    high: Array
-    tolerance: Array
-    damping: float
 
 
 def switching_conditions(
@@ -94,30 +78,21 @@ def curve(
     LIBRARY.cycle_curve(numbers(*theta), byref(data), filled(y, t.size), filled(jac, t.size, NUMBERS))
 
 
-def solve(theta: Array, free: Sequence[bool], data: Data, search: Search, iterates: Array) -> tuple[int, float]:
-    """Damped Gauss-Newton; changes ``theta`` where ``free``.
+def rows(theta: Array, data: Data) -> tuple[Array, Array]:
+    """Weighted residuals (n,) and their Jacobian (n, 6), or without samples those of the conditions, (5,) and (5, 3).
 
-    theta      (6,) as for ``curve``, or (3,) as for ``switching_conditions``
-    iterates   (m, 3) or (m, 6): filled with theta at each iteration, the start first
-    Returns the number of iterates and the sum of squares. The damping grows until a step lowers the sum, then it falls.
+    theta   as for ``curve``, or as for ``switching_conditions``
     """
-    t, measured, weight = given(data.t_s), given(data.measured), given(data.weight)
-    low, high, tolerance = given(search.low), given(search.high), given(search.tolerance)
-    n, p = t.size or CONDITIONS, theta.size
-    require_size(theta, NUMBERS if t.size else 3, "theta")
-    for one in (measured, weight):
-        require_size(one, n, "measured and weight")
-    for one in (low, high, tolerance):
-        require_size(one, p, "range and tolerance")
-    cycle = _cycle(data.gains, data.edges)
-    cycle.t_s, cycle.measured, cycle.weight = address(t), address(measured), address(weight)
-    cycle.samples, cycle.first_half = t.size, data.halves[0]
-    wanted = CycleSearch(*(address(one) for one in (low, high, tolerance)), search.damping, iterates.shape[0])
-    work, cost = room(2 * n * (1 + p)), ctypes.c_double()
-    moving = (ctypes.c_uint8 * p)(*map(bool, free))
-    into = filled(theta, p), filled(iterates, iterates.shape[0], p)
-    count = LIBRARY.cycle_solve(into[0], p, moving, byref(cycle), byref(wanted), address(work), into[1], byref(cost))
-    return count, cost.value
+    count = data.t_s.size or CONDITIONS
+    for one in (data.measured, data.weight):
+        require_size(one, count, "measured and weight")
+    values, jacobian = np.empty(count), np.empty((count, theta.size))
+    if data.t_s.size:
+        curve(theta, data.gains, data.edges, data.halves, data.t_s, values, jacobian)
+    else:
+        first, second, third = data.edges.tolist()
+        switching_conditions(theta, data.gains, (first, second, third), values, jacobian)
+    return data.weight * (values - data.measured), data.weight[:, None] * jacobian
 
 
 def _cycle(gains: tuple[float, float], edges: Array) -> CycleData:

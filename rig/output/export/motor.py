@@ -9,58 +9,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from rig.core.motor_numbers import FRAME, PARTS
+from rig.core.motor_numbers import NUMBERS as OF_MOTOR
 from rig.core.package import VERSION
 from rig.identification.known_model import known_model
-from rig.model.real_motor import PARTS, FramedMotor
+from rig.model.real_motor import FramedMotor
 from rig.output.export.whole_run import ExportedRun
 from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.recording.writer import SAMPLES
 from rig.run_folder.results import Answer, EstimateResult, JsonObject
 from rig.run_folder.results.answer_words import validity
 
-# (unit, meaning) of every number that an export may write, in the order of the equation.
-NUMBERS: Final[dict[str, tuple[str, str]]] = {
-    "tau_s": ("s", "time constant of the velocity"),
-    "K_rad_s_V": ("(rad/s)/V", "velocity gain of the measured shaft"),
-    "fc_V": ("V", "Coulomb friction"),
-    "bias_V": ("V", "constant added to the drive; friction that differs by direction is in it"),
-    "delay_s": ("s", "from a sample to the effect of its drive on the recording bench"),
-    "dead_band_V": ("V", "drive up to which the stage gives nothing; above it is missing from the drive"),
-    "gain_by_sign": ("1", "g: the stage gives u (1 + g sgn u)"),
-    "sag_per_V": ("1/V", "s: the stage gives u (1 - s |u|)"),
-    "lag_s": ("s", "time constant of the stage and the current"),
-    "viscous_by_direction_V_s_rad": ("V s/rad", "beta: force beta |v|, half the difference of both directions"),
-    "static_V": ("V", "by which the level at rest is above the level in motion"),
-    "stribeck_V": ("V", "e: friction e exp(-|v|/v_s) beside Coulomb friction"),
-    "stribeck_rad_s": ("rad/s", "v_s"),
-    "drag_V_s2_rad2": ("V s2/rad2", "c: drag c v |v|"),
-    "bristle_V_rad": ("V/rad", "stiffness of the bristles at rest"),
-    "force_sin_V": ("V", "force over position: times sin(y - centre)"),
-    "force_cos_V": ("V", "force over position: times cos(y - centre) less its mean over the travel"),
-    "friction_sin_V": ("V", "friction over position: times sin(y - centre)"),
-    "friction_cos_V": ("V", "friction over position: times cos(y - centre) less its mean over the travel"),
-    "cogging_sin_V": ("V", "cogging: times sin(n y)"),
-    "cogging_cos_V": ("V", "cogging: times cos(n y)"),
-    "cogging_per_rad": ("1/rad", "n, order of the cogging"),
-    "backlash_rad": ("rad", "whole width of the play between motor and sensor"),
-    "linearity_sin1_rad": ("rad", "the sensor's curvature: its terms over the travel"),
-    "linearity_cos1_rad": ("rad", "the sensor's curvature"),
-    "linearity_sin2_rad": ("rad", "the sensor's curvature"),
-    "linearity_cos2_rad": ("rad", "the sensor's curvature"),
-    "drift": ("1", "relative change of Coulomb friction from the start of the tests to their end"),
-    "load_friction": ("1", "L: friction L |p + l G| beside Coulomb friction, of torque p and force over position G"),
-    "load_outside": ("1", "l"),
-    "viscous_share": ("1", "r: share of 1/K that is viscous friction"),
-    "source_per_V2": ("1/V2", "rho: torque p = (w - (1 - r) v/K) / (1 + rho w^2)"),
-    "centre_rad": ("rad", "middle of the driven travel, to which terms over position refer"),
-    "half_travel_rad": ("rad", "half its width"),
-}
 # What the estimate calls what the motor calls otherwise.
 _OF_ESTIMATE: Final = {"bias_V": "asym_V"}
 _OVER_POSITION: Final = tuple(
     name for part in ("force_over_position", "friction_over_position", "cogging", "linearity") for name in PARTS[part]
 )
 _OF_PLACES: Final = ("centre_rad", "half_travel_rad")
+# Every number that an export may write, in the order of the equation.
+NUMBERS: Final = OF_MOTOR | {name: FRAME[name] for name in _OF_PLACES}
 
 
 @dataclass(frozen=True)
@@ -116,12 +83,12 @@ class KnownNumber:
     @property
     def unit(self) -> str:
         """Its unit; 1: none."""
-        return NUMBERS[self.name][0]
+        return NUMBERS[self.name].unit
 
     @property
     def meaning(self) -> str:
         """In words."""
-        return NUMBERS[self.name][1]
+        return NUMBERS[self.name].meaning
 
     def as_json(self) -> JsonObject:
         """As an export writes it."""

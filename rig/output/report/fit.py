@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from rig.core.estimators import LEADING
 from rig.identification.cycles import find_cycle
+from rig.identification.descent import Point, descend
 from rig.identification.identification import Identification, identify
 from rig.identification.known_model import model_of
 from rig.identification.preprocessing import from_recording
@@ -26,6 +26,8 @@ from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import EstimateResult, known
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
+DIFFERENCE = 1e-6  # rad/s and rad, by which a start is moved to see its effect
+GAINS, STEPS = 1e-8, 10  # of a start: share of the squares that a step must gain, and steps at most
 
 
 @dataclass(frozen=True)
@@ -178,12 +180,20 @@ def predicted(motor: Motor | FramedMotor, series: TimeSeries, part: slice, delay
         states = motor.response(State(v0, y0), t, edge, drive)
         return states[:, 1], states[:, 0]
 
-    def residual(start: Array) -> Array:
-        return np.asarray(path(start)[0] - y)
+    def rows(start: Array) -> tuple[Array, Array]:
+        left = path(start)[0] - y
+        moved = [(path(start + step)[0] - y - left) / DIFFERENCE for step in DIFFERENCE * np.eye(2)]
+        return left, np.column_stack(moved)
 
-    if not np.all(np.isfinite(residual(np.array([guess, y[0]])))):
+    guessed = Point.of(np.array([guess, y[0]]), rows)
+    if not math.isfinite(guessed.cost):
         raise AbsentError("The answer holds a motor that runs away, or is too stiff to be followed.")
-    best = least_squares(residual, [guess, y[0]], method="lm", max_nfev=30)
+    best, _ = descend(
+        guessed,
+        lambda at: lambda damping: Point.of(at.x + at.step(np.array([True, True]), damping), rows),
+        lambda before, after: before.cost - after.cost <= GAINS * after.cost,
+        STEPS,
+    )
     return Predicted((t - t[0]) / (t[-1] - t[0]), y, *path(best.x))
 
 

@@ -2,114 +2,57 @@
 ``RunEvent``. Each field says what its key means; the reference of `make docs` is made from that.
 """
 
-from rig.run_folder.results.answer import Answer, GradedNumber, HoldsResult, PredictsResult, answer_of, chosen
-from rig.run_folder.results.estimates import (
-    BreakawayResult,
-    BudgetEntry,
-    EstimateResult,
-    FittedRecord,
-    FoundLawResult,
-    FrictionMapResult,
-    HystereticResult,
-    LawFrameResult,
-    MapPositionResult,
-    MapSpeedResult,
-    PieceResult,
-    RelayTestResult,
-    ResidualResult,
-    StaticFrictionResult,
-    known,
-)
-from rig.run_folder.results.event import (
-    Decided,
-    DrivenModel,
-    DrivenStroke,
-    DrivenSurvey,
-    DrivenSweep,
-    FurtherTest,
-    JoggedLease,
-    KnownModel,
-    MeasuredDelay,
-    RunEvent,
-)
-from rig.run_folder.results.identification import IdentificationResult, MotorLawResult
-from rig.run_folder.results.live import LiveResult, StoppedResult
-from rig.run_folder.results.meta import (
-    DeviceSeen,
-    RealTimeReport,
-    RunMeta,
-    RunTime,
-    ScriptCall,
-    SensorBelieved,
-    SupplyBelieved,
-    TrueLaw,
-    TrueMotor,
-)
-from rig.run_folder.results.part import JsonObject, Part
-from rig.run_folder.results.result import (
-    DeviceLoop,
-    FaultReport,
-    JogResult,
-    LoopResult,
-    Quantiles,
-    RunResult,
-    SearchStepResult,
-    TrackingResult,
-)
-
-__all__ = [
-    "Answer",
-    "BreakawayResult",
-    "BudgetEntry",
-    "Decided",
-    "DeviceLoop",
-    "DeviceSeen",
-    "DrivenModel",
-    "DrivenStroke",
-    "DrivenSurvey",
-    "DrivenSweep",
-    "EstimateResult",
-    "FaultReport",
-    "FittedRecord",
-    "FoundLawResult",
-    "FrictionMapResult",
-    "FurtherTest",
-    "JoggedLease",
-    "HystereticResult",
-    "IdentificationResult",
-    "JogResult",
-    "JsonObject",
-    "KnownModel",
-    "LawFrameResult",
-    "MapPositionResult",
-    "MapSpeedResult",
-    "LiveResult",
-    "LoopResult",
-    "MotorLawResult",
-    "MeasuredDelay",
-    "Part",
-    "PieceResult",
-    "Quantiles",
-    "RealTimeReport",
-    "RelayTestResult",
-    "ResidualResult",
-    "RunEvent",
-    "RunMeta",
-    "RunTime",
-    "RunResult",
-    "ScriptCall",
-    "SearchStepResult",
-    "SensorBelieved",
-    "StaticFrictionResult",
-    "StoppedResult",
-    "SupplyBelieved",
-    "TrackingResult",
-    "TrueLaw",
-    "TrueMotor",
-    "answer_of",
-    "chosen",
-    "known",
-    "GradedNumber",
-    "HoldsResult",
-    "PredictsResult",
-]
+from rig.run_folder.results.answer import Answer as Answer
+from rig.run_folder.results.answer import GradedNumber as GradedNumber
+from rig.run_folder.results.answer import HoldsResult as HoldsResult
+from rig.run_folder.results.answer import PredictsResult as PredictsResult
+from rig.run_folder.results.answer import answer_of as answer_of
+from rig.run_folder.results.answer import chosen as chosen
+from rig.run_folder.results.estimates import BreakawayResult as BreakawayResult
+from rig.run_folder.results.estimates import BudgetEntry as BudgetEntry
+from rig.run_folder.results.estimates import EstimateResult as EstimateResult
+from rig.run_folder.results.estimates import FittedRecord as FittedRecord
+from rig.run_folder.results.estimates import FoundLawResult as FoundLawResult
+from rig.run_folder.results.estimates import FrictionMapResult as FrictionMapResult
+from rig.run_folder.results.estimates import HystereticResult as HystereticResult
+from rig.run_folder.results.estimates import LawFrameResult as LawFrameResult
+from rig.run_folder.results.estimates import MapPositionResult as MapPositionResult
+from rig.run_folder.results.estimates import MapSpeedResult as MapSpeedResult
+from rig.run_folder.results.estimates import PieceResult as PieceResult
+from rig.run_folder.results.estimates import RelayTestResult as RelayTestResult
+from rig.run_folder.results.estimates import ResidualResult as ResidualResult
+from rig.run_folder.results.estimates import StaticFrictionResult as StaticFrictionResult
+from rig.run_folder.results.estimates import known as known
+from rig.run_folder.results.event import Decided as Decided
+from rig.run_folder.results.event import DrivenModel as DrivenModel
+from rig.run_folder.results.event import DrivenStroke as DrivenStroke
+from rig.run_folder.results.event import DrivenSurvey as DrivenSurvey
+from rig.run_folder.results.event import DrivenSweep as DrivenSweep
+from rig.run_folder.results.event import FurtherTest as FurtherTest
+from rig.run_folder.results.event import JoggedLease as JoggedLease
+from rig.run_folder.results.event import KnownModel as KnownModel
+from rig.run_folder.results.event import MeasuredDelay as MeasuredDelay
+from rig.run_folder.results.event import RunEvent as RunEvent
+from rig.run_folder.results.identification import IdentificationResult as IdentificationResult
+from rig.run_folder.results.identification import MotorLawResult as MotorLawResult
+from rig.run_folder.results.live import LiveResult as LiveResult
+from rig.run_folder.results.live import StoppedResult as StoppedResult
+from rig.run_folder.results.meta import DeviceSeen as DeviceSeen
+from rig.run_folder.results.meta import RealTimeReport as RealTimeReport
+from rig.run_folder.results.meta import RunMeta as RunMeta
+from rig.run_folder.results.meta import RunTime as RunTime
+from rig.run_folder.results.meta import ScriptCall as ScriptCall
+from rig.run_folder.results.meta import SensorBelieved as SensorBelieved
+from rig.run_folder.results.meta import SupplyBelieved as SupplyBelieved
+from rig.run_folder.results.meta import TrueLaw as TrueLaw
+from rig.run_folder.results.meta import TrueMotor as TrueMotor
+from rig.run_folder.results.part import JsonObject as JsonObject
+from rig.run_folder.results.part import Part as Part
+from rig.run_folder.results.result import DeviceLoop as DeviceLoop
+from rig.run_folder.results.result import FaultReport as FaultReport
+from rig.run_folder.results.result import JogResult as JogResult
+from rig.run_folder.results.result import LoopResult as LoopResult
+from rig.run_folder.results.result import Quantiles as Quantiles
+from rig.run_folder.results.result import RunResult as RunResult
+from rig.run_folder.results.result import SearchStepResult as SearchStepResult
+from rig.run_folder.results.result import TrackingResult as TrackingResult

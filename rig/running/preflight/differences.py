@@ -8,7 +8,7 @@ from math import isclose
 from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import DeadBand, DeviceSetup
-from rig.model.real_numbers import RealMotor
+from rig.core.motor_numbers import RealMotor
 
 _SLACK = 1e-6  # relative: numbers closer than this are equal but for their digits
 _BENT_COUNTS = 1.0  # largest distance of a calibration table from a straight line that is left unsaid

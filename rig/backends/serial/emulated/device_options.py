@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
+from rig.core.motor_numbers import NUMBERS, of_every_bench
 from rig.model.bench import BenchParameters
-from rig.model.real_motor import PARTS
-
-# The static level and the Stribeck effect are those of the motor's friction.
-PARTS_BY_NAME = [name for part, names in PARTS.items() if part not in ("static", "stribeck") for name in names]
 
 
 def device_options(
@@ -58,7 +55,7 @@ def device_options(
         numbers |= {"end-low-rad": low_rad, "end-high-rad": high_rad}
     if bench.real is not None:
         numbers |= {"parts": 1, "drift-over-s": bench.frame.duration_s}
-        numbers |= {name.replace("_", "-"): getattr(bench.real, name) for name in PARTS_BY_NAME}
+        numbers |= {name: getattr(bench.real, name) for name in NUMBERS if not of_every_bench(name)}
         numbers |= {name.replace("_", "-"): getattr(bench.frame, name) for name in ("centre_rad", "half_travel_rad")}
     options = {name: repr(value) for name, value in numbers.items()}
     return {**options, "drive": bench.drive, "sensor": bench.sensor}

@@ -14,17 +14,10 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.virtual_device import Until, VirtualDevice, load
+from rig.backends.serial.emulated.virtual_device import Until, VirtualDevice, fields_of, load, seen
 from rig.model.bench import BenchParameters
 
 _SHAFT_NS = 500_000  # between two points of its path
-
-
-class _View(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_double) for name in ("t_s", "pin_V", "motor_V", "y_rad", "v_rad_per_s", "pin_changed_s")),
-        *((name, ctypes.c_int32) for name in ("armed", "latched", "fault", "recovering", "dropped", "hung")),
-    )
 
 
 class Truth(NamedTuple):
@@ -52,6 +45,10 @@ class Truth(NamedTuple):
     recovering: int
     dropped: int
     hung: bool
+
+
+class _View(ctypes.Structure):
+    _fields_ = fields_of(Truth)
 
 
 class VirtualBoard(VirtualDevice):
@@ -110,20 +107,7 @@ class VirtualBoard(VirtualDevice):
         """What is really the case now."""
         view = _View()
         self._library.virtual_look(self._board, ctypes.byref(view))
-        return Truth(
-            view.t_s,
-            view.pin_V,
-            view.motor_V,
-            view.y_rad,
-            view.v_rad_per_s,
-            view.pin_changed_s,
-            bool(view.armed),
-            bool(view.latched),
-            view.fault,
-            view.recovering,
-            view.dropped,
-            bool(view.hung),
-        )
+        return seen(Truth, view)
 
     def reset(self, cause: int) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out, 8 watchdog (bits may be combined)."""
@@ -146,7 +130,7 @@ class VirtualBoard(VirtualDevice):
     ) -> tuple[tuple[float, ...], float]:
         """State and reading of a motor with parts ``dt_s`` after ``t_s`` of constant drive; the board is untouched.
 
-        state   v, y, f, w and x, as in ``rig.model.real_numbers``; None: at rest at the start
+        state   v, y, f, w and x, as in ``rig.core.motor_numbers``; None: at rest at the start
         """
         numbers = (ctypes.c_double * 6)(*(state or ()))
         when = (ctypes.c_double * 2)(t_s, dt_s)

@@ -11,7 +11,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, ChipFirmware, Variant
-from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
+from rig.backends.serial.emulated.virtual_device import VirtualDevice, fields_of, load, seen
 from rig.model.bench import BenchParameters
 
 _BITS_PER_BYTE = 10
@@ -45,15 +45,6 @@ def chip_options(
         "hex": str(firmware.hex),
         "bridge": options.bridge.lower(),
     }
-
-
-class _View(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_double) for name in ("t_s", "pin_V", "motor_V", "y_rad", "v_rad_per_s", "pin_changed_s")),
-        *((name, ctypes.c_double) for name in ("awake_share", "masked_us", "interrupt_share")),
-        *((name, ctypes.c_double) for name in ("timed_share", "tick_us")),
-        *((name, ctypes.c_int32) for name in ("led", "resets", "overruns", "crashed", "stack_bytes")),
-    )
 
 
 class ChipTruth(NamedTuple):
@@ -94,6 +85,10 @@ class ChipTruth(NamedTuple):
     stack_bytes: int
 
 
+class _View(ctypes.Structure):
+    _fields_ = fields_of(ChipTruth)
+
+
 class VirtualChip(VirtualDevice):
     """One emulated Uno, powered on at virtual time 0. Any number may live side by side.
 
@@ -132,24 +127,7 @@ class VirtualChip(VirtualDevice):
         """What is really the case now."""
         view = _View()
         self._library.virtual_look(self._board, ctypes.byref(view))
-        return ChipTruth(
-            view.t_s,
-            view.pin_V,
-            view.motor_V,
-            view.y_rad,
-            view.v_rad_per_s,
-            view.pin_changed_s,
-            view.awake_share,
-            view.masked_us,
-            view.interrupt_share,
-            view.timed_share,
-            view.tick_us,
-            bool(view.led),
-            view.resets,
-            view.overruns,
-            bool(view.crashed),
-            view.stack_bytes,
-        )
+        return seen(ChipTruth, view)
 
     def reset(self, cause: int, boot_s: float = 0.0) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot loader, pins floating."""

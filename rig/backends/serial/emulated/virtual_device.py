@@ -5,9 +5,10 @@ from __future__ import annotations
 import ctypes
 import math
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Any
+from functools import cache
+from typing import Any, TypeVar, get_type_hints
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Plug
@@ -15,6 +16,7 @@ from rig.core.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 _READ_BYTES = 512
+Truth = TypeVar("Truth", bound=tuple[Any, ...])  # a NamedTuple of floats, ints and bools
 
 
 class Until(IntEnum):
@@ -105,6 +107,21 @@ class VirtualDevice(Plug):
     def place(self, y_rad: float, v_rad_per_s: float = 0.0) -> None:
         """Put the shaft somewhere, as a hand would."""
         self._library.virtual_place(self._board, y_rad, v_rad_per_s)
+
+
+@cache
+def _kinds(truth: type[Truth]) -> dict[str, type]:
+    return get_type_hints(truth)
+
+
+def fields_of(truth: type[Truth]) -> Sequence[tuple[str, Any]]:
+    """The fields of ``virtual_view`` in C, whose names and order are those of ``truth``."""
+    return [(name, ctypes.c_double if kind is float else ctypes.c_int32) for name, kind in _kinds(truth).items()]
+
+
+def seen(truth: type[Truth], view: ctypes.Structure) -> Truth:
+    """The view as that tuple."""
+    return truth(**{name: kind(getattr(view, name)) for name, kind in _kinds(truth).items()})
 
 
 def load(path: str, more: Mapping[str, tuple[Any, list[Any]]]) -> ctypes.CDLL:
