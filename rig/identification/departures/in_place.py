@@ -24,7 +24,7 @@ from rig.identification.side_by_side import side_by_side
 Array = NDArray[np.float64]
 
 FAR = 0.1  # of tau, K or friction: what the linear model would move it by, beyond which a fit is asked
-FAR_WORSE = 1.5  # what another law leaves beyond the sensor's noise over what the fit leaves: then it counts no more
+FAR_WORSE = 2.5  # what another law leaves beyond the sensor's noise over what the fit leaves: then it counts no more
 RIVAL = 20.0  # rise of Schwarz's criterion up to which a law in place of another counts at all
 
 
@@ -79,11 +79,12 @@ def in_place(
 def nearly_as_good(
     fit: Fit, laws: Sequence[Departure], chooser: Chooser, bare: Mapping[str, Fit]
 ) -> list[tuple[Fit, float]]:
-    """Fits with another law in place of one, of a fit that leaves more than white noise, and how much each counts.
+    """Fits far from one that leaves more than white noise, with another law in place of one, and how much each counts.
 
     What both leave beyond the sensor's noise is no noise but the motor, so likelihood says nothing of the two. A law
     enters where it takes away a share of what is left, ``asked.cuts``; so one that leaves no more than that share more
-    counts in full, and one that leaves 1.5 times as much not at all.
+    counts in full, and one that leaves 2.5 times as much not at all. Of
+    those that hardly move a number likelihood says enough.
     """
     if fit.problem.noise.white:
         return []
@@ -105,8 +106,10 @@ def nearly_as_good(
             motor = without_it.motor._replace(**promise.first)
             tried.append(chooser.with_laws(without_it, [*others, promise.law], motor))
     fits = side_by_side(lambda one: solve(one, TRIAL_ITERATIONS), tried, fit.residual_rad.size)
+    here = np.array([getattr(fit.motor, name) for name in OF])
+    far = [np.any(np.abs([getattr(one.motor, name) for name in OF] - here) > FAR * np.abs(here)) for one in fits]
     counts = [min((FAR_WORSE - left_rad(one) / least_rad) / (FAR_WORSE - alike), 1.0) for one in fits]
-    return [(one, count) for one, count in zip(fits, counts, strict=True) if count > 0.0]
+    return [(one, count) for one, count, is_far in zip(fits, counts, far, strict=True) if is_far and count > 0.0]
 
 
 def gained(fit: Fit, bare: Fit) -> float:
