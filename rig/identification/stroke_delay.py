@@ -153,6 +153,10 @@ class _Strokes(NamedTuple):
         left = self._without_rest(self.y_rad) / self.noise_rad
         return float(left @ left)
 
+    def acting_s(self, delay_s: float) -> Array:
+        """When each drive acts with that delay, s."""
+        return self.edge_s + np.append(0.0, np.full(self.u_V.size - 1, delay_s))
+
     def fitted(self, tried: dict[float, _Fit], delays_s: Array) -> dict[float, _Fit]:
         """Those tried before, and these delays, each from the motor of the nearest one before it."""
         found = dict(tried)
@@ -169,7 +173,7 @@ class _Strokes(NamedTuple):
     def _solved(self, start: Array, delay_s: float) -> _Fit:
         from scipy.optimize import leastsq  # it loads slowly, and few records need it
 
-        edge_s = self.edge_s + np.append(0.0, np.full(self.u_V.size - 1, delay_s))
+        edge_s = self.acting_s(delay_s)
         answer = leastsq(
             self._residual,
             start,
