@@ -52,8 +52,9 @@ lint: .venv/.ready
 types: .venv/.ready
 	.venv/bin/mypy
 
+# read and resolved, as `make docs` does; what that writes then, nobody reads here
 pages: .venv/.ready
-	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+	.venv/bin/sphinx-build -q -W --keep-going -b dummy docs build/pages
 
 analysis: .venv/.ready
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
