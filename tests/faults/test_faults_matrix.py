@@ -234,6 +234,7 @@ def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backe
     assert meta["firmware"]["reset_cause"] == cause
 
 
+@pytest.mark.evidence  # in virtual time it is a row on the board; in real time make test has test_faults_kill.py
 @pytest.mark.realtime
 @pytest.mark.alone  # it measures how late something is
 @pytest.mark.parametrize("name", ["host SIGSTOP, 1 s"])
