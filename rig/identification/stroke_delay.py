@@ -155,7 +155,7 @@ class _Strokes(NamedTuple):
 
     def acting_s(self, delay_s: float) -> Array:
         """When each drive acts with that delay, s."""
-        return self.edge_s + np.append(0.0, np.full(self.u_V.size - 1, delay_s))
+        return np.asarray(self.edge_s + np.append(0.0, np.full(self.u_V.size - 1, delay_s)))
 
     def fitted(self, tried: dict[float, _Fit], delays_s: Array) -> dict[float, _Fit]:
         """Those tried before, and these delays, each from the motor of the nearest one before it."""
