@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup bam evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps real-records tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: setup compiled bam evidence whole stalls free-running compare pages dist docs stopping campaign-real design emps real-records tracking tune wheel help demo test search check lint types analysis format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -27,9 +27,13 @@ MARKED = $$(grep -lrE 'mark\.($(1))' tests --include='test_*.py')
 
 # some wait for processes of theirs, and what runs in real time waits more than it computes: so there are more workers than cores; what measures how late something is runs alone, after the rest
 test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
-	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware
+	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware compiled
 	$(PYTEST) -m "not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED)
 	$(PYTEST) -m "alone and not evidence" $(call MARKED,alone)
+
+# once, beside mypy, which takes longest, and not in each worker: what the tests load; a test that does not load shows after it
+compiled: .venv/.ready firmware
+	@$(PYTEST) --collect-only -qq >/dev/null || true
 
 evidence: .venv/.ready firmware  ## the tests that compute long: full ranges of parameters, matrices, campaigns
 	$(PYTEST) -m "evidence and not (realtime or alone)" -n $$(nproc) $(SHARED)
@@ -52,8 +56,9 @@ lint: .venv/.ready
 types: .venv/.ready
 	.venv/bin/mypy
 
+# read and resolved, as `make docs` does; what that writes then, nobody reads here
 pages: .venv/.ready
-	.venv/bin/sphinx-build -q -W --keep-going docs build/site
+	.venv/bin/sphinx-build -q -W --keep-going -b dummy docs build/pages
 
 analysis: .venv/.ready
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck

@@ -73,9 +73,18 @@ if $for_all; then
     # loads what is exported for MATLAB
     need octave-cli octave
 fi
+# the second emulator of the Uno's chip, the Pico's, what drives the browser; npm keeps its own stamp of what it has
+# installed
+of_node() {
+    for folder in tests/hil/avr8js firmware/emulator/pico tests/panel/browser; do
+        [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
+            (cd "$folder" && npm ci --loglevel=error >/dev/null)
+    done
+    tools/uplot.sh
+}
 # while these are fetched and unpacked, so are the Python packages
-install_missing &
-debian=$!
+{ install_missing && if $for_all; then of_node; fi; } &
+others=$!
 
 echo "setup: installing Python packages into .venv"
 [ -x .venv/bin/python ] && [ -x .venv/bin/uv ] || {
@@ -88,24 +97,16 @@ board=$!
 export VIRTUAL_ENV=.venv
 # exactly the locked packages, by hash; uv itself stays
 if $for_all; then
-    fetch .venv/bin/uv pip install --compile-bytecode --require-hashes -r requirements.lock
+    fetch .venv/bin/uv pip install --require-hashes -r requirements.lock
 else
     fetch .venv/bin/uv pip install --require-hashes --constraints requirements.lock -r pyproject.toml
 fi
-wait "$debian"
+wait "$others"
 fetch .venv/bin/uv pip install --no-deps --editable .
 wait "$board"
 
-# the motor's physics, for this machine
-CC="$COMPILER" .venv/bin/python -c 'import rig.model.library'
-if $for_all; then
-    # the second emulator of the Uno's chip, the Pico's, what drives the browser; npm keeps its own stamp of what it has
-    # installed
-    for folder in tests/hil/avr8js firmware/emulator/pico tests/panel/browser; do
-        [ "$folder/node_modules/.package-lock.json" -nt "$folder/package-lock.json" ] ||
-            (cd "$folder" && npm ci --loglevel=error >/dev/null)
-    done
-    tools/uplot.sh
-fi
+# the motor's physics, for this machine; what a run loads is compiled to bytecode, of the packages a fifth
+env -u PYTHONDONTWRITEBYTECODE CC="$COMPILER" .venv/bin/python -c '
+import rig.model.library, rig.cli, rig.api, rig.output.report.page, matplotlib.backends.backend_svg, scipy.optimize, scipy.stats'
 touch .venv/.running
 if $for_all; then touch .venv/.ready; fi

@@ -950,10 +950,10 @@ static void boot(virtual_board *b, int64_t until_ns)
     }
 }
 
-void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
+void virtual_run(virtual_board *b, int64_t until_ns, int32_t until)
 {
     for (;;) {
-        const int64_t reply_ns = until_byte ? wire_next_ns(&b->to_host) : INT64_MAX;
+        const int64_t reply_ns = wire_arrival_ns(&b->to_host, until);
         const int64_t next_ns = reply_ns < until_ns ? reply_ns : until_ns;
         if (b->now_ns < b->boot_until_ns) {
             boot(b, next_ns);

@@ -35,8 +35,8 @@ const char *virtual_option(virtual_board *b, const char *name, const char *value
 /* Powers the chip on at time 0; a byte takes the host `byte_ns`. NULL, or what is wrong. */
 const char *virtual_start(virtual_board *b, int64_t byte_ns);
 
-/* Runs to `until_ns`, or to the arrival of the next byte at the host if `until_byte` and that is sooner. */
-void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte);
+/* Runs to `until_ns`, or to what arrives at the host if that is sooner: `until` 1: the next byte; 2: the end of a frame. */
+void virtual_run(virtual_board *b, int64_t until_ns, int32_t until);
 int64_t virtual_now_ns(const virtual_board *b);
 
 /* The host sends bytes from now on. Returns how many the wire took. */

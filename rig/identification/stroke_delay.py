@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.preprocessing import from_recording
-from rig.model.friction import Friction
-from rig.model.motor import Motor, State
+from rig.model.compiled import motion
+from rig.model.step import Plant
 from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.series import TimeSeries
@@ -108,6 +108,7 @@ class _Strokes(NamedTuple):
     t_s, y_rad    samples
     edge_s, u_V   drive
     stroke        for each sample the number of its stroke, from 0; each has its own rest position
+    samples       number of them in each stroke
     level_V       drive of the last stroke: about that of friction
     """
 
@@ -116,6 +117,7 @@ class _Strokes(NamedTuple):
     edge_s: Array
     u_V: Array
     stroke: NDArray[np.int64]
+    samples: NDArray[np.int64]
     noise_rad: float
     level_V: float
 
@@ -126,13 +128,14 @@ class _Strokes(NamedTuple):
         if begins.size == 0:
             return None
         first = int(begins[0])
-        rows = np.arange(first, len(series))
+        stroke = np.searchsorted(begins, np.arange(first, len(series)), side="right") - 1
         strokes = cls(
             series.t_s[first:],
             series.y_rad[first:],
             np.concatenate(([series.t_s[first] - 1.0], series.edge_s[first:])),
             np.concatenate(([0.0], series.u_V[first:])),
-            np.searchsorted(begins, rows, side="right") - 1,
+            stroke,
+            np.bincount(stroke),
             1.0,
             float(np.abs(series.u_V).max()),
         )
@@ -150,6 +153,10 @@ class _Strokes(NamedTuple):
         left = self._without_rest(self.y_rad) / self.noise_rad
         return float(left @ left)
 
+    def acting_s(self, delay_s: float) -> Array:
+        """When each drive acts with that delay, s."""
+        return np.asarray(self.edge_s + np.append(0.0, np.full(self.u_V.size - 1, delay_s)))
+
     def fitted(self, tried: dict[float, _Fit], delays_s: Array) -> dict[float, _Fit]:
         """Those tried before, and these delays, each from the motor of the nearest one before it."""
         found = dict(tried)
@@ -166,35 +173,34 @@ class _Strokes(NamedTuple):
     def _solved(self, start: Array, delay_s: float) -> _Fit:
         from scipy.optimize import leastsq  # it loads slowly, and few records need it
 
+        edge_s = self.acting_s(delay_s)
         answer = leastsq(
             self._residual,
             start,
-            args=(delay_s,),
+            args=(edge_s,),
             maxfev=MOST_CALLS,
             ftol=1e-3,
             xtol=1e-3,
             epsfcn=1e-6,
             full_output=True,
         )
-        left = self._residual(answer[0], delay_s)
+        left = self._residual(answer[0], edge_s)
         return _Fit(float(left @ left), answer[0])
 
-    def _residual(self, x: Array, delay_s: float) -> Array:
+    def _residual(self, x: Array, edge_s: Array) -> Array:
         """Whitened: of each sample, and of tau and static friction, which short strokes hardly show.
 
-        x  logarithms of tau, K/tau, moving friction towards rising and falling positions, static friction's excess
+        x       logarithms of tau, K/tau, moving friction towards rising and falling positions, static friction's excess
+        edge_s  when each drive acts
         """
         tau, slope, plus, minus, excess = np.exp(np.clip(x, -12.0, 12.0)).tolist()
-        friction = Friction(plus, minus, plus * (1.0 + excess), minus * (1.0 + excess))
-        motor = Motor(tau, slope * tau, friction)
-        y = motor.response(
-            State(), self.t_s, self.edge_s + np.append(0.0, np.full(self.u_V.size - 1, delay_s)), self.u_V
-        )
-        left = self._without_rest(self.y_rad - y[:, 1]) / self.noise_rad
+        motor = Plant(tau, slope * tau, plus, minus, plus * (1.0 + excess), minus * (1.0 + excess), 0.0, 0.0)
+        states = np.empty((self.rows, 3))  # without the checks of Motor.response: it is called a thousand times a run
+        motion.response(motor, (0.0, 0.0, 0.0), (edge_s, self.u_V, 0.0), self.t_s, states)
+        left = self._without_rest(self.y_rad - states[:, 1]) / self.noise_rad
         away = [(x[0] - math.log(TAU_S)) / SPREAD, (x[4] - math.log(EXCESS)) / SPREAD]
         return np.append(left, away)
 
     def _without_rest(self, y_rad: Array) -> Array:
         """Less the mean of each stroke."""
-        count = np.bincount(self.stroke)
-        return np.asarray(y_rad - (np.bincount(self.stroke, y_rad) / count)[self.stroke])
+        return np.asarray(y_rad - (np.bincount(self.stroke, y_rad) / self.samples)[self.stroke])

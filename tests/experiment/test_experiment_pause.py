@@ -79,6 +79,7 @@ def press(chip: VirtualChip) -> None:
     chip.sleep_until(chip.now_s() + 4.0)
 
 
+@pytest.mark.evidence  # each whole run has such a pause, a shorter one
 def test_without_anything_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     in_the_pause(monkeypatch, lambda chip: chip.sleep_until(chip.now_s() + 4.3))
     result = rig("run", short(tmp_path, "demo.yaml", "emulated-chip"), "--out", tmp_path / "runs", "--json")

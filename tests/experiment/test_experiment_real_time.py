@@ -54,7 +54,7 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
 
 @pytest.mark.alone
 @pytest.mark.parametrize(
-    ("name", "is_short"), [("demo", True), ("modbus-rtu", True), ("modbus-tcp", True), *evidence(("demo", False))]
+    ("name", "is_short"), [("demo", True), ("modbus-tcp", True), *evidence(("modbus-rtu", True), ("demo", False))]
 )
 def test_a_run_beside_a_quiet_witness_ends_whole(
     name: str, is_short: bool, tmp_path: Path, record_property: Callable[[str, object], None]
@@ -81,7 +81,7 @@ def test_a_run_beside_a_quiet_witness_ends_whole(
         pytest.skip(f"this machine stood still in each of {TRIES} runs, so no whole one was seen: {'; '.join(stood)}")
 
 
-@pytest.mark.parametrize("name", ["demo", "modbus-rtu", "simulated"])
+@pytest.mark.parametrize("name", ["demo", *evidence("modbus-rtu", "simulated")])
 def test_a_paced_run_does_not_mind_that_all_its_processes_are_stopped(name: str, tmp_path: Path) -> None:
     """And records what it records anyway."""
     config = shorter(yaml.safe_load((ROOT / f"config/{name}.yaml").read_text(encoding="utf-8")))

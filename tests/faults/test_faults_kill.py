@@ -55,7 +55,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
             events = list(runs.glob("*/events.jsonl"))
             return events[0].read_text().count('"cycle"') if events else 0
 
-        wait_until(lambda: cycles() >= 12)
+        wait_until(lambda: cycles() >= 8)
         os.kill(loop.pid, number)
         killed_s = time.monotonic()
         status = loop.wait()

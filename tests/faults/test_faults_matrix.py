@@ -129,9 +129,9 @@ def warn(found: Found) -> None:
         warnings.warn(worst.Longer(words), stacklevel=2)
 
 
-# of a class the one that stays in `make test`: its undisturbed run takes less than the chip's
-CHEAP_FIRST = sorted(CASES, key=lambda case: case[1] in (CHIP_RELAY, SEPARATE))
-BLOCK_FIRST = sorted(staged(), key=lambda case: case[1] is not MODBUS)
+# what `make test` takes of a class: its undisturbed run is the cheapest
+CHEAP_FIRST = sorted(CASES, key=lambda case: case[1] in (CHIP_RELAY, SEPARATE, TCP))
+BOARD_FIRST = sorted(staged(), key=lambda case: case[1] is not BOARD)
 
 
 def _id(value: Row | Backend | Stage) -> str:
@@ -139,24 +139,20 @@ def _id(value: Row | Backend | Stage) -> str:
 
 
 def _ends_alike(case: tuple[Row, Backend]) -> Hashable:
-    """On the board, how a run ends; of another device, only of which kind it is.
+    """On the board, how a run ends; one more of each driver, and of a device whose only limits are the guard's.
 
-    Encoders: tests/hil/test_hil_encoder.py. A relay in the device is tried on the board, separate requests by Modbus.
+    The firmware on a chip is at the pin in tests/hil: encoder, relay in the device, silence of the host.
     """
     row, backend = case
     if backend is BOARD:
         return row.codes, row.early
-    kind = {CHIP_ENCODER.key: CHIP, CHIP_RELAY.key: BOARD_RELAY, SEPARATE.key: MODBUS}
-    return kind.get(backend.key, backend).key
+    of_driver = {CHIP_ENCODER.key: BOARD, CHIP.key: BOARD, CHIP_RELAY.key: BOARD, BOARD_RELAY.key: BOARD}
+    return of_driver.get(backend.key, MODBUS if backend in (SEPARATE, TCP) else backend).key
 
 
 def _place(case: tuple[Row, Backend, Stage]) -> str:
-    """On the board, the stage; and one of the I/O block, which has no firmware of ours.
-
-    In a pause on the chip: tests/experiment/test_experiment_pause.py.
-    """
-    _, backend, stage = case
-    return stage.key if backend is BOARD else "another"
+    """The stage, on the board. In a pause on other devices: tests/experiment/test_experiment_pause.py."""
+    return case[2].key
 
 
 @pytest.mark.filterwarnings("default::faults.worst.Longer")
@@ -172,7 +168,7 @@ def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row:
 
 
 @pytest.mark.filterwarnings("default::faults.worst.Longer")
-@pytest.mark.parametrize(("row", "backend", "stage"), first_of_each(BLOCK_FIRST, _place), ids=_id)
+@pytest.mark.parametrize(("row", "backend", "stage"), first_of_each(BOARD_FIRST, _place), ids=_id)
 def test_every_fault_in_the_other_stages(row: Row, backend: Backend, stage: Stage) -> None:
     found = measure(row, backend, one_phase(row.name, backend, stage), stage)
     assert found.trouble == ()
@@ -218,8 +214,15 @@ def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: 
     assert found.restart.startswith("refused") == row.lasting
 
 
-@pytest.mark.parametrize(("name", "cause"), [("brown-out", "brown-out"), ("firmware hang", "watchdog")])
-@pytest.mark.parametrize("backend", [CHIP, BOARD], ids=lambda backend: backend.key)
+@pytest.mark.parametrize(
+    ("name", "cause", "backend"),
+    [
+        ("brown-out", "brown-out", CHIP),
+        ("firmware hang", "watchdog", BOARD),
+        *evidence(("brown-out", "brown-out", BOARD), ("firmware hang", "watchdog", CHIP)),
+    ],
+    ids=lambda value: value.key if isinstance(value, Backend) else value,
+)
 def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backend: Backend, tmp_path: Path) -> None:
     row = next(row for row in ROWS if row.name == name)
     injector, experiment = new_injector(backend, backend.config(), tmp_path, 1)
@@ -231,6 +234,7 @@ def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backe
     assert meta["firmware"]["reset_cause"] == cause
 
 
+@pytest.mark.evidence  # in virtual time it is a row on the board; in real time make test has test_faults_kill.py
 @pytest.mark.realtime
 @pytest.mark.alone  # it measures how late something is
 @pytest.mark.parametrize("name", ["host SIGSTOP, 1 s"])
@@ -303,7 +307,8 @@ def test_a_pause_of_any_length_neither_looks_like_lost_samples_nor_hides_them(
     assert realtime._lost(told, 1, keys, None, killed=False) - device.between == len(lost)
 
 
-@pytest.mark.parametrize("stage", [REST, *evidence(ARMING)], ids=_id)
+@pytest.mark.evidence
+@pytest.mark.parametrize("stage", [REST, ARMING], ids=_id)
 def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.MonkeyPatch, stage: Stage) -> None:
     """On a device without limits of its own nobody else would stop a shaft that is pushed slowly over one."""
     undisturbed(BARE), undisturbed(BARE, stage.course)

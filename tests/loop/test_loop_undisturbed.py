@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from evidence import evidence
 from processes import PLAIN_RIG
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, simulated_bench
 
@@ -271,7 +272,9 @@ def late_shares(
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("disturbance", [stopped_writer, progress_into_a_full_pipe, reader_that_burns_a_core])
+@pytest.mark.parametrize(
+    "disturbance", [reader_that_burns_a_core, *evidence(stopped_writer, progress_into_a_full_pipe)]
+)
 def test_ticks_are_as_punctual_beside_a_disturbance(
     disturbance: Callable[[Recorder], contextlib.AbstractContextManager[None]], tmp_path: Path
 ) -> None:

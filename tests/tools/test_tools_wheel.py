@@ -55,24 +55,29 @@ def built(tree: Path, out: Path, **environment: str) -> Path:
 
 
 @pytest.fixture(scope="module")
+def plain(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel that pip builds."""
+    return built(tree, tmp_path_factory.mktemp("plain"), RIG_FIRMWARE="")
+
+
+@pytest.fixture(scope="module")
 def wheel(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of `make wheel`."""
     variants = " ".join(word(one) for one in BUILT)
     return built(tree, tmp_path_factory.mktemp("wheel"), RIG_FIRMWARE="required", RIG_VARIANTS=variants)
 
 
-def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(tree: Path, tmp_path: Path) -> None:
-    names = zipfile.ZipFile(built(tree, tmp_path, RIG_FIRMWARE="")).namelist()
+def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(plain: Path) -> None:
+    names = zipfile.ZipFile(plain).namelist()
     assert not any("prebuilt" in name for name in names)
     assert "rig/_firmware/core/rig_core.c" in names  # from which `rig flash` compiles it
 
 
-def test_a_wheel_is_one_platforms_and_brings_the_physics(tree: Path, tmp_path: Path) -> None:
+def test_a_wheel_is_one_platforms_and_brings_the_physics(plain: Path, tmp_path: Path) -> None:
     """Of any Python: the library is called through ctypes. It moves a motor there as here."""
-    wheel = built(tree, tmp_path, RIG_FIRMWARE="")
-    assert wheel.name.split("-")[2:] == ["py3", "none", f"{sysconfig.get_platform().replace('-', '_')}.whl"]
+    assert plain.name.split("-")[2:] == ["py3", "none", f"{sysconfig.get_platform().replace('-', '_')}.whl"]
     unpacked = tmp_path / "unpacked"
-    with zipfile.ZipFile(wheel) as archive:
+    with zipfile.ZipFile(plain) as archive:
         archive.extractall(unpacked)
     assert (unpacked / "rig" / "model" / NAME).is_file()
     program = (
@@ -119,16 +124,16 @@ def test_another_folder_gives_the_same_firmware(wheel: Path, tmp_path: Path) -> 
         assert held[f"{one.name_for('pico')}.uf2"] == (tmp_path / f"pico/{one.name_for('pico')}.uf2").read_bytes()
 
 
-def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -> None:
-    names = zipfile.ZipFile(wheel).namelist()
+def test_a_wheel_holds_the_configs_the_sources_of_the_firmware_and_the_license(plain: Path) -> None:
+    names = zipfile.ZipFile(plain).namelist()
     for config in sorted((ROOT / "config").glob("*.yaml")):
         assert f"rig/_config/{config.name}" in names
     assert "rig/_firmware/core/rig_core.c" in names
     assert "rig/py.typed" in names  # the types of rig count in programs that use it
     assert {"rig/panel/static/vendor/uPlot.esm.js", "rig/panel/static/vendor/uPlot-LICENSE"} <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
-    assert wheel.name.startswith("motor_rig-")  # on PyPI, rig is another's name
-    subprocess.run([UV.with_name("twine"), "check", "--strict", wheel], check=True, capture_output=True)
+    assert plain.name.startswith("motor_rig-")  # on PyPI, rig is another's name
+    subprocess.run([UV.with_name("twine"), "check", "--strict", plain], check=True, capture_output=True)
 
 
 @pytest.mark.evidence

@@ -102,18 +102,6 @@ void virtual_reset(virtual_board *b, uint8_t cause)
     device_reset(&b->device, cause);
 }
 
-static int64_t arrival_ns(const wire *to_host, int32_t until)
-{
-    switch (until) {
-    case 1:
-        return wire_next_ns(to_host);
-    case 2:
-        return wire_frame_ns(to_host);
-    default:
-        return INT64_MAX;
-    }
-}
-
 /* Runs to `until_ns`, or to what arrives at the host if that is sooner: `until` 1: the next byte; 2: the end of a frame. */
 void virtual_run(virtual_board *b, int64_t until_ns, int32_t until)
 {
@@ -121,7 +109,7 @@ void virtual_run(virtual_board *b, int64_t until_ns, int32_t until)
         const int64_t tick_ns = b->hung ? INT64_MAX : to_ns(device_next_tick_s(&b->device));
         const int64_t byte_ns = wire_next_ns(&b->to_device);
         const int64_t bite_ns = b->hung ? b->fed_ns + HARDWARE_WATCHDOG_NS : INT64_MAX;
-        const int64_t reply_ns = arrival_ns(&b->to_host, until);
+        const int64_t reply_ns = wire_arrival_ns(&b->to_host, until);
         const int64_t next_ns = reply_ns < until_ns ? reply_ns : until_ns;
         const int64_t event_ns = tick_ns < byte_ns ? tick_ns : byte_ns;
         const int64_t first_ns = event_ns < bite_ns ? event_ns : bite_ns;

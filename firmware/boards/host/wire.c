@@ -27,7 +27,7 @@ int64_t wire_next_ns(const wire *w)
     return w->count > 0u ? w->arrives_ns[w->head] : INT64_MAX;
 }
 
-int64_t wire_frame_ns(const wire *w)
+static int64_t frame_ns(const wire *w)
 {
     for (uint32_t i = 0; i < w->count; i++) {
         const uint32_t at = (w->head + i) % WIRE_BYTES;
@@ -36,6 +36,18 @@ int64_t wire_frame_ns(const wire *w)
         }
     }
     return INT64_MAX;
+}
+
+int64_t wire_arrival_ns(const wire *w, int32_t until)
+{
+    switch (until) {
+    case 1:
+        return wire_next_ns(w);
+    case 2:
+        return frame_ns(w);
+    default:
+        return INT64_MAX;
+    }
 }
 
 uint8_t wire_take(wire *w)

@@ -23,8 +23,9 @@ uint32_t wire_put_all(wire *w, int64_t now_ns, int64_t byte_ns, const uint8_t *b
 /* When the next byte arrives; INT64_MAX: none is on the way. */
 int64_t wire_next_ns(const wire *w);
 
-/* When the next zero byte arrives, which ends a frame; INT64_MAX: none is on the way. */
-int64_t wire_frame_ns(const wire *w);
+/* When what a reader waits for arrives: `until` 1: the next byte; 2: the next zero byte, which ends a frame; INT64_MAX: none
+ * is on the way, or another `until`. */
+int64_t wire_arrival_ns(const wire *w, int32_t until);
 
 /* The next byte, of which there must be one. */
 uint8_t wire_take(wire *w);

@@ -444,10 +444,11 @@ class Chip {
 
   // ---- running
 
-  // To until_ns of true time, or to the arrival of the next byte at the host if untilByte and that is sooner.
-  run(until_ns, untilByte) {
+  // To until_ns of true time, or to what arrives at the host if that is sooner: until 1: a byte; 2: the end of a frame.
+  run(until_ns, until) {
     for (;;) {
-      const stop_ns = untilByte && this.toHost.length > 0 ? Math.min(until_ns, this.toHost[0][1]) : until_ns;
+      const arrives = until && this.toHost.find(([byte]) => until === 1 || byte === 0);
+      const stop_ns = arrives ? Math.min(until_ns, arrives[1]) : until_ns;
       if (this.now_ns < this.boot_until_ns) {
         this.#waitInBoot(stop_ns);
         if (stop_ns < this.boot_until_ns) return;

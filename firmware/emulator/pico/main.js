@@ -2,7 +2,7 @@
 
 // One chip for a parent process, or one after the other: a line of JSON with its parameters, those of ``pico_parameters``,
 // makes a new one; then a line for each stretch of virtual time
-//     {send: hex, calls: [[method, ...arguments]], until_ns, until_byte}
+//     {send: hex, calls: [[method, ...arguments]], until_ns, until}
 // answered by {received: hex, now_ns, results: [of the calls, which come after the stretch]}, or {error}.
 // Ends with its standard input.
 const fs = require("fs");
@@ -26,7 +26,7 @@ function answer(asked) {
     return {};
   }
   chip.send(Buffer.from(asked.send, "hex"));
-  if (asked.until_ns !== null) chip.run(asked.until_ns, asked.until_byte);
+  if (asked.until_ns !== null) chip.run(asked.until_ns, asked.until);
   const results = asked.calls.map(([method, ...given]) => chip[method](...given) ?? null);
   return { received: chip.received().toString("hex"), now_ns: chip.now_ns, results };
 }

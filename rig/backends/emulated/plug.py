@@ -1,8 +1,18 @@
-"""The plug of a device in virtual time: pulled out, nothing passes any more."""
+"""The plug of a device in virtual time, pulled out nothing passes any more; and to what such a device runs."""
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 from rig.core.faults import Fault
+
+
+class Until(IntEnum):
+    """To what a device runs: a time, or, before that, the next byte for the host or the end of a frame for it."""
+
+    TIME = 0
+    BYTE = 1
+    FRAME = 2
 
 
 class Plug:

@@ -87,11 +87,12 @@ def _fitted(strokes: Strokes, delay_s: float, tau_s: _TauOf, *near: Array) -> tu
 
     near  such logarithms to begin with, besides the first guesses
     """
+    edge_s = strokes.acting_s(delay_s)
 
     def residual(x: Array) -> Array:
         slope, plus_V, minus_V, _ = np.exp(np.clip(x, -12.0, 12.0)).tolist()
         tau = math.log(tau_s(slope, 0.5 * (plus_V + minus_V)))
-        left = strokes._residual(np.concatenate(([tau], x)), delay_s)
+        left = strokes._residual(np.concatenate(([tau], x)), edge_s)
         return np.delete(left, -2)  # tau comes from the data sheet: no guess of it counts
 
     frictions = [math.log(share * strokes.level_V) for share in FIRST_FRICTION]

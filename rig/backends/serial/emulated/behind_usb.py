@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 
+from rig.backends.emulated.plug import Until
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.usb_chip import UsbChip
-from rig.backends.serial.emulated.virtual_device import Until, VirtualDevice
+from rig.backends.serial.emulated.virtual_device import VirtualDevice
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.core.faults import Fault
 
@@ -22,8 +23,7 @@ class BehindUsb:
 
     def __init__(self, device: VirtualDevice | VirtualPico, adapter: Adapter) -> None:
         self.device = device
-        if isinstance(device, VirtualDevice):
-            device.reads = Until.BYTE  # it collects them itself
+        device.reads = Until.BYTE  # it collects them itself
         self._chip = UsbChip(adapter)
         self._arrived = b""  # at the host, not read yet
 

@@ -11,10 +11,11 @@ from typing import NamedTuple
 from typing_extensions import override
 
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.plug import Until
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.virtual_device import Until, VirtualDevice, fields_of, load, seen
+from rig.backends.serial.emulated.virtual_device import VirtualDevice, fields_of, load, seen
 from rig.model.bench import BenchParameters
 
 _SHAFT_NS = 500_000  # between two points of its path

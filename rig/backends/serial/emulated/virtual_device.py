@@ -6,25 +6,16 @@ import ctypes
 import math
 import weakref
 from collections.abc import Mapping, Sequence
-from enum import IntEnum
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.plug import Plug
+from rig.backends.emulated.plug import Plug, Until
 from rig.core.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 _READ_BYTES = 512
 Truth = TypeVar("Truth", bound=tuple[Any, ...])  # a NamedTuple of floats, ints and bools
-
-
-class Until(IntEnum):
-    """To what a device runs: a time, or, before that, the next byte for the host or the end of a frame for it."""
-
-    TIME = 0
-    BYTE = 1
-    FRAME = 2
 
 
 class VirtualDevice(Plug):

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NotRequired, TypedDict
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.plug import Plug
+from rig.backends.emulated.plug import Plug, Until
 
 if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
@@ -83,6 +83,7 @@ class VirtualPico(Plug):
             parameters["command"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
         self._finalizer = weakref.finalize(self, _end, self._process)
+        self.reads = Until.FRAME
         self._to_send = b""
         self._received = b""
         self._now_ns = 0.0
@@ -96,13 +97,13 @@ class VirtualPico(Plug):
         self._to_send += data
 
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
+        """What has arrived, up to the end of a frame; all there is after ``timeout_s`` of virtual time without one.
 
         Raises Fault LINK_LOST when unplugged.
         """
         self._check_plug()
         if not self._received:
-            self._run(self._now_ns + math.ceil(1e9 * max(timeout_s, 0.0)), until_byte=True)
+            self._run(self._now_ns + math.ceil(1e9 * max(timeout_s, 0.0)), self.reads)
         data, self._received = self._received, b""
         return data
 
@@ -117,7 +118,7 @@ class VirtualPico(Plug):
         until_ns = math.ceil(1e9 * t_s)
         if until_ns / 1e9 < t_s:  # rounding
             until_ns += 1
-        self._run(until_ns, until_byte=False)
+        self._run(until_ns, Until.TIME)
         return self.now_s()
 
     # ------------------------------------------------------------------ what may happen to a bench
@@ -175,11 +176,11 @@ class VirtualPico(Plug):
         self._finalizer.detach()
         return self._process
 
-    def _run(self, until_ns: float, *, until_byte: bool) -> None:
-        self._ask({"until_ns": until_ns, "until_byte": until_byte, "calls": []})
+    def _run(self, until_ns: float, until: Until) -> None:
+        self._ask({"until_ns": until_ns, "until": until, "calls": []})
 
     def _call(self, method: str, *given: JsonValue) -> Any:
-        return self._ask({"until_ns": None, "until_byte": False, "calls": [[method, *given]]})[0]
+        return self._ask({"until_ns": None, "until": Until.TIME, "calls": [[method, *given]]})[0]
 
     def _ask(self, what: JsonObject) -> list[Any]:
         said = self._say({"send": self._to_send.hex(), **what})
