@@ -206,7 +206,7 @@ def test_one_error_is_above_all() -> None:
         rig.ready("simulatet")
 
 
-@pytest.mark.usefixtures("plain_motor")
+@pytest.mark.usefixtures("plain_motor", "figureless")
 def test_a_config_may_be_a_mapping_and_names_its_keys(tmp_path: Path) -> None:
     config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
     del config["tracking"]
@@ -224,6 +224,7 @@ def test_a_config_may_be_a_mapping_and_names_its_keys(tmp_path: Path) -> None:
         rig.run(config | {"name": Path()}, out=tmp_path)
 
 
+@pytest.mark.usefixtures("figureless")
 def test_a_run_that_fails_says_why_and_keeps_its_record(tmp_path: Path) -> None:
     config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
     config["emulated"]["wiring"] = {"drive": "reversed"}
