@@ -35,13 +35,13 @@ def rows(trace: Path) -> list[dict[str, float]]:
     return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(whole)]
 
 
-# `rig` in a process of its own, but no laws are sought and no figure is made, which takes longer than most runs do
+# `rig` in a process of its own, but no laws are sought and the report is empty: both take longer than most runs do
 PLAIN_RIG = """
 from rig.cli import main
 from rig.identification import identification
-from rig.output.report import page
+from rig.running import session
 
 identification._add_motor_law = lambda *_: None
-page.drawn = lambda make: page.Figure(None, "not in this test")
+session.write_report = lambda folder, *_: (folder / "report.html").write_text("not in this test")
 main()
 """

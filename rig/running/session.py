@@ -28,7 +28,6 @@ from rig.core.signals import BenchDelay
 from rig.identification import Identification, IdentifyError, identify
 from rig.model.supply import SupplyReading
 from rig.output.report import write_report
-from rig.output.report.words import NOTHING_TO_IDENTIFY
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
@@ -38,6 +37,7 @@ from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.sink import JsonScalar, RowSink
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
+from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY
 from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.run_summary import Findings, is_rehearsal, least_result, run_meta, run_result, run_time
 

@@ -13,10 +13,9 @@ from rig.identification.departures import DEPARTURES
 from rig.output.report.source import ReportedRun
 from rig.output.report.style import stage_kind
 from rig.run_folder.results import BreakawayResult, EstimateResult, known
-from rig.run_folder.results.answer_words import graded_words, share, validity
+from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY, graded_words, share, validity
 from rig.run_folder.results.answer_words import rounded as as_digits
 
-NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
 
 STATED = 1e-6  # width of an interval over its number: narrower ones are of what a recording states, not of an estimate

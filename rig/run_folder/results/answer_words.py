@@ -12,6 +12,7 @@ from rig.run_folder.results.meta import TrueMotor
 PARAMETERS = (("tau_s", "tau", "s"), ("K_rad_s_V", "K", "(rad/s)/V"), ("fc_V", "f_c", "V"))
 VERDICTS = {"ok": "ok: at most 5 % off"}
 NOT_KNOWN = "not known"
+NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 BEYOND = 1.05  # of the largest drive that the motor was measured with: so much more is no other range
 MOST_REASONS = 2  # the others are among the details
 
