@@ -19,9 +19,7 @@ settings.register_profile("search", derandomize=False, print_blob=True, **TIMELE
 settings.load_profile("same")
 
 # Rooms about what is found of a motor, and about what is shown. Elsewhere a run ends without laws, or without figures.
-FINDINGS = {
-    "api", "campaign", "compare", "export", "fuzz", "identify", "replay", "report", "results", "tools", "tune",
-}  # fmt: skip
+FINDINGS = {"campaign", "compare", "export", "fuzz", "identify", "report", "results", "tools", "tune"}
 SHOWN = {"compare", "report"}
 
 

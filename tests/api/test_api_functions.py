@@ -21,7 +21,7 @@ from rig.core.plug_ins import PlugInError
 from rig.identification import IdentifyError
 from rig.run_folder.recording.errors import RecordingError
 
-pytestmark = pytest.mark.drawn
+pytestmark = [pytest.mark.drawn, pytest.mark.laws]
 
 MOTOR = rig.Motor(0.17, 6.5, rig.coulomb(0.48))
 SAMPLING = rig.Sampling(noise_rad=0.003, resolution_rad=0.004)

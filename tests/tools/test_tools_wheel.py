@@ -61,18 +61,23 @@ def wheel(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built(tree, tmp_path_factory.mktemp("wheel"), RIG_FIRMWARE="required", RIG_VARIANTS=variants)
 
 
-def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(tree: Path, tmp_path: Path) -> None:
-    names = zipfile.ZipFile(built(tree, tmp_path, RIG_FIRMWARE="")).namelist()
+@pytest.fixture(scope="module")
+def of_pip(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel that pip builds."""
+    return built(tree, tmp_path_factory.mktemp("pip"), RIG_FIRMWARE="")
+
+
+def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(of_pip: Path) -> None:
+    names = zipfile.ZipFile(of_pip).namelist()
     assert not any("prebuilt" in name for name in names)
     assert "rig/_firmware/core/rig_core.c" in names  # from which `rig flash` compiles it
 
 
-def test_a_wheel_is_one_platforms_and_brings_the_physics(tree: Path, tmp_path: Path) -> None:
+def test_a_wheel_is_one_platforms_and_brings_the_physics(of_pip: Path, tmp_path: Path) -> None:
     """Of any Python: the library is called through ctypes. It moves a motor there as here."""
-    wheel = built(tree, tmp_path, RIG_FIRMWARE="")
-    assert wheel.name.split("-")[2:] == ["py3", "none", f"{sysconfig.get_platform().replace('-', '_')}.whl"]
+    assert of_pip.name.split("-")[2:] == ["py3", "none", f"{sysconfig.get_platform().replace('-', '_')}.whl"]
     unpacked = tmp_path / "unpacked"
-    with zipfile.ZipFile(wheel) as archive:
+    with zipfile.ZipFile(of_pip) as archive:
         archive.extractall(unpacked)
     assert (unpacked / "rig" / "model" / NAME).is_file()
     program = (
@@ -119,8 +124,11 @@ def test_another_folder_gives_the_same_firmware(wheel: Path, tmp_path: Path) -> 
         assert held[f"{one.name_for('pico')}.uf2"] == (tmp_path / f"pico/{one.name_for('pico')}.uf2").read_bytes()
 
 
-def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -> None:
+def test_the_wheel_holds_the_configs_the_firmware_and_the_license(tree: Path, tmp_path: Path) -> None:
+    wheel = built(tree, tmp_path, RIG_FIRMWARE="required", RIG_VARIANTS=word(Variant()))
     names = zipfile.ZipFile(wheel).namelist()
+    held = {name for name in names if name.startswith("rig/_firmware/prebuilt/")}
+    assert held == {f"rig/_firmware/prebuilt/{name}" for name in ("rig_uno.hex", "rig_pico.uf2", "SHA256SUMS")}
     for config in sorted((ROOT / "config").glob("*.yaml")):
         assert f"rig/_config/{config.name}" in names
     assert "rig/_firmware/core/rig_core.c" in names
