@@ -18,10 +18,9 @@ settings.register_profile("same", derandomize=True, **TIMELESS)
 settings.register_profile("search", derandomize=False, print_blob=True, **TIMELESS)
 settings.load_profile("same")
 
-# Rooms about what is found and shown of a motor. Elsewhere a run ends without laws of the motor and without figures.
-FINDINGS = {
-    "api", "campaign", "compare", "export", "fuzz", "identify", "replay", "report", "results", "tools", "tune",
-}  # fmt: skip
+# Rooms about what is found of a motor, and about what is shown. Elsewhere a run ends without laws, or without figures.
+FINDINGS = {"campaign", "compare", "export", "fuzz", "identify", "report", "results", "tools", "tune"}
+SHOWN = {"compare", "report"}
 
 
 def pytest_configure() -> None:
@@ -86,7 +85,7 @@ def _no_figures() -> Iterator[None]:
 @pytest.fixture(autouse=True, scope="module")
 def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
     """To draw the figures of a report takes longer than a run in virtual time: tests marked ``drawn`` look at them."""
-    made = request.node.get_closest_marker("made") or request.path.parent.name in FINDINGS
+    made = request.node.get_closest_marker("made") or request.path.parent.name in SHOWN
     absent = _no_drawing if made else _no_figures
     with contextlib.nullcontext() if request.node.get_closest_marker("drawn") else absent():
         yield
@@ -96,6 +95,13 @@ def _drawn_where_looked_at(request: pytest.FixtureRequest) -> Iterator[None]:
 def undrawn() -> Iterator[None]:
     """Figures are made but not drawn, in a test of a module marked ``drawn``."""
     with _no_drawing():
+        yield
+
+
+@pytest.fixture
+def figureless() -> Iterator[None]:
+    """A report has no figures, in a test of a module marked ``drawn`` or of a room about what is shown."""
+    with _no_figures():
         yield
 
 

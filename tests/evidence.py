@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable
+from itertools import product
 from typing import Any, TypeVar
 
 import pytest
@@ -26,6 +27,12 @@ def first_of_each(cases: Iterable[T], of_class: Callable[[T], Hashable]) -> list
     for case in cases:
         found.setdefault(of_class(case), []).append(case)
     return [told for first, *others in found.values() for told in (_case(first), *evidence(*others))]
+
+
+def one_of_each(*stay: tuple[Any, ...]) -> list[Any]:
+    """All combinations of what stands in these cases, place by place; the cases themselves stay."""
+    rest = product(*(dict.fromkeys(values) for values in zip(*stay, strict=True)))
+    return [*stay, *evidence(*(case for case in rest if case not in stay))]
 
 
 def examples(number: int, at_least: int = 4) -> int:

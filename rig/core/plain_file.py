@@ -112,8 +112,9 @@ def read_plain(
 
 def read_open(file: BinaryIO, path: str | PathLike[str], most_bytes: int) -> bytes:
     """The content of an open file of at most ``most_bytes``. Raises TooLargeError; OSError."""
-    content = file.read(most_bytes + 1)  # a look at its size would say nothing of what is appended meanwhile
-    if len(content) > most_bytes:
+    is_larger = os.fstat(file.fileno()).st_size > most_bytes  # then nothing of it has to be read
+    content = b"" if is_larger else file.read(most_bytes + 1)  # its size says nothing of what is appended meanwhile
+    if is_larger or len(content) > most_bytes:
         raise TooLargeError(path, most_bytes)
     return content
 

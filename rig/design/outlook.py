@@ -112,13 +112,19 @@ def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
     return Told(rows * period_s, information)
 
 
-def told_either_way(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
-    """As ``told``, for strokes: where noise decides with which of the first two they begin, the slower way."""
+def told_either_way(task: Task, law: compiled.Law, longest_s: float = LONGEST_S, too_long_s: float = math.inf) -> Told:
+    """As ``told``, for strokes: where noise decides with which of the first two they begin, the slower way.
+
+    too_long_s  where one way takes that long, the other is not looked at
+    """
     y_rad = task.start.y
     if abs(y_rad) > task.least_swing_rad:
         return told(task, law, longest_s)
-    ways = (told(replace(task, start=task.start._replace(y=side)), law, longest_s) for side in (-1e-9, 1e-9))
-    return max(ways, key=lambda one: one.seconds)
+    first = told(replace(task, start=task.start._replace(y=-1e-9)), law, longest_s)
+    if first.seconds >= too_long_s:
+        return first
+    second = told(replace(task, start=task.start._replace(y=1e-9)), law, longest_s)
+    return second if second.seconds > first.seconds else first
 
 
 def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LONGEST_S) -> float:

@@ -101,7 +101,7 @@ class _Search:
         far = outcome(self.task, law, self.nominal, STROKES)
         if far.excess > 0.0:
             return 10.0 * TOO_FAR_S * (1.0 + far.excess)
-        seconds = told_either_way(self.task, law, min(LONGEST_S, best + 0.2)).seconds
+        seconds = told_either_way(self.task, law, min(LONGEST_S, best + 0.2), best).seconds
         if seconds >= best:
             return seconds
         # beside a plan that keeps within the room it does not matter by how much this one leaves it

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import root
 
 from rig.model.linear import input_vector, transition
 
@@ -147,6 +146,8 @@ def _durations(inputs: tuple[float, float, float], omega: float) -> tuple[float,
     Two unknowns remain (see ``_unfolded``). The search starts from several fractions of the describing function's half
     period (omega in 1/tau).
     """
+    from scipy.optimize import root  # it loads slowly, and most runs need none of these cycles
+
     half = math.pi / omega
     for inner in (0.45, 0.3, 0.2, 0.6):
         for early in (-1.0, -3.0, 0.5, -6.0):

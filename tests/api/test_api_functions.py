@@ -21,7 +21,7 @@ from rig.core.plug_ins import PlugInError
 from rig.identification import IdentifyError
 from rig.run_folder.recording.errors import RecordingError
 
-pytestmark = pytest.mark.drawn
+pytestmark = [pytest.mark.drawn, pytest.mark.laws]
 
 MOTOR = rig.Motor(0.17, 6.5, rig.coulomb(0.48))
 SAMPLING = rig.Sampling(noise_rad=0.003, resolution_rad=0.004)
@@ -206,7 +206,7 @@ def test_one_error_is_above_all() -> None:
         rig.ready("simulatet")
 
 
-@pytest.mark.usefixtures("plain_motor")
+@pytest.mark.usefixtures("plain_motor", "figureless")
 def test_a_config_may_be_a_mapping_and_names_its_keys(tmp_path: Path) -> None:
     config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
     del config["tracking"]
@@ -224,6 +224,7 @@ def test_a_config_may_be_a_mapping_and_names_its_keys(tmp_path: Path) -> None:
         rig.run(config | {"name": Path()}, out=tmp_path)
 
 
+@pytest.mark.usefixtures("figureless")
 def test_a_run_that_fails_says_why_and_keeps_its_record(tmp_path: Path) -> None:
     config = yaml.safe_load(rig.ready("simulated").read_text(encoding="utf-8"))
     config["emulated"]["wiring"] = {"drive": "reversed"}
@@ -232,10 +233,15 @@ def test_a_run_that_fails_says_why_and_keeps_its_record(tmp_path: Path) -> None:
     assert rig.read(run.folder).failure == run.failure
 
 
-def test_importing_rig_loads_nothing_that_is_slow() -> None:
-    code = "import sys, rig; print([m for m in ('numpy', 'scipy', 'matplotlib', 'pydantic') if m in sys.modules])"
+def test_importing_rig_loads_nothing_that_is_slow_and_what_drives_no_matplotlib() -> None:
+    code = """
+import sys, rig
+print([m for m in ("numpy", "scipy", "matplotlib", "pydantic") if m in sys.modules])
+import rig.running.experiment
+print([m for m in ("numpy", "scipy.optimize", "matplotlib") if m in sys.modules])
+"""
     said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert said.stdout.strip() == "[]"
+    assert said.stdout.splitlines() == ["[]", "['numpy']"]
 
 
 @pytest.mark.evidence

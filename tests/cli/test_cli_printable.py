@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from click.testing import CliRunner
+from evidence import one_of_each
 
 from rig import config
 from rig.backends.driver import DeviceInfo
@@ -49,8 +50,12 @@ def test_what_any_driver_says_of_its_device_and_any_fault_is_printable() -> None
     assert fault.detail == f"it says {SHOWN}" and "\x1b" not in str(fault)
 
 
-@pytest.mark.parametrize("command", ["replay", "identify", "report"])
-@pytest.mark.parametrize("file", ["events.jsonl", "meta.json", "samples.csv", "config.yaml"])
+@pytest.mark.parametrize(
+    ("command", "file"),
+    one_of_each(
+        ("replay", "events.jsonl"), ("identify", "meta.json"), ("report", "samples.csv"), ("report", "config.yaml")
+    ),
+)
 def test_a_run_folder_of_a_stranger_is_shown_escaped(command: str, file: str, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(ROOT / "tests/golden/simulated-fault", folder)

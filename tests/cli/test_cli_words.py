@@ -85,15 +85,15 @@ def _sentences() -> Iterator[tuple[str, str]]:
             and isinstance(node.body[0], ast.Expr)
         }
         passed_by = docstrings | {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+        file = path.relative_to(ROOT)
         for node in nodes:
-            place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.JoinedStr):
                 yield (
-                    place,
+                    f"{file}:{node.lineno}",
                     "".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values),
                 )
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in passed_by:
-                yield place, node.value
+                yield f"{file}:{node.lineno}", node.value
 
 
 def test_every_cure_of_a_fault_says_what_to_type_or_which_key() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ NAMES = sorted(path.name for path in CONFIGS.glob("*.yaml"))
 FILES = {Experiment: "schema.json", Campaign: "campaign-schema.json"}
 
 
+@cache
 def validator(of: type[Experiment] | type[Campaign] = Experiment) -> jsonschema.Draft202012Validator:
     schema = json_schema(of)
     jsonschema.Draft202012Validator.check_schema(schema)

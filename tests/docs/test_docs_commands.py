@@ -12,6 +12,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -34,6 +35,7 @@ COMMENT = re.compile(r"\s+# .*$")
 ASSIGNED = re.compile(r"(?P<name>[A-Z]+)=")
 # what is piped into rig is typed by bash
 RIG = re.compile(r"(?:(?P<before>.*) \| )?(?P<command>rig .*)")
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
 HELPERS = ("awk ", "cp ", "head ", "python3 -c ")  # other lines that make or show what a command reads
 SIMULATED, RUN = "rig run config/simulated.yaml", "20261123T120000Z-run-simulated"
 
@@ -203,6 +205,23 @@ def test_every_command_of_the_pages_runs(folder: Path) -> None:
         # a page may read a file first, and say below how to make it
         failed += [f"{page}: {words}" for words in map(terminal.type, again) if words]
     assert failed == []
+
+
+def test_the_readme_shows_the_answer_that_its_commands_give(folder: Path, tmp_path: Path) -> None:
+    """Word for word, and in numbers, its intervals included; in a process of its own, which looks for laws."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    [shown] = re.findall(r"^rig identify any\.csv smaller\.csv .*\n```\n\n```\n((?:.*\n)*?)```", readme, re.MULTILINE)
+    terminal = Terminal(tmp_path, {"RUN": f"{folder}/runs/{RUN}", "HERE": str(tmp_path)})
+    for stage, name in (("relay-1", "any.csv"), ("relay-2", "smaller.csv")):
+        typed = f"rig export $RUN --stage {stage} --to {name}"
+        assert typed in readme
+        assert terminal.type(typed.replace(name, f"$HERE/{name}")) == ""
+    said = subprocess.run(
+        [sys.executable, "-m", "rig", "identify", "any.csv", "smaller.csv"], cwd=tmp_path, check=True,
+        capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    assert NUMBER.sub("#", said) == NUMBER.sub("#", shown)
+    assert [*map(float, NUMBER.findall(said))] == pytest.approx([*map(float, NUMBER.findall(shown))], rel=0.03)
 
 
 def test_a_word_is_held_by_itself_and_not_as_a_part_of_another() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence import examples
+from evidence import evidence, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, Samples, motor, record, simulate, write_csv
@@ -81,7 +81,7 @@ def test_the_papers_figures_are_those_of_a_recursion_that_starts_from_a_finite_c
     assert high == pytest.approx(0.4988, abs=2e-4)
 
 
-@pytest.mark.parametrize("starts_rad", [(0.05, 0.05), (0.05, 0.0), (0.0, 0.05), (-0.05, -0.05)])
+@pytest.mark.parametrize("starts_rad", [(0.05, 0.0), *evidence(((0.05, 0.05),), ((0.0, 0.05),), ((-0.05, -0.05),))])
 def test_from_a_start_that_is_not_zero_it_fails_and_is_refused_with_the_start(starts_rad: tuple[float, float]) -> None:
     estimate = fit(runs(motor(), FINE, starts_rad=starts_rad))
     assert abs(estimate.fc_V - 0.5) > 0.1

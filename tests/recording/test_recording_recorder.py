@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from evidence import evidence, one_of_each
 from processes import wait_until
 
 from rig.core.faults import Fault
@@ -224,7 +225,7 @@ def test_stage_names_that_would_break_the_csv_are_refused(tmp_path: Path, name: 
 # -- the end of the loop's process ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1, *evidence(2, 3, 4, 5)])
 def test_after_kill_9_every_opened_row_is_in_the_file(tmp_path: Path, seed: int) -> None:
     loop = subprocess.Popen([sys.executable, "-c", LOOP, str(tmp_path)], stdout=subprocess.PIPE)
     assert loop.stdout is not None
@@ -342,9 +343,10 @@ def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path
     assert "torn" in run.notes[0]
 
 
-@pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
-@pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
-@pytest.mark.parametrize("size", [0, 10, 700])
+@pytest.mark.parametrize(
+    ("name", "checks", "size"),
+    one_of_each(("samples.csv", True, 0), ("events.jsonl", False, 10), ("samples.csv", False, 700)),
+)
 def test_a_file_that_somebody_cuts_is_written_anew_and_ends_the_run(
     tmp_path: Path, name: str, checks: bool, size: int
 ) -> None:
@@ -369,9 +371,10 @@ def test_a_file_that_somebody_cuts_is_written_anew_and_ends_the_run(
     assert run.notes == ("meta.json is missing",)
 
 
-@pytest.mark.parametrize("name", ["samples.csv", "events.jsonl"])
-@pytest.mark.parametrize("checks", [True, False], ids=["while it goes on", "at its end"])
-@pytest.mark.parametrize("lose", ["delete", "rename", "replace"])
+@pytest.mark.parametrize(
+    ("name", "checks", "lose"),
+    one_of_each(("samples.csv", True, "delete"), ("events.jsonl", False, "rename"), ("samples.csv", False, "replace")),
+)
 def test_a_file_that_somebody_deletes_is_written_anew_and_ends_the_run(
     tmp_path: Path, name: str, checks: bool, lose: str
 ) -> None:

@@ -15,6 +15,8 @@ import golden
 from rig.core.signals import FLAG_SKIPPED
 from rig.run_folder.recording.reader import read_run
 
+pytestmark = pytest.mark.laws
+
 
 def stored(name: str) -> dict[str, Any]:
     answers: dict[str, Any] = json.loads((golden.GOLDEN / name / golden.ANSWERS).read_text(encoding="utf-8"))
@@ -51,6 +53,7 @@ def test_they_hold_what_makes_a_replay_hard() -> None:
     assert len(np.unique(np.diff(real_time.t_s))) > 100  # as far apart as a real machine has them
 
 
+@pytest.mark.usefixtures("plain_motor")
 def test_a_simulated_run_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
     name = "simulated-fault"
     anew = golden.record(name, tmp_path)

@@ -94,6 +94,7 @@ def test_the_kept_residual_is_drawn_and_nothing_is_fitted(
         )
 
 
+@pytest.mark.usefixtures("figureless")
 @pytest.mark.parametrize("spoilt", ["rows", "answer", "file"])
 def test_curves_that_are_not_of_this_run_are_never_drawn(
     run: Path, identified: tuple[Path, Identification], fits: list[Path], spoilt: str
@@ -112,6 +113,7 @@ def test_curves_that_are_not_of_this_run_are_never_drawn(
     assert fits == [run]
 
 
+@pytest.mark.usefixtures("figureless")
 def test_the_models_of_another_run_leave_no_curves(run: Path, identified: tuple[Path, Identification]) -> None:
     result = json.loads((run / "result.json").read_text())
     (run / "result.json").write_text(json.dumps(result | {"models_from": "another"}))
@@ -135,6 +137,7 @@ def test_compare_draws_kept_curves_and_says_which_runs_it_identified_anew(
     assert "Identified anew for this picture: second (curves.json is missing)." in (tmp_path / "anew.html").read_text()
 
 
+@pytest.mark.usefixtures("figureless")
 def test_identify_keeps_the_curves_of_a_run_whose_answer_it_finds_again(
     run: Path, identified: tuple[Path, Identification]
 ) -> None:
@@ -151,6 +154,7 @@ def test_identify_keeps_the_curves_of_a_run_whose_answer_it_finds_again(
     assert (run / "curves.json").stat().st_mtime_ns == written
 
 
+@pytest.mark.usefixtures("figureless")
 def test_identify_leaves_a_folder_with_another_answer_as_it_is(run: Path) -> None:
     result = json.loads((run / "result.json").read_text())
     result["answer"]["tau_s"] *= 1.001
@@ -161,6 +165,7 @@ def test_identify_leaves_a_folder_with_another_answer_as_it_is(run: Path) -> Non
     assert not (run / "curves.json").exists()
 
 
+@pytest.mark.usefixtures("figureless")
 def test_identify_answers_where_the_folder_takes_no_file(run: Path) -> None:
     (run / "curves.json").mkdir()
     done = rig("identify", run, "--json")

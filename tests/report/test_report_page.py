@@ -221,7 +221,7 @@ def test_a_run_with_laws_shows_them_in_the_pictures_and_in_the_tracking_check(
     assert 0.00123 in page.values and 0.0045 in page.values
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("figureless")
 def test_a_run_in_which_no_law_was_found_has_none_and_ok_names_both_of_its_bounds(run: Path) -> None:
     """All records were fitted together, and the plain motor was enough for them."""
     (run / "samples.csv").unlink()
@@ -321,6 +321,7 @@ def test_unusable_samples_are_said_with_their_cause(run: Path, content: str) -> 
     assert len(page.images()) == 2  # the estimates side by side, and the gain search from the events
 
 
+@pytest.mark.usefixtures("figureless")
 def test_broken_small_files_are_said(run: Path) -> None:
     (run / "samples.csv").unlink()
     (run / "result.json").write_text('{"schema": 1, "estim')
@@ -334,6 +335,7 @@ def test_broken_small_files_are_said(run: Path) -> None:
     assert "events.jsonl: line 2, the last, is torn and was left out" in words
 
 
+@pytest.mark.usefixtures("figureless")
 def test_a_fault_is_on_top_with_cause_and_cure(run: Path) -> None:
     fault = Fault("TRAVEL_HARD", "y = 1.92 rad, hard limit 1.90 rad")
     (run / "samples.csv").unlink()
@@ -349,6 +351,7 @@ def test_a_fault_is_on_top_with_cause_and_cure(run: Path) -> None:
     assert "Cure the fault above first." in words
 
 
+@pytest.mark.usefixtures("figureless")
 def test_a_refused_estimate_gives_no_recommendation(run: Path) -> None:
     def refuse(result: dict[str, Any]) -> None:
         result["estimates"]["sampled-data"].update(
@@ -364,6 +367,7 @@ def test_a_refused_estimate_gives_no_recommendation(run: Path) -> None:
     assert "rig track" not in page.words
 
 
+@pytest.mark.usefixtures("figureless")
 def test_a_doubtful_estimate_says_why_and_what_to_do(run: Path) -> None:
     reasons = ["only 4 cycles: record ten", "f_c is uncertain by 20 %: raise h2"]
     (run / "samples.csv").unlink()
@@ -387,7 +391,7 @@ def test_words_from_files_are_never_markup_or_mathematics(run: Path) -> None:
     assert all(nasty in str(image["alt"]) for image in page.images())
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("figureless")
 def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path) -> None:
     (run / "samples.csv").unlink()
     found = [{"name": name, "value": 0.052, "unit": "V", "ci95": [0.048, 0.056]} for name in ("stribeck", "dead_band")]
@@ -404,6 +408,7 @@ def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path)
     assert "lag of the drive not found 0.0512 V an inductance" in words
 
 
+@pytest.mark.usefixtures("figureless")
 def test_the_notes_of_rig_check_stand_above_the_result(run: Path) -> None:
     (run / "samples.csv").unlink()
     note = "the emulated bridge gives 8 V, by the config it gives <12> V: K and f_c will come out scaled"
@@ -412,6 +417,7 @@ def test_the_notes_of_rig_check_stand_above_the_result(run: Path) -> None:
     assert words.index("Notes of rig check on this config") < words.index(note[1:]) < words.index("The motor is")
 
 
+@pytest.mark.usefixtures("figureless")
 @pytest.mark.parametrize("ended", [{}, {"faults": [Fault("POLARITY").as_dict()]}])
 def test_notes_on_the_loops_timing_are_the_cause_of_nothing(run: Path, ended: dict[str, Any]) -> None:
     """A jog and a run that ended with a fault have no estimate, but not because of their clock."""
@@ -427,6 +433,7 @@ def test_notes_on_the_loops_timing_are_the_cause_of_nothing(run: Path, ended: di
     assert words.index(timing) > words.index("About this run")
 
 
+@pytest.mark.usefixtures("figureless")
 def test_why_there_is_no_estimate_is_said_where_it_is_known(run: Path) -> None:
     (run / "samples.csv").unlink()
     result = {"estimates": {}, "notes": ["ticks come late", "nothing to identify: 2 full cycles are too few"]}
@@ -435,6 +442,7 @@ def test_why_there_is_no_estimate_is_said_where_it_is_known(run: Path) -> None:
     assert "Why, and what to record instead: nothing to identify: 2 full cycles are too few What to do" in words
 
 
+@pytest.mark.usefixtures("figureless")
 def test_a_tracking_run_says_whose_models_it_drove_with(run: Path) -> None:
     (run / "samples.csv").unlink()
     edit(run / "result.json", lambda r: r.update(models_from="runs/earlier", relays=[]))
@@ -444,6 +452,7 @@ def test_a_tracking_run_says_whose_models_it_drove_with(run: Path) -> None:
     assert "rig track" not in page.words
 
 
+@pytest.mark.usefixtures("figureless")
 def test_what_is_known_about_a_run_is_in_words(run: Path) -> None:
     (run / "samples.csv").unlink()
     odd = {"emulated": True, "drive_units": None, "host": {"cores": [0, 1], "real_time": False}, "period_s": 0.1 + 0.2}
@@ -547,6 +556,7 @@ def _shown(axis: Any, label: Any) -> bool:
     return bool(low <= at <= high)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_virtual_time_has_no_timing_figure(run: Path) -> None:
     lines = (run / "samples.csv").read_text().splitlines(keepends=True)
     (run / "samples.csv").write_text("".join(lines[:200]))

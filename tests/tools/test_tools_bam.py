@@ -75,6 +75,7 @@ def test_the_one_motor_moves_as_the_servo_does(
     assert y_rad == pytest.approx(there, abs=2e-6 if math.isinf(slope_V_s) else 3e-5)
 
 
+@pytest.mark.evidence
 def test_a_supply_with_a_resistance_is_found_in_strokes(folder: Path) -> None:
     row, _ = tried(Case("XL330", "m1", Load(), "strokes"), folder, 1)
     assert [law.split()[0] for law in row.laws] == ["source"]

@@ -276,6 +276,7 @@ def test_a_motor_outside_the_catalogue_without_anything_is_a_plain_one() -> None
     assert values == pytest.approx(truth, rel=0.01)
 
 
+@pytest.mark.evidence
 def test_a_sag_by_the_current_that_is_taken_for_a_chopped_supply_is_inside_u95() -> None:
     """With that law alone tau and f_c come out some 3 % too large, by all laws of the catalogue within 2 %."""
     recording, truth = outside.recorded(_bench(supply=0.12), "random levels", np.random.default_rng(1), "a.csv")
@@ -289,6 +290,33 @@ def test_a_sag_by_the_current_that_is_taken_for_a_chopped_supply_is_inside_u95()
     assert found.answer.verdict != "ok"
 
 
+def _seen(error: float, verdict: str = "doubtful") -> outside.Seen:
+    """A record of which two numbers are given, tau with this error; of each is said that it is at most 3 % off."""
+    inside = (abs(error) <= 0.03, True, True)
+    grades = ("good", "good", "not known")
+    return outside.Seen(
+        "steps", verdict, (error, 0.0, 0.0), inside, (0.03,) * 3, (0.01,) * 3, grades, (0.1, 0.2), (), 1.0
+    )
+
+
+def test_figures_outside_the_catalogue_count_what_is_given_what_holds_and_what_is_wrong() -> None:
+    one = outside.Row(6, ("random load",), "encoder", (_seen(0.01), _seen(0.06)), (True, False), (0.3, 0.2))
+    told = {what: share for what, share, _ in outside.figures([one])}
+    assert told["answers"].startswith("2 of 2")
+    assert told["numbers that u95 holds, of all"].startswith("5 of 6")
+    assert told["numbers that u95 holds, of those given"].startswith("3 of 4")
+    assert told["given numbers of both days that agree"].startswith("1 of 2")
+    assert told["held-out error at most 1.05 x the linear model's"].startswith("2 of 2")
+    assert told["the next record at most 1.05 x the linear model's"].startswith("0 of 1")
+    (kind,) = [row for row in outside.by_kind([one]) if row[1]]
+    assert kind[:2] == ("random load", 4)
+    wrong = replace(one, records=(_seen(0.06, "ok"), _seen(0.01, "ok")))
+    assert {what: share for what, share, _ in outside.figures([wrong])}["ok, and more than 5 % off"].startswith(
+        "1 of 2"
+    )
+
+
+@pytest.mark.evidence
 def test_a_row_outside_the_catalogue_says_what_holds_and_the_figures_count_it() -> None:
     one = outside.row(31, 6)
     assert one.kinds == ("random load",) and len(one.records) == 2 and one.following is not None

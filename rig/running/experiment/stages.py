@@ -46,7 +46,6 @@ from rig.run_folder.recording.folder import write_meta
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JogResult, RealTimeReport, TrackingResult
 from rig.run_folder.results.answer_words import beyond_drive
-from rig.running.experiment.free_running import free_running
 from rig.running.experiment.in_device import relay_in_device
 from rig.running.experiment.which_way import strokes_move_against
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
@@ -210,6 +209,8 @@ def _look_at_bridge(session: Session, noise_rad: float, delay: BenchDelay) -> No
         series, _ = from_recording(recording, recording.stage_rows(str(StageKind.BREAKAWAY)), "breakaway")
     except (IdentifyError, RecordingError):
         return
+    from rig.running.experiment.free_running import free_running  # scipy.optimize loads slowly; nothing is armed now
+
     full_V, further_s = e.drive.supply_V - e.drive.bridge_drop_V, delay.further_s
     found = free_running(
         series,
