@@ -2,8 +2,8 @@
 
 BAM's motor is in N m: torque t = kt (u - kt v) / R, friction f_b + e exp(-(|v|/v_s)^alpha) + f_v |v|, in m5 with
 |L_e t_e - L_m t| beside it for an outside torque t_e. Of a rig motor that is known in N m, with a = kt / R:
-f_b = a f_c, f_v = a/K - a kt, armature = a tau/K. Friction that grows with torque shows which part of 1/K is back-EMF: then kt is
-(1 - r)/K, and R follows from it.
+f_b = a f_c, f_v = a/K - a kt, armature = a tau/K. Friction that grows with torque shows which part of 1/K is
+back-EMF: then kt is (1 - r)/K, and R follows from it.
 """
 
 from __future__ import annotations
