@@ -205,3 +205,18 @@ def test_what_a_killed_run_has_left_is_not_taken_from_who_drives_it_now(protocol
     bench.driver.safe_stop()
     bench.driver.close()
     assert bench.servo.is_on and bench.store.load(bench.setup.model) is not None
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_whose_goal_does_not_become_0_is_never_armed(protocol: str) -> None:
+    bench = Bench(protocol)
+    drive, real = bench.servo.model.roles["drive"], bench.servo.put
+
+    def put(name: str, value: int) -> None:
+        if (name, value) != (drive, 0):
+            real(name, value)
+
+    bench.servo.put = put  # type: ignore[method-assign]  # of this one
+    with pytest.raises(Fault, match="ARM_READBACK"):
+        bench.opened()
+    assert bench.servo.value(drive) != 0 and not bench.servo.is_on and bench.wrong() == []
