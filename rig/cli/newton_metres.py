@@ -9,11 +9,12 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
 from rig.cli.options import JSON
+from rig.config.problems import ConfigError
 from rig.output.newton_metres import Load, NewtonMetres, Quantity, newton_metres
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.folder import json_text
+from rig.run_folder.recording.folder import CONFIG, json_text
 
 _PERCENT, _ARM_M, _R_PERCENT = 1.0, 0.001, 2.0  # half widths at 95 % where nobody says better
 
@@ -45,12 +46,13 @@ class Measured(click.ParamType):  # type: ignore[type-arg]
 @click.command("newton-metres")
 @click.argument("loaded", metavar="LOADED", type=click.Path(path_type=Path))
 @click.option(
-    "--mass-kg", type=Measured(percent=_PERCENT), metavar="KG[,ERROR]", required=True,
-    help="Of the mass at the end of the arm, and how far it may be off at 95 %. Default of that: 1 %.",
+    "--mass-kg", type=Measured(percent=_PERCENT), metavar="KG[,ERROR]",
+    help="Of the mass at the end of the arm, and how far it may be off at 95 %. Default of that: 1 %; of the mass: "
+    "`load` of LOADED's config.",
 )  # fmt: skip
 @click.option(
-    "--arm-m", type=Measured(error=_ARM_M), metavar="M[,ERROR]", required=True,
-    help="From the shaft's axis to the middle of the mass; default of its error: 1 mm.",
+    "--arm-m", type=Measured(error=_ARM_M), metavar="M[,ERROR]",
+    help="From the shaft's axis to the middle of the mass; default of its error: 1 mm; of the arm: as of the mass.",
 )  # fmt: skip
 @click.option("--rod-kg", type=click.FloatRange(min=0.0), default=0.0, help="Of the arm itself, an even rod.")
 @click.option(
@@ -64,8 +66,8 @@ class Measured(click.ParamType):  # type: ignore[type-arg]
 @JSON
 def newton_metres_command(
     loaded: Path,
-    mass_kg: Quantity,
-    arm_m: Quantity,
+    mass_kg: Quantity | None,
+    arm_m: Quantity | None,
     rod_kg: float,
     bare: Path | None,
     R_ohm: Quantity | None,
@@ -79,10 +81,15 @@ def newton_metres_command(
     from rig.identification.known_model import answer_in
 
     try:
+        if mass_kg is None or arm_m is None:
+            stated = _stated(loaded)
+            mass_kg, arm_m = mass_kg or stated.mass_kg, arm_m or stated.arm_m
         load = Load(mass_kg, arm_m, rod_kg)
         found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), R_ohm)
     except RecordingError as error:
         fail_input(error)
+    except ConfigError as error:
+        fail_config(error)
     except ValueError as error:
         fail(EXIT_BAD_INPUT, str(error), "correct the numbers of the load")
     if as_json:
@@ -91,6 +98,22 @@ def newton_metres_command(
         for line in _lines(found):
             click.echo(line)
     sys.exit(EXIT_FAILED if found.verdict == "refused" else 0)
+
+
+def _stated(loaded: Path) -> Load:
+    """The load that the config of a run states, all in one place. Raises RecordingError, ConfigError."""
+    from rig import config
+
+    file = loaded / CONFIG
+    load = config.load(file, follows_links=False).load if file.is_file() else None
+    if load is None:
+        raise RecordingError(
+            loaded,
+            "states no load",
+            "give --mass-kg and --arm-m, or `load: {mass_kg, arm_m}` in the config before a run",
+        )
+    mass_kg = Quantity(load.mass_kg, 0.01 * _PERCENT * load.mass_kg)
+    return Load(mass_kg, Quantity(load.arm_m, _ARM_M))
 
 
 def _lines(found: NewtonMetres) -> list[str]:

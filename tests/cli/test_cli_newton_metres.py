@@ -18,6 +18,7 @@ from rig.run_folder.results import Answer, FoundLawResult
 # the XL330 of Rhoban/bam, model M1
 KT, R_OHM, INERTIA, VISCOUS, FRICTION = 0.386696, 4.017129, 1.814167e-3, 3.661672e-3, 1.283272e-2
 MASS, ARM = 0.05, 0.1
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def answer(
@@ -145,3 +146,20 @@ def test_the_command_says_it_and_its_status(tmp_path: Path) -> None:
     for wrong in (0.0005, "0.1,0.2", "-1", "nan", "0.1,", "much"):
         assert rig("newton-metres", files["loaded"], *options[:2], "--arm-m", wrong).exit_code == 2, wrong
     assert rig("newton-metres", tmp_path / "none.json", *options[:4]).exit_code == 2
+
+
+def test_the_load_that_a_runs_config_states_need_not_be_said_again(tmp_path: Path) -> None:
+    load, run = a_load(half=0.0), tmp_path / "loaded"
+    run.mkdir()
+    (run / "result.json").write_text(json.dumps({"schema": 1, "answer": answer(load).as_json()}))
+    asked = rig("newton-metres", run)
+    assert asked.exit_code == 2 and "states no load" in asked.output
+    stated = f"load: {{mass_kg: {MASS}, arm_m: {ARM}}}\n"
+    (run / "config.yaml").write_text((CONFIG / "servo.yaml").read_text() + stated)
+    by_config, by_options = (
+        json.loads(rig("newton-metres", run, *options, "--json").stdout)
+        for options in ((), ("--mass-kg", MASS, "--arm-m", ARM))
+    )
+    assert by_config == by_options and by_config["torque_N_m_V"]["value"] == pytest.approx(KT / R_OHM)
+    other = json.loads(rig("newton-metres", run, "--arm-m", 2.0 * ARM, "--json").stdout)
+    assert other["torque_N_m_V"]["value"] == pytest.approx(2.0 * KT / R_OHM)

@@ -13,7 +13,9 @@ from pathlib import Path
 
 ACTUATORS = ("mx64", "mx106", "xl320", "xl330", "xl330i", "sts3215")
 OF_MOTOR = ("kt", "R", "armature", "q_offset", "friction_base", "friction_viscous")
-KEYS = {"m1": OF_MOTOR, "m2": (*OF_MOTOR, "friction_stribeck", "dtheta_stribeck", "alpha")}
+STRIBECK = ("friction_stribeck", "dtheta_stribeck", "alpha")
+LOAD = tuple(f"load_friction_{side}{ending}" for side in ("motor", "external") for ending in ("", "_stribeck"))
+KEYS = {"m1": OF_MOTOR, "m2": (*OF_MOTOR, *STRIBECK), "m5": (*OF_MOTOR, *STRIBECK, *LOAD)}
 
 
 def load(file: Path) -> dict[str, float]:
@@ -33,6 +35,8 @@ def positions(p: dict[str, float], u_V: list[float], period_s: float, step_s: fl
             level = p["friction_base"] + p["friction_viscous"] * abs(v)
             if "alpha" in p:
                 level += p["friction_stribeck"] * math.exp(-((abs(v) / p["dtheta_stribeck"]) ** p["alpha"]))
+            if "load_friction_motor" in p:  # no outside torque
+                level += p["load_friction_motor"] * abs(torque)
             stopping = p["armature"] / step_s * v + torque
             acceleration = (torque - math.copysign(min(abs(stopping), level), stopping)) / p["armature"]
             v += acceleration * step_s

@@ -35,6 +35,7 @@ from rig.run_folder.recording.reader import read_run
 
 IN_VOLTS = [tool for tool in TOOLS if tool != "bam"]  # it takes newton metres: test_export_newton_metres.py
 RIGID = [law for law in LAWS if law not in ("backlash", "bristle", *IN_NONE)]
+ON_A_SERVO = ("load_friction", "source", "force_over_position", "lag")
 YIELDING = ("bristle", "backlash")
 MANY = ("dead_band", "gain_by_sign", "lag", "stribeck", "static", "viscous_by_direction", "force_over_position", "drag")
 OTHERS = ("cogging", "friction_over_position", "sag", "linearity")
@@ -112,7 +113,9 @@ def test_python_controls_smooth_motor_is_near_rigs_own(exported: Callable[..., P
 
 
 @pytest.mark.parametrize(
-    "laws", [EACH[0], MANY, *evidence(*((laws,) for laws in EACH[1:-1]))], ids=lambda laws: "-".join(laws)
+    "laws",
+    [EACH[0], MANY, ON_A_SERVO, *evidence(*((laws,) for laws in EACH[1:-1]))],
+    ids=lambda laws: "-".join(laws),
 )
 def test_mujoco_moves_as_rig_moves_the_motor(exported: Callable[..., Path], laws: tuple[str, ...]) -> None:
     folder = exported("mujoco", *laws)

@@ -56,7 +56,7 @@ def test_mujoco_moves_in_newton_metres_as_it_does_in_volts(tmp_path: Path, laws:
     assert np.abs(np.array(theirs) - readings).max() < 2e-3
 
 
-@pytest.mark.parametrize("laws", [(), ("stribeck",)], ids=["m1", "m2"])
+@pytest.mark.parametrize("laws", [(), ("stribeck",), ("load_friction",)], ids=["m1", "m2", "m5"])
 def test_bam_loads_the_motor_and_predicts_as_rig_does(tmp_path: Path, laws: tuple[str, ...]) -> None:
     run = servo_run(tmp_path, *laws)
     export_model(run, "bam", tmp_path, torque_N_m_V=A, R_ohm=R_OHM)
@@ -64,7 +64,11 @@ def test_bam_loads_the_motor_and_predicts_as_rig_does(tmp_path: Path, laws: tupl
     assert p["kt"] / p["R"] == pytest.approx(A) and p["q_offset"] == 0.0
     assert p["friction_viscous"] + p["kt"] ** 2 / p["R"] == pytest.approx(A / K)
     assert p["armature"] == pytest.approx(A * TAU_S / K) and p["friction_base"] == pytest.approx(A * FC_V)
-    if laws:
+    if laws == ("load_friction",):  # the record shows how much of 1/K is back-EMF: the stated winding does not count
+        r = LAWS["load_friction"]["viscous_share"]
+        assert p["kt"] == pytest.approx((1.0 - r) / K) and p["load_friction_motor"] == 0.2
+        assert p["load_friction_external"] == pytest.approx(0.1)
+    if laws == ("stribeck",):
         assert (p["friction_stribeck"], p["dtheta_stribeck"]) == pytest.approx(
             (A * 0.15, LAWS["stribeck"]["stribeck_rad_s"])
         )

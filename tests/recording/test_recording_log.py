@@ -240,6 +240,10 @@ def test_a_format_that_cannot_be_says_what_to_type() -> None:
         ({"position": counts}, "needs --counts-per-turn.*--counts-per-turn 1440"),
         ({"drive": pwm, "supply_V": 12}, "needs --full"),
         ({"drive": pwm, "full": 255}, "needs --supply-V"),
+        (
+            {"drive": pwm, "position": counts},
+            "counts and pwm needs .*: --counts-per-turn 1440 --full 255 --supply-V 12",
+        ),
         ({"full": 255}, "--full is for pwm, and this log has V"),
         ({"drive": pwm, "full": 0, "supply_V": 12}, "--full 0 is not above 0"),
         ({"position": counts, "velocity": LogColumn("rpm"), "counts_per_turn": 4}, "both given"),

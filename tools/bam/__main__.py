@@ -1,7 +1,8 @@
 """`make bam`: what `rig identify` says of servos with the friction that Rhoban/bam publishes, one line for each record.
 
 RIG_SHARED_DATA names the folder with `bam`. Errors are in % of the true numbers; held out is the RMS error of 12
-open-loop records of 1 s from rest, over the spread of their positions.
+open-loop records of 1 s from rest, over the spread of their positions. Then what the records with and without a load
+say of a volt in N m, by gravity and by inertia: mass and arm are stated as they are, 1 % and 1 mm uncertain.
 
     PYTHONPATH=tools python -m bam [--only WORD] [--seed N] [--reasons]
 """
@@ -25,14 +26,19 @@ from bam.servo import Load
 from rig.identification import identify
 from rig.identification.identification import Identification
 from rig.model.real_motor import FramedMotor, Pieces, response
+from rig.output.newton_metres import Load as StatedLoad
+from rig.output.newton_metres import Quantity, newton_metres
 from rig.run_folder.recording.recording import Recording, from_columns
 from rig.run_folder.recording.series import Steps
+from rig.run_folder.results import Answer
 from shared.table import markdown
 
 FREE = Load()
 LOADS = {"XL330": Load(0.1, 0.1), "STS3215": Load(0.3, 0.15)}
 NUMBERS = ("tau_s", "K_rad_s_V", "fc_V")
+MASS_SHARE, ARM_M = 0.01, 0.001  # half widths at 95 % of the stated load
 HEAD = ("servo", "record", "verdict", "errors of tau, K, f_c, %", "u95, %", "held out, %", "laws", "CPU, s")
+NEWTON_HEAD = ("servo", "record", "verdict", "by gravity, % off", "by inertia, % off")
 
 
 def cases() -> Iterator[Case]:
@@ -44,7 +50,11 @@ def cases() -> Iterator[Case]:
 
 
 class Row(NamedTuple):
-    """What came of a case: verdict, errors and u95 of each number (relative), held out (relative), laws, CPU, s."""
+    """What came of a case: verdict, errors and u95 of each number (relative), held out (relative), laws, CPU, s.
+
+    answer  of rig; None: there is none
+    a       true torque of the record's volt, N m/V
+    """
 
     case: Case
     verdict: str
@@ -53,6 +63,8 @@ class Row(NamedTuple):
     held_out: float
     laws: tuple[str, ...]
     cpu_s: float
+    answer: Answer | None
+    a: float
 
     def cells(self) -> list[str]:
         """As the table has it."""
@@ -91,15 +103,45 @@ def tried(case: Case, folder: Path, seed: int) -> tuple[Row, Identification]:
     found = identify(recordings(case, given))
     cpu_s = time.process_time() - before
     answer, motor, truth = found.answer, found.real_motor, Truth(friction, case.load)
-    if answer is None or motor is None:
-        return Row(case, "none" if answer is None else answer.verdict, (), (), math.nan, (), cpu_s), found
     volt = float(np.mean([one.volt for one in given]))  # u95 is in the record's own
+    a = friction.kt / friction.R * volt
+    if answer is None or motor is None:
+        return Row(case, "none" if answer is None else answer.verdict, (), (), math.nan, (), cpu_s, answer, a), found
     true = [truth.tau_s, truth.K_rad_s_V * volt, truth.fc_V / volt]
     errors = tuple((getattr(motor.motor, name) - value) / value for name, value in zip(NUMBERS, true, strict=True))
     half = [(answer.grade or {})[name].u95 for name in NUMBERS]
     u95 = tuple((math.inf if h is None else h) / value for h, value in zip(half, true, strict=True))
     laws = tuple(f"{law.name} {law.value:.3g}" for law in answer.law or ())
-    return Row(case, answer.verdict, errors, u95, held_out(case, motor, unseen), laws, cpu_s), found
+    return Row(case, answer.verdict, errors, u95, held_out(case, motor, unseen), laws, cpu_s, answer, a), found
+
+
+def in_newton_metres(free: Row, loaded: Row) -> list[str] | None:
+    """A line of the second table, by the records without and with a load; None where one has no answer."""
+    if free.answer is None or loaded.answer is None:
+        return None
+    load = loaded.case.load
+    stated = StatedLoad(Quantity(load.mass_kg, MASS_SHARE * load.mass_kg), Quantity(load.arm_m, ARM_M))
+    found = newton_metres(loaded.answer, stated, free.answer)
+    off = [
+        "-" if one is None else f"{100.0 * (one.value / loaded.a - 1.0):+.2g} ± {one.percent:.2g}"
+        for one in (found.by_gravity, found.by_inertia)
+    ]
+    return [loaded.case.title, loaded.case.record, found.verdict, *off]
+
+
+def newton_rows(rows: Sequence[Row]) -> list[list[str]]:
+    """Of every servo that is there with and without its load by the same kind of record."""
+    free = {
+        (row.case.servo, row.case.model, row.case.record): row
+        for row in rows
+        if row.case.load == FREE and not row.case.ramped
+    }
+    found = []
+    for row in rows:
+        other = free.get((row.case.servo, row.case.model, row.case.record))
+        if row.case.load != FREE and other is not None and (line := in_newton_metres(other, row)) is not None:
+            found.append(line)
+    return found
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
@@ -155,6 +197,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print("     -", reason, flush=True)
     print("\n" + markdown(HEAD, [row.cells() for row in rows]))
     print("\n".join(summary(rows)))
+    print("\n" + markdown(NEWTON_HEAD, newton_rows(rows)))
     return 0
 
 

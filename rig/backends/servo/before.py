@@ -32,10 +32,12 @@ _RESET_BY_MODE: Final = (
     "goal_current",  # in a gripper's mode it bounds what the servo may squeeze with
     "goal_velocity",
 )
+# What `rig servo facts` changes of a Feetech; its lock keeps all of it out of the EEPROM
+_TRIED_ON_FEETECH: Final = ("position_p_gain", "protective_torque", "protection_time", "overload_torque")
 # In the order in which they are put back: the mode after the limit, because changing it sets the goal to the limit
 _CHANGED: Final = {
     "dynamixel": ("pwm_slope", "pwm_limit", "return_delay_time", "operating_mode", "goal_pwm", *_RESET_BY_MODE),
-    "feetech": ("return_delay_time", "torque_limit", "mode"),
+    "feetech": ("return_delay_time", "torque_limit", *_TRIED_ON_FEETECH, "mode"),
 }
 
 

@@ -1,7 +1,7 @@
 """What no manual says of a servo, tried on it: with a free horn, small duties, and its registers put back.
 
-Not tried: how old a position is, whether its protection acts in PWM mode, and of a Feetech what its P means: its gains
-are kept without supply.
+How old a position is shows only together with how late a duty acts. What a Feetech's EEPROM holds is changed behind its
+lock: it forgets that with its supply. A Dynamixel's protection is not tried: it would have to be overloaded.
 """
 
 from __future__ import annotations
@@ -11,6 +11,10 @@ import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
@@ -29,9 +33,14 @@ _LOOK_S: Final = 0.004
 _ABSENT: Final = 251  # an id that hardly any servo has
 _FELL_TO: Final = 0.37  # of the speed
 _HOT_degC: Final = 50
-_P_GAIN, _P_MOST_STEPS, _P_COUNTS = 16, 8, 8  # the loop's P, the most duty that it may give, and steps of its goal
+_P_MOST_STEPS, _P_GOALS = 8, 8  # the most duty that the loop may give; goals on each side
+_P_GAIN_COUNTS: Final = {"dynamixel": (16, 8), "feetech": (2, 4)}  # the loop's P, and counts from goal to goal
+_STARTS, _START_S = 6, 0.12  # of the horn from rest, and how long each is watched
+_OVERLOAD_STEPS: Final = 12  # of a Feetech: a duty above 1 %, and below what breaks it away
+_OVERLOAD: Final = {"protective_torque": 0, "protection_time": 10, "overload_torque": 1}  # 0 %, 0.1 s, 1 %
 _DUTIES: Final = range(5, 65, 5)  # steps of a Feetech, of which "50 to 1000" drive
 
+Floats = NDArray[np.float64]
 Powered = Callable[[], None]  # asks a person to cut the supply for a second; returns when it is back
 
 
@@ -85,12 +94,17 @@ def facts(
             yield _fed_by(link)
             yield _resumes(link)
         yield _delay(link)
-        yield from _stops(link, watching[0] if watching else None, has_watchdog=opened.has_watchdog)
-        if link.model.protocol == "dynamixel":
-            yield _p_scale(link)
+        watcher = watching[0] if watching else None
+        yield _moves(link, watcher)
+        yield from _stops(link, watcher, has_watchdog=opened.has_watchdog)
+        yield _p_scale(link)
         if link.model.protocol == "feetech":
-            yield _least_duty(link)
+            link.hold(link.model.roles["max_drive"], setup.max_units)
+            link.hold(link.model.roles["mode"], link.model.pwm_mode)
+            least = _least_duty(link)
+            yield least
             if powered is not None:
+                yield _protects(link, max(_OVERLOAD_STEPS, int(least.found or 0)))
                 yield _keeps_mode(link, powered)
     finally:
         try:
@@ -172,6 +186,69 @@ def _delay(link: ServoLink) -> Fact:
     return Fact("duty_told_after_s", round(middle_s, 6), f"a duty is told {1e3 * middle_s:.2f} ms after it was sent")
 
 
+def _lives(link: ServoLink, guardian: Guardian | None, wait_s: float) -> None:
+    """Wait, heard by the keeper: a process that is stopped meanwhile, as by Ctrl-Z, must not leave it turning."""
+    until_s = link.now_s() + wait_s
+    while True:
+        if guardian is not None:
+            if guardian.has_acted:
+                raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
+            guardian.beat()
+        if (left_s := until_s - link.now_s()) <= 0.0:
+            return
+        link.client.wait(min(left_s, _LOOK_S))
+
+
+def _moves(link: ServoLink, guardian: Guardian | None) -> Fact:
+    """When a position shows that a duty acts: how late the duty acts and how old the position is, together.
+
+    By the horn's starts from rest under a constant duty, to and fro: v (t - tau (1 - exp(-t/tau))) after the first
+    motion, with one delay, tau and v for all, and the place of each start within its count. An exchange is timed by its
+    middle. To 1 ms: a start is a few counts.
+    """
+    name, model = "moves_after_s", link.model
+    turn, duty = model.counts_per_turn, round(_TURNS_SHARE * model.full_drive)
+    times: list[float] = []
+    ways: list[float] = []
+    starts: list[int] = []
+    _lives(link, guardian, 0.0)
+    try:
+        for number in range(_STARTS):
+            _still(link, 0)
+            _lives(link, guardian, _TURNS_S)
+            rests, side = link.value(model.roles["position"]), 1 if number % 2 == 0 else -1
+            asked_s = link.now_s()
+            link.put(model.roles["drive"], side * duty)
+            sent_s = 0.5 * (asked_s + link.now_s())
+            while (asked_s := link.now_s()) < sent_s + _START_S:
+                _lives(link, guardian, 0.0)
+                position = link.value(model.roles["position"])
+                times.append(0.5 * (asked_s + link.now_s()) - sent_s)
+                starts.append(number)
+                ways.append(side * ((position - rests + turn // 2) % turn - turn // 2))
+    finally:
+        _off(link)
+        if guardian is not None:
+            guardian.rest()
+    t_s, counts = np.array(times), np.array(ways, dtype=np.float64)
+    counts *= np.sign(counts.sum()) or 1.0  # the sign of a duty is not known here
+    if counts.max() < 10.0:
+        return Fact(name, None, f"the horn did not turn under {_TURNS_SHARE:.0%} of full duty")
+
+    def off(x: Floats) -> Floats:
+        since = np.maximum(t_s - x[0], 0.0)
+        return np.asarray(x[2] * (since + x[1] * np.expm1(-since / x[1])) + x[3:][starts] - counts)
+
+    first = (5e-3, _START_S, counts.max() / _START_S, *[0.0] * _STARTS)
+    low, high = (0.0, 1e-3, 0.0, *[-1.0] * _STARTS), (_START_S, 1.0, np.inf, *[1.0] * _STARTS)
+    found = least_squares(off, first, bounds=(low, high), x_scale=(1e-3, 1e-2, 1e2, *[1.0] * _STARTS))
+    after_s = float(found.x[0])
+    words = (
+        f"a position shows a duty about {1e3 * after_s:.0f} ms after it was sent: late duty and old position together"
+    )
+    return Fact(name, round(after_s, 4), words)
+
+
 def _stops(link: ServoLink, guardian: Guardian | None, *, has_watchdog: bool) -> Iterator[Fact]:
     """How soon a turning horn slows down: at duty 0, with torque off, and by the watchdog."""
     roles = link.model.roles
@@ -199,16 +276,7 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | No
         return (after - before + turn // 2) % turn - turn // 2
 
     def lives(wait_s: float) -> None:
-        """Wait, heard by the keeper: a process that is stopped meanwhile, as by Ctrl-Z, must not leave it turning."""
-        until_s = now_s() + wait_s
-        while True:
-            if guardian is not None:
-                if guardian.has_acted:
-                    raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
-                guardian.beat()
-            if (left_s := until_s - now_s()) <= 0.0:
-                return
-            link.client.wait(min(left_s, _LOOK_S))
+        _lives(link, guardian, wait_s)
 
     lives(0.0)
     try:
@@ -240,26 +308,33 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | No
 def _p_scale(link: ServoLink) -> Fact:
     """What a P of 1 makes of 1 rad in the servo's own position mode: by duties too small to turn it.
 
-    Goal PWM is the most duty that this mode gives. Changing the mode sets it to the limit: it is written before the
-    torque goes on, and read back.
+    Of a Dynamixel Goal PWM is the most duty that this mode gives, of a Feetech its torque limit. Changing the mode sets
+    Goal PWM to the limit: so it is written before the torque goes on, and read back.
     """
-    model, roles = link.model, link.model.roles
-    drive, position, applied = (roles[role] for role in ("drive", "position", "applied"))
+    model, roles, name = link.model, link.model.roles, "p_scale_1_rad"
+    position, applied = roles["position"], roles["applied"]
+    most = roles["drive" if model.protocol == "dynamixel" else "max_drive"]
+    P, counts = _P_GAIN_COUNTS[model.protocol]
     link.put(roles["torque"], 0)
+    link.client.wait(_STOPS_S)  # the horn may still coast
+    if model.protocol == "feetech" and (integral := link.value("position_i_gain")) != 0:
+        return Fact(name, None, f"its I is {integral}: a P by itself does not show")
     link.hold(roles["mode"], model.position_mode)
-    for name, value in {"position_p_gain": _P_GAIN, "position_i_gain": 0, "position_d_gain": 0}.items():
-        link.put(name, value)
-    link.put(drive, _P_MOST_STEPS)
-    if (held := link.value(drive)) != _P_MOST_STEPS:
-        raise Fault("ARM_READBACK", f"{model[drive]}: sent {_P_MOST_STEPS}, stored {held}")
+    link.hold("position_p_gain", P)
+    if model.protocol == "dynamixel":
+        for gain in ("position_i_gain", "position_d_gain"):
+            link.put(gain, 0)
+    link.put(most, _P_MOST_STEPS)
+    if (held := link.value(most)) != _P_MOST_STEPS:
+        raise Fault("ARM_READBACK", f"{model[most]}: sent {_P_MOST_STEPS}, stored {held}")
     at = link.value(position)
     low, high = link.value("min_position_limit"), link.value("max_position_limit")
     products, squares = 0.0, 0.0
     try:
         link.put("goal_position", min(max(at, low), high))  # no goal may be beyond; the duty is bounded anyway
         link.put(roles["torque"], 1)
-        for number in range(-_P_COUNTS, _P_COUNTS + 1):
-            goal = at + number * _P_COUNTS
+        for number in range(-_P_GOALS, _P_GOALS + 1):
+            goal = at + number * counts
             if not low <= goal <= high:
                 continue
             link.put("goal_position", goal)
@@ -271,11 +346,11 @@ def _p_scale(link: ServoLink) -> Fact:
         _off(link)
     link.put("goal_position", min(max(at, low), high))
     if not products > 0.0:
-        return Fact("p_scale_1_rad", None, "its position mode gave no duty for an error of its position")
+        return Fact(name, None, "its position mode gave no duty, or all that it may, for an error of its position")
     counts_rad = model.counts_per_turn / (2.0 * math.pi)
-    scale = products / squares / _P_GAIN * counts_rad / model.full_drive
-    said = 1.0 / (scale * model.full_drive / counts_rad)
-    return Fact("p_scale_1_rad", round(scale, 6), f"a P of 1 makes {scale:.3g} of full duty of 1 rad: 1/{said:.0f}")
+    steps = products / squares / P  # of duty for a count
+    scale = steps * counts_rad / model.full_drive
+    return Fact(name, round(scale, 6), f"a P of 1 makes {scale:.3g} of full duty of 1 rad: 1/{1.0 / steps:.0f} a count")
 
 
 def _least_duty(link: ServoLink) -> Fact:
@@ -289,6 +364,27 @@ def _least_duty(link: ServoLink) -> Fact:
     finally:
         _off(link)
     return Fact("least_duty", None, f"no duty up to {_DUTIES[-1]} steps acts")
+
+
+def _protects(link: ServoLink, duty: int) -> Fact:
+    """Whether a Feetech's protection from overload acts in PWM mode: made to begin at 1 % of duty, after 0.1 s.
+
+    Afterwards it may answer nothing until its supply is cut, as people say of theirs: so this comes before that is.
+    """
+    roles, name = link.model.roles, "protects_in_pwm"
+    for register, value in _OVERLOAD.items():
+        link.hold(register, value)
+    try:
+        _still(link, duty)
+        link.client.wait(_STOPS_S)
+        left = link.value(roles["applied"])
+        _off(link)
+    except Fault as fault:
+        if fault.code != "LINK_TIMEOUT":
+            raise
+        return Fact(name, True, "its protection acts in PWM mode, and then it answers nothing until its supply is cut")
+    acts = abs(left) < duty
+    return Fact(name, acts, f"its protection {'acts' if acts else 'does not act'} in PWM mode: {duty} steps are {left}")
 
 
 def _keeps_mode(link: ServoLink, powered: Powered) -> Fact:

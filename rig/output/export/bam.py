@@ -1,7 +1,9 @@
-"""BAM (Rhoban/bam): its JSON of a friction model, m1, or m2 where friction falls with speed.
+"""BAM (Rhoban/bam): its JSON of a friction model: m1, m2 (friction falls with speed), m5 (it grows with torque).
 
-BAM's motor is in N m: torque kt (u - kt v) / R, friction f_b + e exp(-(|v|/v_s)^alpha) + f_v |v|. Of a rig motor that
-is known in N m, with a = kt / R: f_b = a f_c, f_v = a/K - a kt, armature = a tau/K.
+BAM's motor is in N m: torque t = kt (u - kt v) / R, friction f_b + e exp(-(|v|/v_s)^alpha) + f_v |v|, in m5 with
+|L_e t_e - L_m t| beside it for an outside torque t_e. Of a rig motor that is known in N m, with a = kt / R:
+f_b = a f_c, f_v = a/K - a kt, armature = a tau/K. Friction that grows with torque shows which part of 1/K is
+back-EMF: then kt is (1 - r)/K, and R follows from it.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from rig.run_folder.results import JsonObject
 
 # What BAM calls the servos that it knows, by what stands in rig's name of a bench.
 ACTUATORS: Final = {"xl330": "xl330", "sts3215": "sts3215", "mx-64": "mx64", "mx64": "mx64", "mx-106": "mx106"}
-LACKS: Final = NOT_RIGID | {
+LACKS: Final = {name: why for name, why in NOT_RIGID.items() if name != "load_friction"} | {
     "dead_band": "each drive acts",
     "gain_by_sign": "the torque of a volt is that of both directions together",
     "sag": "the torque of a volt is that of a small drive",
@@ -40,6 +42,9 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
 def parameters(motor: IdentifiedMotor) -> JsonObject:
     """BAM's parameters, and under `rig` what they come from. Raises ExportError where BAM has no such motor."""
     m, a, R_ohm = motor.framed.motor, motor.torque_N_m_V, motor.R_ohm
+    grows = m.load_friction > 0.0
+    if grows and a is not None:
+        R_ohm = (1.0 - m.viscous_share) / (a * m.K_rad_s_V)
     if a is None or R_ohm is None:
         raise ExportError(
             "BAM's models are in N m and ohm", "add --N-m-per-V (`rig newton-metres` tells it) and --R-ohm"
@@ -73,6 +78,17 @@ def parameters(motor: IdentifiedMotor) -> JsonObject:
             "dtheta_stribeck": m.stribeck_rad_s,
             "alpha": 1.0,
             "model": "m2",
+        }
+    if grows:
+        found |= {
+            "friction_stribeck": a * m.stribeck_V,
+            "dtheta_stribeck": m.stribeck_rad_s or 1.0,
+            "alpha": 1.0,
+            "load_friction_motor": m.load_friction,
+            "load_friction_external": m.load_friction * m.load_outside,
+            "load_friction_motor_stribeck": 0.0,
+            "load_friction_external_stribeck": 0.0,
+            "model": "m5",
         }
     return found | {"rig": motor.as_json()}
 

@@ -22,8 +22,9 @@ SHAFT_SHARE = 1e-6  # of the inertia, about the body's own centre: MuJoCo wants 
 # Parts that motor_mujoco.py adds to motor.xml.
 BY_HAND = (
     "dead_band", "gain_by_sign", "sag", "viscous_by_direction", "static", "stribeck", "friction_over_position",
-    "cogging", "linearity",
+    "cogging", "linearity", "load_friction", "source",
 )  # fmt: skip
+LACKS = {part: why for part, why in NOT_RIGID.items() if part not in BY_HAND}
 
 
 def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
@@ -97,4 +98,4 @@ def _about(motor: IdentifiedMotor, alone: list[str]) -> dict[str, str]:
     }
 
 
-MUJOCO = Tool("MuJoCo", files, NOT_RIGID, in_N_m=True)
+MUJOCO = Tool("MuJoCo", files, LACKS, in_N_m=True)

@@ -209,13 +209,16 @@ class LogFormat:
                 )
         drive = "duty" if self.servo is not None else "V" if self.drive is None else self.drive.unit
         motion = next((one.unit for one in (self.position, self.velocity, self.goal) if one is not None), "rad")
+        missing: dict[str, str] = {}  # whoever lacks two options is asked for both at once
+        units: set[str] = set()
         for option, value, needed_by, unit, example in (
             ("--counts-per-turn", self.counts_per_turn, ("counts", "counts/s"), motion, "1440"),
             ("--full", self.full, ("pwm",), drive, "255"),
             ("--supply-V", self.supply_V, ("pwm", "duty", "percent"), drive, "12"),
         ):
             if value is None and unit in needed_by and not (option == "--supply-V" and self.servo is not None):
-                raise LogFormatError(f"the unit {unit} needs {option}", f"{_MEANING[option]}: {option} {example}")
+                missing[f"{option} {example}"] = _MEANING[option]
+                units.add(unit)
             if value is not None and unit not in needed_by:
                 raise LogFormatError(
                     f"{option} is for {' and '.join(needed_by)}, and this log has {unit}",
@@ -223,6 +226,12 @@ class LogFormat:
                 )
             if value is not None and not 0.0 < value < LARGEST:
                 raise LogFormatError(f"{option} {value:g} is not above 0", f"{_MEANING[option]}: {option} {example}")
+        if missing:
+            options = " and ".join(option.split()[0] for option in missing)
+            raise LogFormatError(
+                f"a log in {' and '.join(sorted(units))} needs {options}",
+                f"give {'; '.join(words.removeprefix('give ') for words in missing.values())}: {' '.join(missing)}",
+            )
 
     def _require_one_drive(self) -> None:
         """Raise LogFormatError where a log has a drive and a servo's goals, or options of the other kind."""

@@ -50,12 +50,36 @@ def test_how_soon_it_slows_down_and_tells_a_duty(protocol: str) -> None:
         assert isinstance(seen_s, float) and 0.0 < seen_s < most_s
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_how_old_a_position_is_shows_in_the_starts_of_a_horn(protocol: str) -> None:
+    """Of a servo whose reading is 4 ms late, beside one that tells the position of its last step."""
+    fresh, old = Bench(protocol), Bench(protocol)
+    tick, refresh, servo = old.servo._tick, old.servo._refresh, old.servo
+    kept = [old.own.zero_counts] * 5
+
+    def ticked() -> None:
+        tick()
+        refresh()
+        kept.append(servo.value("present_position"))
+        del kept[0]
+
+    def late() -> None:
+        refresh()
+        servo.put("present_position", kept[0])
+
+    servo._tick, servo._refresh = ticked, late  # type: ignore[method-assign]  # of this one
+    seen = [found(bench)["moves_after_s"].found for bench in (fresh, old)]
+    assert isinstance(seen[0], float) and isinstance(seen[1], float)
+    assert 0.0 < seen[0] < 0.003 and seen[1] - seen[0] == pytest.approx(0.004, abs=0.001)
+
+
 def test_a_held_horn_is_told() -> None:
     bench = Bench()
     bench.servo.bench.parameters = bench.servo.bench.parameters.__class__(
         **{**vars(bench.servo.bench.parameters), "stop_rad": (-1e-6, 1e-6)}
     )
-    assert found(bench)["slows_s_duty_0"].found is None
+    told = found(bench)
+    assert told["slows_s_duty_0"].found is None and told["moves_after_s"].found is None
 
 
 def test_a_feetech_forgets_its_mode_with_its_supply() -> None:
@@ -68,6 +92,19 @@ def test_a_feetech_forgets_its_mode_with_its_supply() -> None:
     told = found(bench, powered)
     assert told["lock_keeps_mode"].found is False
     assert told["least_duty"].found is not None
+
+
+@pytest.mark.parametrize("protects", [True, False])
+def test_whether_a_feetech_protects_itself_in_pwm_mode_is_found(protects: bool) -> None:
+    bench = Bench("feetech", protects_in_pwm=protects)
+    assert found(bench, lambda: bench.bus.sleep_until(bench.bus.now_s() + 1.0))["protects_in_pwm"].found is protects
+    assert "protects_in_pwm" not in found(bench)  # without somebody at its supply
+
+
+def test_what_a_step_of_p_means_is_measured_of_a_feetech_whose_i_is_0() -> None:
+    assert found(Bench("feetech"))["p_scale_1_rad"].found == pytest.approx(0.166, rel=0.06)
+    told = found(Bench("feetech", registers={"position_i_gain": 3}))["p_scale_1_rad"]
+    assert told.found is None and "its I is 3" in told.words
 
 
 @pytest.mark.parametrize("divisor", [128.0, 256.0])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 
 import pytest
-from servo_bench import PROTOCOLS, Bench
+from evidence import evidence
+from servo_bench import PERIOD_S, PROTOCOLS, Bench
 
 from rig.backends.servo.emulated.faults import ReplyFault
 
+PHASES, BATCH = 201, 50
 TICKS = 3  # the tick under way, and two more
 
 
@@ -67,25 +70,42 @@ CASES: list[tuple[Callable[[Bench], None], set[str]]] = [
 ]
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-@pytest.mark.parametrize(("happens", "codes"), CASES)
-def test_it_is_a_fault_by_its_name_within_two_ticks(
-    protocol: str, happens: Callable[[Bench], None], codes: set[str]
-) -> None:
-    bench = Bench(protocol)
+def happens_at(phase: int, protocol: str, happens: Callable[[Bench], None], codes: set[str]) -> None:
+    """At a phase of the tick, behind its reading or behind its drive, after some of them; phase 0: behind a tick."""
+    rng, bench = random.Random(phase), Bench(protocol)
     bench.armed()
-    for _ in range(6):
+    for _ in range(rng.randrange(2, 20) if phase else 6):
         bench.tick(0.8)
+    ticks = TICKS
+    if phase % 3:
+        begins_s = bench.bus.now_s()
+        bench.driver.read()
+        if phase % 3 == 1:
+            bench.driver.write(0.8)
+        bench.bus.sleep_until(begins_s + rng.uniform(0.2, 0.9) * PERIOD_S)
     happens(bench)
-    fault = bench.fault_within(TICKS, 0.8)
-    assert fault is not None and fault.code in codes, fault
+    if phase % 3:
+        bench.bus.sleep_until(begins_s + PERIOD_S)
+        ticks -= 1  # this one was under way
+    fault = bench.fault_within(ticks, 0.8)
+    assert fault is not None and fault.code in codes, (phase, fault)
     bench.driver.safe_stop()
     if happens in (gone, mute):  # the servo's own watchdog is what is left, where it has one
         return
     bench.bus.bus.reply_fault = None
-    assert bench.driver.safe_stop()
+    assert bench.driver.safe_stop(), phase
     assert bench.servo.truth().duty == 0.0 and not bench.servo.is_on
     assert bench.wrong() == []
+
+
+@pytest.mark.parametrize("first", [0, *evidence(*range(1, PHASES, BATCH))])
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize(("happens", "codes"), CASES)
+def test_it_is_a_fault_by_its_name_within_two_ticks(
+    protocol: str, happens: Callable[[Bench], None], codes: set[str], first: int
+) -> None:
+    for phase in range(first, first + BATCH) if first else (0,):
+        happens_at(phase, protocol, happens, codes)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

@@ -177,6 +177,22 @@ def test_a_keeper_writes_nothing_while_it_hears_its_command(
     port.close()
 
 
+def test_a_keeper_of_a_command_that_could_not_put_back_does_it(
+    board: tuple[str, Bench, ServoBoard], tmp_path: Path
+) -> None:
+    name, bench, _ = board
+    port = SerialPort(name, bench.own.baud)
+    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
+    mode, before = bench.setup.model.roles["mode"], values_of(link)
+    store.save(bench.setup.model, bench.own.id, before)
+    link.hold(mode, bench.setup.model.pwm_mode)
+    keeper = ServoKeeper(link, store, port.descriptor, 30.0)
+    keeper.end(restored=False)
+    assert link.value(mode) == before[mode] != bench.setup.model.pwm_mode
+    assert store.path is not None and not store.path.exists()
+    port.close()
+
+
 def test_a_keeper_that_has_ended_is_a_fault_before_the_next_drive(
     board: tuple[str, Bench, ServoBoard], tmp_path: Path
 ) -> None:

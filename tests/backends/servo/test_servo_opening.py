@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 import pytest
+from evidence import evidence
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench, line_of
 
 from rig.backends.registry import backend_of, connect
@@ -131,23 +132,26 @@ def test_opening_tells_who_is_there_and_what_it_changes(protocol: str) -> None:
     assert bench.wrong() == []
 
 
+@pytest.mark.parametrize("first", [0, *evidence(*range(1, 201, 50))])
 @pytest.mark.parametrize(
     ("defect", "resumes", "stopped", "proven"),
     [(False, False, "brake", True), (False, True, "coast", True), (True, False, "brake", False),
      (True, True, "brake", False)],
 )  # fmt: skip
 def test_the_watchdog_is_believed_only_where_the_duty_went(
-    defect: bool, resumes: bool, stopped: str, proven: bool
+    defect: bool, resumes: bool, stopped: str, proven: bool, first: int
 ) -> None:
-    """Firmware 51 says -1 and drives on. The shaft does not move by a count meanwhile."""
-    bench = Bench(watchdog_defect=defect, resumes=resumes, stopped_by_watchdog=stopped)
-    before_rad = bench.servo.truth().y_rad
-    info = bench.opened()
-    assert (bench.driver.failsafe is not None) == proven
-    assert proven or any("the motor drives on" in remark for remark in info.remarks)
-    assert abs(bench.servo.truth().y_rad - before_rad) < COUNT_RAD
-    assert not bench.servo.is_on and bench.servo.value("bus_watchdog") == 0
-    assert bench.wrong() == []
+    """Firmware 51 says -1 and drives on. The shaft does not move by a count; at phases of the servo's step."""
+    for phase in range(first, first + 50) if first else (0,):
+        bench = Bench(watchdog_defect=defect, resumes=resumes, stopped_by_watchdog=stopped)
+        bench.bus.sleep_until(bench.bus.now_s() + phase / 7.0 * 1e-3)
+        before_rad = bench.servo.truth().y_rad
+        info = bench.opened()
+        assert (bench.driver.failsafe is not None) == proven, phase
+        assert proven or any("the motor drives on" in remark for remark in info.remarks)
+        assert abs(bench.servo.truth().y_rad - before_rad) < COUNT_RAD
+        assert not bench.servo.is_on and bench.servo.value("bus_watchdog") == 0
+        assert bench.wrong() == []
 
 
 def test_a_duty_that_does_not_act_proves_no_watchdog() -> None:
@@ -205,3 +209,18 @@ def test_what_a_killed_run_has_left_is_not_taken_from_who_drives_it_now(protocol
     bench.driver.safe_stop()
     bench.driver.close()
     assert bench.servo.is_on and bench.store.load(bench.setup.model) is not None
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_whose_goal_does_not_become_0_is_never_armed(protocol: str) -> None:
+    bench = Bench(protocol)
+    drive, real = bench.servo.model.roles["drive"], bench.servo.put
+
+    def put(name: str, value: int) -> None:
+        if (name, value) != (drive, 0):
+            real(name, value)
+
+    bench.servo.put = put  # type: ignore[method-assign]  # of this one
+    with pytest.raises(Fault, match="ARM_READBACK"):
+        bench.opened()
+    assert bench.servo.value(drive) != 0 and not bench.servo.is_on and bench.wrong() == []

@@ -19,6 +19,7 @@ from rig.backends.servo.models.sts import MANY_TURNS, STEPS_PER_SECOND
 
 MIDDLE = 128  # written to torque_enable: makes here the middle of the turn
 _DAMPED = 2
+_HARMLESS = 10  # steps of duty, which break no servo away
 _POSITION = 0
 _MIDDLE_COUNTS = 2048
 _P_PER_RAD = 0.166  # of full duty, for a gain of 1 (Rhoban/bam)
@@ -103,6 +104,9 @@ class FeetechServo(EmulatedServo):
     def is_on(self) -> bool:
         """Whether its torque is on; while it only damps it does not drive."""
         return self.value("torque_enable") == 1
+
+    def _holds_gently(self) -> bool:
+        return self.value("mode") == _POSITION and self.value("torque_limit") <= _HARMLESS
 
     def _is_braking(self) -> bool:
         return self.value("torque_enable") in (1, _DAMPED)
