@@ -467,6 +467,13 @@ def test_a_law_that_ends_the_process_ends_its_run_with_a_fault_and_a_result(tmp_
     assert fault["code"] == "LAW_FAILED" and "loop_died" not in (folder / "events.jsonl").read_text(encoding="utf-8")
 
 
+def test_a_law_that_ends_the_process_in_c_does_not_do_so_without_a_word(tmp_path: Path) -> None:
+    """Its status is 0, and there is no result: the keeper says so."""
+    host = hanging(tmp_path, "exits in C")
+    said = host.communicate(timeout=HUNG_S)[1]
+    assert host.returncode == 0 and "ended within a step of the law hangs" in said and "there is no result" in said
+
+
 @pytest.mark.parametrize("in_thread", [False, True])
 def test_a_law_that_swallows_what_keeps_the_process_alive_drives_no_further(in_thread: bool) -> None:
     law: WatchedLaw
@@ -601,18 +608,21 @@ def test_a_law_that_changes_the_folder_leaves_the_run_in_its_own(
     assert (folder / "report.html").exists() and not (folder / "stop.flag").exists()
 
 
-class PutsALink:
-    """A law during which somebody moves the run's folder away, and puts a link in its place."""
+class Swaps:
+    """A law during which somebody moves the run's folder away, and puts a link, or a folder, in its place."""
 
-    def __init__(self, runs: Path, victim: Path) -> None:
-        self._runs, self._victim, self._steps = runs, victim, 0
+    def __init__(self, runs: Path, victim: Path, *, is_link: bool = True) -> None:
+        self._runs, self._victim, self._is_link, self._steps = runs, victim, is_link, 0
 
     def step(self, sample: Sample) -> float:
         self._steps += 1
         if self._steps == 10:
             [folder] = self._runs.glob("2*")
             folder.rename(folder.with_name("moved"))
-            folder.symlink_to(self._victim)
+            if self._is_link:
+                folder.symlink_to(self._victim)
+            else:
+                self._victim.rename(folder)
         return 0.3
 
 
@@ -621,13 +631,25 @@ def test_a_link_in_the_place_of_the_runs_folder_leads_nothing_elsewhere(tmp_path
     (victim := tmp_path / "victim").mkdir()
     for name in ("result.json", "report.html", "stop.flag"):
         (victim / name).write_text("precious")
-    law = PutsALink(tmp_path / "runs", victim)
+    law = Swaps(tmp_path / "runs", victim)
     with pytest.raises(RecordingError, match="a folder without a run"):
         rig.run(rig.ready("simulated"), law=law, duration_s=1.0, out=tmp_path / "runs")
     assert {path.read_text() for path in victim.iterdir()} == {"precious"} and len(list(victim.iterdir())) == 3
     moved = tmp_path / "runs" / "moved"
     assert not (moved / "stop.flag").exists() and "loop_died" not in (moved / "events.jsonl").read_text()
     assert len((moved / "samples.csv").read_text().splitlines()) > 100
+
+
+def test_another_folder_in_the_place_of_the_runs_stays_as_it_is(tmp_path: Path) -> None:
+    (victim := tmp_path / "victim").mkdir()
+    for name in ("result.json", "samples.csv", "meta.json"):
+        (victim / name).write_text("precious")
+    law = Swaps(tmp_path / "runs", victim, is_link=False)
+    with suppress(RecordingError):  # what is there is no run
+        rig.run(rig.ready("simulated"), law=law, duration_s=1.0, out=tmp_path / "runs")
+    [there] = (tmp_path / "runs").glob("2*")
+    assert {path.read_text() for path in there.iterdir()} == {"precious"} and len(list(there.iterdir())) == 3
+    assert len((tmp_path / "runs" / "moved" / "samples.csv").read_text().splitlines()) > 100
 
 
 class Forks:
