@@ -173,6 +173,8 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
         found = servo_loop_of(run_folder, MODELS[model], Margins(gain_dB, phase_deg, 0.0), p_scale)
     except RecordingError as error:
         fail_input(error)
+    except ConfigError as error:
+        fail_config(error)
     except TuneError as error:
         fail(EXIT_FAILED, error.cause, error.cure)
     if as_json:
