@@ -57,7 +57,7 @@ def test_the_drive_is_gain_times_error_within_full_duty_and_each_goal_holds_unti
     goal_rad = np.array([1.0, 0.3, -9.0])
     edges_s, u_V, rows_V = ServoLaw(0.5, KNOWN).drive(0.5, t_s, y_rad, goal_rad, 6.0)
     np.testing.assert_allclose(edges_s, np.arange(21) * 0.001, atol=1e-12)
-    begins = 0.01 * np.arange(20)  # the position at the beginning of each step
+    begins = np.maximum(0.01 * np.arange(20) - 0.01, 0.0)  # the position a step before each step
     held = np.repeat([1.0, 0.3], 10)
     np.testing.assert_allclose(u_V[:-1], 6.0 * 0.5 * (held - begins), atol=1e-12)
     np.testing.assert_allclose(rows_V, [3.0, 0.6, -6.0])
