@@ -22,8 +22,8 @@ FAULTS: dict[str, FaultEntry] = {
     # link
     "LINK_OPEN": FaultEntry(
         "the port could not be opened",
-        "check the cable, the port's name (daq.port; a plug-in's in daq.options; PORT of `rig servo`), and that no other "
-        "program holds it",
+        "check the cable, the port's name (daq.port; a plug-in's in daq.options; PORT of `rig servo`), and that no "
+        "other program holds it",
     ),
     "SECOND_MASTER": FaultEntry(
         "somebody else drives this device, too",

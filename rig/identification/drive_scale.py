@@ -1,18 +1,21 @@
 """What an answer is worth where a servo's own loop gave the drive: no manual says well what its P means. Pure.
 
-Besides, nobody knows to a millisecond how old the position is that a duty comes from. A delay d of that loop does what
-a viscous friction of gain x d would do: tau and K are off by the share K x gain x d, and no record shows it. So do I and
-D gains that are not 0.
+Besides, nobody knows to a millisecond how old the position is that a duty comes from. If it is older by d than it is
+taken to be, that does what a viscous friction of -gain x d would do: tau and K are off by the share K x gain x d, and
+no record shows it. So do I and D gains that are not 0.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from rig.identification.motor_law import GRADES, NOT_KNOWN
 from rig.identification.verdict import ASKED, in_percent
-from rig.run_folder.recording.servo_law import LATE_S, OwnLoop
+from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import Answer, GradedNumber, known
+
+LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
 def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
@@ -36,8 +39,8 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
         )
     if late > ASKED:
         reasons.append(
-            f"each millisecond by which the servo's own loop is late makes tau and K {in_percent(late)} smaller, and "
-            "nobody has measured whether it is 0 or 2: record with a smaller P"
+            f"how old a position its own loop works with nobody has measured: 1 ms makes tau and K {in_percent(late)} "
+            "wrong; record with a smaller P"
         )
     if not loop.is_P_alone:
         reasons.append(

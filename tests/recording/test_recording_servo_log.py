@@ -57,12 +57,12 @@ def test_the_drive_is_gain_times_error_within_full_duty_and_each_goal_holds_unti
     goal_rad = np.array([1.0, 0.3, -9.0])
     edges_s, u_V, rows_V = ServoLaw(0.5, KNOWN).drive(0.5, t_s, y_rad, goal_rad, 6.0)
     np.testing.assert_allclose(edges_s, np.arange(21) * 0.001, atol=1e-12)
-    begins = np.maximum(0.01 * np.arange(20) - 0.01, 0.0)  # the position a step before each step
+    middles = 0.005 + 0.01 * np.arange(20)  # the position in the middle of each step
     held = np.repeat([1.0, 0.3], 10)
-    np.testing.assert_allclose(u_V[:-1], 6.0 * 0.5 * (held - begins), atol=1e-12)
+    np.testing.assert_allclose(u_V[:-1], 6.0 * 0.5 * (held - middles), atol=1e-12)
     np.testing.assert_allclose(rows_V, [3.0, 0.6, -6.0])
     first = ServoLaw(0.5, KNOWN, goal_first=True).drive(0.5, t_s, y_rad, goal_rad, 6.0)[1]
-    np.testing.assert_allclose(first[:10], 6.0 * 0.5 * (0.3 - begins[:10]), atol=1e-12)
+    np.testing.assert_allclose(first[:10], 6.0 * 0.5 * (0.3 - middles[:10]), atol=1e-12)
 
 
 def test_a_ramp_bounds_how_quickly_the_drive_changes() -> None:
@@ -118,7 +118,7 @@ def test_a_log_of_bams_is_read_as_it_is(tmp_path: Path) -> None:
     assert found.own_loop is not None and found.own_loop.scale == SCALES["dynamixel"]
     assert found.drive_steps is not None
     # the goal of a row was written before its position was read: it holds in the time before it
-    error_rad = 3.1 + 0.2 - 3.0
+    error_rad = 3.1 + 0.2 - (3.0 + 0.1 / 20)
     assert found.drive_steps[1][0] == pytest.approx(5.1 * 100 * SCALES["dynamixel"].middle * error_rad)
     own = read(tmp_path / "log.json", LogFormat(servo=ServoLaw(None, scale_of("dynamixel", 0.004)), supply_V=6.0))
     assert own.drive_steps is not None

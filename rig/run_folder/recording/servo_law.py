@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # every command knows the options of a servo's log: few of th
 _COUNTS_RAD: Final = 4096 / (2.0 * math.pi)
 _OF_MANUAL: Final = _COUNTS_RAD / (128.0 * 885)
 _STEP_S: Final = 1e-3  # of a servo's loop; design assumption
-LATE_S: Final = 1e-3  # from a position to the step whose duty it makes: between none and two steps; design assumption
 
 
 class Scale(NamedTuple):
@@ -98,8 +97,7 @@ class ServoLaw:
         P                      of its register, 1
         t_s, y_rad, goal_rad   (n,) of the rows, t_s rising, n >= 2
         supply_V               at full duty
-        A step of the servo's loop has the drive of the position ``LATE_S`` before its beginning, which between rows is
-        interpolated, and the mean of its ramp.
+        Between rows the position is interpolated; each step has the mean of its ramp.
         """
         import numpy as np
         from scipy.interpolate import PchipInterpolator
@@ -109,7 +107,7 @@ class ServoLaw:
         part = np.concatenate([np.arange(n) / n for n in steps])
         period_s = np.diff(t_s)[row]
         edges = t_s[row] + part * period_s
-        position = PchipInterpolator(t_s, y_rad)(np.maximum(edges - LATE_S, t_s[0]))
+        position = PchipInterpolator(t_s, y_rad)(edges + 0.5 * period_s / steps[row])
         held = goal_rad[row + 1] if self.goal_first else goal_rad[row]
         gain = self.scale.middle * P
         u_V = supply_V * np.clip(gain * (held - position), -1.0, 1.0)
