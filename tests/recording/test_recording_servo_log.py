@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -131,8 +132,12 @@ def test_a_log_of_bams_that_names_another_servo_is_refused(tmp_path: Path) -> No
         read(bam(tmp_path / "log.json"), LogFormat(servo=law))
 
 
+def _of(motor: str, data: dict[str, Any]) -> None:
+    data.update(motor=motor)
+
+
 def test_nobody_says_that_the_d_of_an_sts3215_was_0(tmp_path: Path) -> None:
-    own, theirs = (read_all(bam(tmp_path / "log.json", lambda d, m=m: d.update(motor=m)))[0] for m in _BAMS)
+    own, theirs = (read_all(bam(tmp_path / "log.json", partial(_of, motor)))[0] for motor in _BAMS)
     assert own.own_loop is not None and own.own_loop.is_P_alone
     assert theirs.own_loop is not None and not theirs.own_loop.is_P_alone
 
