@@ -28,6 +28,7 @@ from faults import hanging_laws
 from rig.config import load
 from rig.control.law import Rest, Timed
 from rig.core.faults import Fault
+from rig.core.halted import Halts
 from rig.core.signals import Sample
 from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.live.stop_flag import request_stop
@@ -564,11 +565,12 @@ def test_where_a_motor_could_move_no_law_goes_on_without_its_keeper(
 def test_a_keeper_that_is_stopped_while_it_has_the_link_never_speaks_again_and_the_loop_stops_the_drive() -> None:
     """As by SIGSTOP between its claim and its stop: it neither gives the link back nor ends the loop's process."""
     lease, keeper = LawLease(-1), law_watch.Keeper.__new__(law_watch.Keeper)
-    keeper.lease, keeper._verdict_s, keeper._stopped_s = lease, 10.0, math.inf
+    keeper.lease, keeper._verdict_s = lease, 10.0
     law = WatchedLaw(Timed(SimpleNamespace(step=lambda _: float(lease.take(lease.at_work))), 1.0, "own"), times())
     law.keeper = keeper
     waits = [sys.executable, "-c", "input()"]
     with subprocess.Popen(waits, stdin=subprocess.PIPE) as keeper._process:
+        keeper._halts = Halts(keeper._process.pid)
         keeper._process.send_signal(signal.SIGSTOP)
         with pytest.raises(Fault, match=r"LAW_UNWATCHED.*somebody has stopped the keeper"):
             law.step(Sample(0.0, 0.0, 512))

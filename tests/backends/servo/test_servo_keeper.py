@@ -193,32 +193,6 @@ def test_a_keeper_that_has_ended_is_a_fault_before_the_next_drive(
     port.close()
 
 
-def test_a_keeper_that_somebody_has_stopped_is_a_fault_before_the_next_drive(
-    board: tuple[str, Bench, ServoBoard], tmp_path: Path
-) -> None:
-    """It hears nothing: if the command died then, the servo would drive on."""
-    name, bench, _ = board
-    port = SerialPort(name, bench.own.baud)
-    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
-    store.save(bench.setup.model, bench.own.id, values_of(link))
-    keeper = ServoKeeper(link, store, port.descriptor, 30.0)
-    keeper.beat()
-    os.kill(keeper._process.pid, signal.SIGSTOP)
-
-    def is_said() -> bool:
-        try:
-            keeper.beat()
-        except Fault as fault:
-            assert fault.code == "SERVO_UNWATCHED" and "SIGSTOP" in fault.detail
-            return True
-        return False
-
-    assert wait_for(is_said)
-    keeper.end(restored=True)
-    assert keeper._process.returncode is not None
-    port.close()
-
-
 def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(
     board: tuple[str, Bench, ServoBoard], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

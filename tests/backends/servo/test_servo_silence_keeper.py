@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -11,6 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from rig.backends.servo.keeper import ServoKeeper
+from rig.core.faults import Fault
+from rig.core.halted import Halts
 from rig.running.keeper.silence import BEAT, DONE, REST, Kept, Order, keep
 
 
@@ -144,3 +150,21 @@ def test_a_link_that_is_gone_confirms_nothing() -> None:
     far.close()
     assert not Kept(near.fileno(), ORDERS, ()).stop()
     near.close()
+
+
+def test_a_keeper_that_somebody_has_stopped_is_a_fault_before_the_next_drive() -> None:
+    """It hears nothing: if the command died then, the servo would drive on."""
+    keeper = ServoKeeper.__new__(ServoKeeper)
+    heard, keeper._pipe = os.pipe()
+    waits = [sys.executable, "-c", "input()"]
+    with subprocess.Popen(waits, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as keeper._process:
+        keeper._halts = Halts(keeper._process.pid)
+        keeper.beat()
+        keeper._process.send_signal(signal.SIGSTOP)
+        with pytest.raises(Fault, match=r"SERVO_UNWATCHED.*SIGSTOP"):
+            while True:  # for a while it may be that the whole machine stood still
+                keeper.beat()
+                time.sleep(1e-3)
+        keeper.end(restored=True)
+        assert keeper._process.returncode == -signal.SIGKILL
+    os.close(heard)
