@@ -16,6 +16,7 @@ from command_line import rig
 
 from rig.identification import identify
 from rig.identification.drive_scale import by_own_loop
+from rig.output.report.simulated import beyond
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError
 from rig.run_folder.recording.reader import read, read_all
@@ -117,6 +118,7 @@ def test_a_log_of_bams_is_read_as_it_is(tmp_path: Path) -> None:
     (found,) = read_all(bam(tmp_path / "log.json"))
     assert len(found) == 40 and found.t_s[0] == 0.3  # the stretch with the torque on
     assert found.own_loop is not None and found.own_loop.scale == SCALES["dynamixel"]
+    assert "a factor of 2 only" in beyond(Answer(), found)
     assert found.drive_steps is not None
     # the goal of a row was written before its position was read: it holds in the time before it
     error_rad = 3.1 + 0.2 - (3.0 + 0.1 / 20)
