@@ -9,7 +9,7 @@ import click
 
 from rig.cli.driving import checked
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
-from rig.cli.options import CONFIG, JSON
+from rig.cli.options import CONFIG, JSON, FiniteRange
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_design
@@ -27,11 +27,11 @@ NO_TEST = (
     help="Run folder, or its result.json, from which the motor comes.",
 )  # fmt: skip
 @click.option(
-    "--interval", "percent", type=click.FloatRange(0.01, 50.0), default=1.0, show_default=True,
+    "--interval", "percent", type=FiniteRange(0.01, 50.0), default=1.0, show_default=True,
     help="Half width of the 95 % intervals of tau, K and f_c to design for, in %.",
 )  # fmt: skip
 @click.option(
-    "--doubt", type=click.FloatRange(1.0, 90.0), default=10.0, show_default=True,
+    "--doubt", type=FiniteRange(1.0, 90.0), default=10.0, show_default=True,
     help="By how many % tau, K and f_c may all be wrong. No motor within that leaves the limits.",
 )  # fmt: skip
 @click.option("--to", "file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",

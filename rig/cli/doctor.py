@@ -10,7 +10,7 @@ import click
 
 from rig.cli.driving import checked, say_chip_starts
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, faults
-from rig.cli.options import JSON, OUT
+from rig.cli.options import JSON, OUT, FiniteRange
 from rig.terminal import show_finding
 
 
@@ -18,7 +18,7 @@ from rig.terminal import show_finding
 @click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--seconds",
-    type=click.FloatRange(0.2, 3600.0),
+    type=FiniteRange(0.2, 3600.0),
     default=3.0,
     show_default=True,
     help="How long to measure ticks, s.",

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
-from rig.cli.options import JSON, ROWS
+from rig.cli.options import JSON, ROWS, Positive
 from rig.run_folder.recording.errors import RecordingError
 
 
@@ -24,10 +24,10 @@ from rig.run_folder.recording.errors import RecordingError
     help="For a tool: the folder that gets its files. Default: the working folder.",
 )  # fmt: skip
 @click.option(
-    "--N-m-per-V", "torque_N_m_V", type=click.FloatRange(min=0.0, min_open=True),
+    "--N-m-per-V", "torque_N_m_V", type=Positive(),
     help="For mujoco and bam: the torque of a volt, as `rig newton-metres` tells it. Then torques are in N m.",
 )  # fmt: skip
-@click.option("--R-ohm", "R_ohm", type=click.FloatRange(min=0.0, min_open=True), help="For bam: of the winding.")
+@click.option("--R-ohm", "R_ohm", type=Positive(), help="For bam: of the winding.")
 @click.option("--stage", default=None, help="Only the rows of this stage, such as relay-1. Default: all.")
 @ROWS
 @click.option("--force", is_flag=True, help="Replace files that are there already.")

@@ -13,7 +13,7 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.log_options import log_options
-from rig.cli.options import JSON, ROWS
+from rig.cli.options import JSON, ROWS, Positive
 from rig.core.estimators import ESTIMATORS
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.folder import json_text
@@ -49,7 +49,7 @@ Wanted = tuple[Path | None, tuple[str, ...]]
     "--slew",
     "slew_V_s",
     metavar="V/S",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=Positive(),
     help="By which the device of a log ramps its drive; an XL330 as shipped: 277. Default: at once.",
 )
 @click.option(
@@ -163,8 +163,8 @@ def _require_new(picture: Wanted, report: Wanted, force: bool) -> None:
 def _require_commanded(recordings: Sequence[Recording]) -> None:
     """Refuse --slew for a recording whose drives are as they acted."""
     for recording in recordings:
-        if recording.config_text is not None or recording.p_scale is not None:
-            what = "a run says when its drives acted" if recording.p_scale is None else "a servo's law has its ramp"
+        if recording.config_text is not None or recording.own_loop is not None:
+            what = "a run says when its drives acted" if recording.own_loop is None else "a servo's law has its ramp"
             fail(
                 EXIT_BAD_INPUT, f"--slew is given, and {recording.source} has the ramp already: {what}", "leave it out"
             )

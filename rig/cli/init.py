@@ -49,7 +49,7 @@ from rig.config import ConfigError, new_bench
     help="full: the whole experiment, with limit cycles. quick: tests that end when the motor is known (relay.until). "
     "Default: full.",
 )  # fmt: skip
-@click.option("--servo", metavar="MODEL", help="A smart servo, such as xl330 or sts3215; then no other board.")
+@click.option("--servo", metavar="MODEL", help="A smart servo, such as xl330-m288 or sts3215; then no other board.")
 @click.option("--servo-id", type=click.IntRange(0, 252), default=1, show_default=True, help="Its id on its bus.")
 @click.option("--yes", is_flag=True, help="Ask nothing: take the default of what is not given.")
 def init(
@@ -217,7 +217,11 @@ def _init_servo(
         fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
     try:
         answers = first_config.ServoAnswers(
-            first_config.model_named(name), port, id=id, supply_V=supply_V, no_load_rpm=no_load_rpm
+            first_config.model_named(name, is_read=port is not None),
+            port,
+            id=id,
+            supply_V=supply_V,
+            no_load_rpm=no_load_rpm,
         )
         if port is not None:
             with faults():

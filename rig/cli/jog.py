@@ -8,7 +8,7 @@ import click
 
 from rig.cli.driving import checked_bench, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail
-from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
+from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE, FiniteRange
 from rig.config import Experiment
 from rig.run_folder.results import known
 
@@ -22,7 +22,7 @@ USUAL_LEASED_S, LONGEST_LEASED_S = 60.0, 600.0
 @click.option("--leased", is_flag=True, help="For programs: drive only while a lease in the run folder is renewed.")
 @click.option(
     "--seconds",
-    type=click.FloatRange(0.01, LONGEST_LEASED_S),
+    type=FiniteRange(0.01, LONGEST_LEASED_S),
     help=f"How long: {USUAL_S:g} by default, at most {LONGEST_S:g}; with --leased at the longest: {USUAL_LEASED_S:g} "
     f"by default, at most {LONGEST_LEASED_S:g}.",
 )

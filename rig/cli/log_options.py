@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.options import Positive
 from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, LogFormatError, parse_period
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 
@@ -21,8 +22,24 @@ def _units(quantity: str) -> str:
     return f"{', '.join(most)} or {last}"
 
 
+class Gains(click.ParamType):  # type: ignore[type-arg]
+    """``P`` or ``P,I,D`` of a servo's position loop."""
+
+    name = "gains"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """The one, or the three."""
+        try:
+            gains = tuple(map(float, str(value).split(",")))
+        except ValueError:
+            gains = ()
+        if len(gains) not in (1, 3) or not all(map(math.isfinite, gains)) or not gains[0] > 0.0:
+            self.fail(f"{value!r} must be the servo's P, above 0, or all three: 400,0,0", param, ctx)
+        return gains
+
+
 def _servo_law(
-    model: str | None, gain: float | None, scale: float | None, rest: dict[str, Any], texts: dict[str, Any]
+    model: str | None, gain: tuple[float, ...] | None, scale: float | None, rest: dict[str, Any], texts: dict[str, Any]
 ) -> ServoLaw | None:
     """The law of --servo, --gain and --p-scale; None without them. Counts of its position are the servo's own."""
     if model is None:
@@ -39,7 +56,17 @@ def _servo_law(
     roles = MODELS[model].roles
     slope = MODELS[model].role("slope") if "slope" in roles else None
     slew_V_s = slope.shipped * slope.scale if slope is not None and slope.shipped is not None else math.inf
-    return ServoLaw(gain, scale_of(MODELS[model].protocol, scale), slew_V_s)
+    P, *others = gain or (None,)
+    if any(others):
+        fail(
+            EXIT_BAD_INPUT,
+            f"--gain: the law that rig knows is duty = P x error, and I is {others[0]:g}, D {others[1]:g}",
+            "write 0 into both registers, and record again",
+        )
+    shipped = [MODELS[model][f"position_{one}_gain"].shipped for one in "id"]
+    return ServoLaw(
+        P, scale_of(MODELS[model].protocol, scale), slew_V_s, is_P_alone=bool(others) or shipped == [0, 0], model=model
+    )
 
 
 _OPTIONS = (
@@ -59,10 +86,10 @@ _OPTIONS = (
     click.option("--run", "run_column", metavar="COLUMN", help="Of a log of several runs: the column that says which."),
     click.option("--drive-row", type=int, default=0, help="-1: each drive stands a row too late, and moves up."),
     click.option("--servo", "servo_model", metavar="MODEL", help="Of a log that this servo's own position loop made."),
-    click.option("--gain", type=click.FloatRange(min=0.0, min_open=True), metavar="P", help="Of --servo: its P."),
+    click.option("--gain", type=Gains(), metavar="P[,I,D]", help="Of --servo: its P; with I and D, which must be 0."),
     click.option(
         "--p-scale",
-        type=click.FloatRange(min=0.0, min_open=True),
+        type=Positive(),
         metavar="1/RAD",
         help="Of --servo: the share of full duty that a P of 1 makes of 1 rad, as `rig servo facts` measures it.",
     ),

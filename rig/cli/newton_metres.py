@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
-from rig.cli.options import JSON
+from rig.cli.options import JSON, FiniteRange
 from rig.config.problems import ConfigError
 from rig.output.newton_metres import Load, NewtonMetres, Quantity, newton_metres
 from rig.run_folder.recording.errors import RecordingError
@@ -54,7 +54,7 @@ class Measured(click.ParamType):  # type: ignore[type-arg]
     "--arm-m", type=Measured(error=_ARM_M), metavar="M[,ERROR]",
     help="From the shaft's axis to the middle of the mass; default of its error: 1 mm; of the arm: as of the mass.",
 )  # fmt: skip
-@click.option("--rod-kg", type=click.FloatRange(min=0.0), default=0.0, help="Of the arm itself, an even rod.")
+@click.option("--rod-kg", type=FiniteRange(min=0.0), default=0.0, help="Of the arm itself, an even rod.")
 @click.option(
     "--bare", type=click.Path(path_type=Path), metavar="FREE",
     help="The same motor without the load: then inertia tells, too, and both ways are compared.",

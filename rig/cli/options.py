@@ -22,20 +22,33 @@ class Rows(click.ParamType):  # type: ignore[type-arg]
         return int(first) if first else None, int(last) if last else None
 
 
-class Pace(click.FloatRange):
+class FiniteRange(click.FloatRange):
+    """A number within bounds; infinity and nan are none."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} must be a number, such as 1", param, ctx)
+        return number
+
+
+class Positive(FiniteRange):
+    """A number above 0."""
+
+    def __init__(self) -> None:
+        super().__init__(min=0.0, min_open=True)
+
+
+class Pace(FiniteRange):
     """A number of seconds in a second; so slow that a tick takes no hour."""
 
     name = "pace"
 
     def __init__(self) -> None:
         super().__init__(1e-3)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The number; infinity and nan are none."""
-        pace = float(super().convert(value, param, ctx))
-        if not math.isfinite(pace):
-            self.fail(f"{value!r} must be a number of seconds in a second, such as 1", param, ctx)
-        return pace
 
 
 CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))

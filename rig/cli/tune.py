@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
-from rig.cli.options import JSON, OUT, PACE
+from rig.cli.options import JSON, OUT, PACE, FiniteRange, Positive
 from rig.config import ConfigError
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
     help="What the loop controls.",
 )  # fmt: skip
 @click.option(
-    "--bandwidth", "bandwidth_1_s", type=click.FloatRange(min=0.0, min_open=True), metavar="RAD/S",
+    "--bandwidth", "bandwidth_1_s", type=Positive(), metavar="RAD/S",
     help="Where the response to the set-point is 3 dB down, rad/s. Default: the largest that keeps the margins.",
 )  # fmt: skip
 @click.option(
-    "--step", type=click.FloatRange(min=0.0, min_open=True), metavar="SIZE",
+    "--step", type=Positive(), metavar="SIZE",
     help="The step that the drive must have room for, rad; of a velocity loop rad/s. Default: a quarter of the travel, "
     "or of the largest speed.",
 )  # fmt: skip
 @click.option(
-    "--phase-margin", "phase_deg", type=click.FloatRange(0.0, 90.0), default=45.0, show_default=True,
+    "--phase-margin", "phase_deg", type=FiniteRange(0.0, 90.0), default=45.0, show_default=True,
     help="That every motor within the intervals keeps, degrees.",
 )  # fmt: skip
 @click.option(
-    "--gain-margin", "gain_dB", type=click.FloatRange(0.0, 40.0), default=6.0, show_default=True,
+    "--gain-margin", "gain_dB", type=FiniteRange(0.0, 40.0), default=6.0, show_default=True,
     help="The same, dB.",
 )  # fmt: skip
 @click.option(
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     help="Instead: the gains of this servo's own position loop, duty = gain x error. It writes none of them.",
 )  # fmt: skip
 @click.option(
-    "--p-scale", type=click.FloatRange(min=0.0, min_open=True), metavar="1/RAD",
+    "--p-scale", type=Positive(), metavar="1/RAD",
     help="For --servo: the share of full duty that a gain of 1 makes of 1 rad, as `rig servo facts` measures it. "
     "Default: all that manuals and BAM say.",
 )  # fmt: skip
@@ -173,6 +173,8 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
         found = servo_loop_of(run_folder, MODELS[model], Margins(gain_dB, phase_deg, 0.0), p_scale)
     except RecordingError as error:
         fail_input(error)
+    except ConfigError as error:
+        fail_config(error)
     except TuneError as error:
         fail(EXIT_FAILED, error.cause, error.cure)
     if as_json:

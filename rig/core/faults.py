@@ -22,7 +22,8 @@ FAULTS: dict[str, FaultEntry] = {
     # link
     "LINK_OPEN": FaultEntry(
         "the port could not be opened",
-        "check the cable, the port's name in daq.port (a plug-in's in daq.options), and that no other program holds it",
+        "check the cable, the port's name (daq.port; a plug-in's in daq.options; PORT of `rig servo`), and that no "
+        "other program holds it",
     ),
     "SECOND_MASTER": FaultEntry(
         "somebody else drives this device, too",
@@ -285,7 +286,8 @@ FAULTS: dict[str, FaultEntry] = {
     # loop and recording
     "RECORDER_DEAD": FaultEntry(
         "the recorder stopped taking rows",
-        "check free space and permissions of the run folder, or choose a folder on another disk with `rig run --out`",
+        "check free space and permissions of the run folder, or choose a folder on another disk with `rig run --out`. "
+        "Where a file was cut short: leave the files of a run alone while it goes on",
     ),
     "INTERRUPTED": FaultEntry(
         "the run was interrupted",

@@ -1,50 +1,60 @@
-"""An answer in volts that are known up to a factor only: of a servo's own loop, whose P no manual says well. Pure."""
+"""What an answer is worth where a servo's own loop gave the drive: no manual says well what its P means. Pure.
+
+Besides, nobody knows to a millisecond how old the position is that a duty comes from. If it is older by d than it is
+taken to be, that does what a viscous friction of -gain x d would do: tau and K are off by the share K x gain x d, and
+no record shows it. So do I and D gains that are not 0.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final
 
 from rig.identification.motor_law import GRADES, NOT_KNOWN
-from rig.identification.verdict import in_percent
-from rig.run_folder.recording.servo_law import Scale
+from rig.identification.verdict import ASKED, in_percent
+from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import Answer, GradedNumber, known
 
-_IN_VOLTS: Final = ("K_rad_s_V", "fc_V")
+LATE_S: Final = 1e-3  # by which the position may be older or newer than the middle of its step, at 95 %; assumption
 
 
-def widest(scales: Sequence[Scale | None]) -> Scale | None:
-    """The least known of several recordings' scales; None where all volts are volts."""
-    some = [one for one in scales if one is not None]
-    return max(some, key=lambda one: one.high / one.low, default=None)
-
-
-def in_unsure_volts(answer: Answer, scale: Scale) -> Answer:
-    """The answer with K and f_c as uncertain as the scale, and the reason; as it is where the scale is known."""
-    share = scale.high / scale.middle - 1.0
-    if share == 0.0:
-        return answer
+def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
+    """The answer with what the loop leaves unknown in tau, K and f_c, and the reasons where that is much."""
+    scale = loop.scale
+    unsure, late = scale.high / scale.middle - 1.0, abs(known(answer.K_rad_s_V)) * loop.gain_V_rad * LATE_S
+    late = late if math.isfinite(late) else 0.0
     u95, absolute, grade = dict(answer.u95 or {}), dict(answer.u95_absolute or {}), dict(answer.grade or {})
-    for name in _IN_VOLTS:
+    for name, share in {"tau_s": late, "K_rad_s_V": math.hypot(unsure, late), "fc_V": unsure}.items():
         value = known(answer.value(name))
         for halves in (u95, absolute):
-            halves[name] = _wider(halves.get(name), share * abs(value))
+            halves[name] = _wider(halves.get(name), share * abs(value)) if share > 0.0 else halves.get(name)
         if name in grade:
             grade[name] = _graded(grade[name], value, u95[name])
-    reason = (
-        f"what a step of the servo's P means is known to a factor of {scale.high / scale.low:.3g} only "
-        f"({scale.source}), so K and f_c are off by up to {in_percent(share)}, and laws in volts; tau hardly: "
-        "`rig servo facts` measures it, --p-scale states it"
-    )
-    verdict = "doubtful" if answer.verdict == "ok" else answer.verdict
+    reasons = []
+    if unsure > 0.0:
+        reasons.append(
+            f"what a step of the servo's P means is known to a factor of {scale.high / scale.low:.3g} only "
+            f"({scale.source}), so K and f_c are off by up to {in_percent(unsure)}, and laws in volts; tau hardly: "
+            "`rig servo facts` measures it, --p-scale states it"
+        )
+    if late > ASKED:
+        reasons.append(
+            f"how old a position its own loop works with nobody has measured: 1 ms makes tau and K {in_percent(late)} "
+            "wrong; record with a smaller P"
+        )
+    if not loop.is_P_alone:
+        reasons.append(
+            "an I or D of the servo's loop that is not 0 makes tau and K wrong, and nothing shows it: "
+            "say what it had, --gain P,I,D"
+        )
+    verdict = "doubtful" if reasons and answer.verdict == "ok" else answer.verdict
     return answer.model_copy(
         update={
             "u95": u95,
             "u95_absolute": absolute,
             "grade": grade or None,
             "verdict": verdict,
-            "reasons": (reason, *answer.reasons),
+            "reasons": (*reasons, *answer.reasons),
         }
     )
 

@@ -15,7 +15,7 @@ from rig.identification.agreement import are_one_motor, disagreement, estimates_
 from rig.identification.breakaway import StaticFriction, breakaway
 from rig.identification.departures.blocks import HeldOut
 from rig.identification.departures.laws import LEVEL_EACH
-from rig.identification.drive_scale import in_unsure_volts, widest
+from rig.identification.drive_scale import by_own_loop
 from rig.identification.estimate import VERDICTS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.friction_map import FrictionMap, friction_map
@@ -40,7 +40,7 @@ from rig.run_folder.recording.curves import Curves
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.series import LATENCY_S, TimeSeries
-from rig.run_folder.recording.servo_law import Scale
+from rig.run_folder.recording.servo_law import OwnLoop, least_known
 from rig.run_folder.recording.stage import StageKind, kind_of
 from rig.run_folder.results import (
     Answer,
@@ -72,7 +72,7 @@ class Identification:
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
     rehearsal   whether a recording is a rehearsal: its motor was made up
-    p_scale     of a servo whose own loop made a recording; None: volts are volts
+    own_loop    of a servo that made a recording; None: volts are volts
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -85,7 +85,7 @@ class Identification:
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
     rehearsal: bool = False
-    p_scale: Scale | None = None
+    own_loop: OwnLoop | None = None
 
     def as_result(self) -> IdentificationResult:
         """As `rig identify --json` prints it. result.json has the same names."""
@@ -107,7 +107,7 @@ class Identification:
         law, largest_V = self.motor_law, largest_drive_V(self.tests) if self.tests else 0.0
         found = {method: estimate.as_result() for method, estimate in self.estimates.items()}
         answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
-        return answer if answer is None or self.p_scale is None else in_unsure_volts(answer, self.p_scale)
+        return answer if answer is None or self.own_loop is None else by_own_loop(answer, self.own_loop)
 
     @property
     def evidence(self) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def identify(
                 found = min(found, _tried(asked, data), key=_rank)
     if isinstance(found, IdentifyError):
         raise found
-    found.p_scale = widest([recording.p_scale for recording in recordings])
+    found.own_loop = least_known(recording.own_loop for recording in recordings)
     found.rehearsal = any(recording.meta.rehearsal for recording in recordings)
     return found
 

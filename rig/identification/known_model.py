@@ -76,7 +76,7 @@ def answer_in(path: Path) -> Answer:
         answer = None if of_run is None else of_run.answer
     if answer is None:
         raise RecordingError(
-            path, "holds no answer", "give a run folder, or a file: `rig identify LOG --json > found.json`"
+            path, "holds no answer", "give a run folder that has one, or a file: `rig identify LOG --json > found.json`"
         )
     return answer
 

@@ -12,11 +12,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from rig.run_folder.results import Answer, JsonObject, known
+from rig.run_folder.results import Answer, FoundLawResult, JsonObject, known
 
 GRAVITY_M_S2: Final = 9.81
 _STEP: Final = 1e-4  # of a half width, for a derivative
 _OVER_POSITION: Final = "force_over_position"
+_NUMBERS: Final = ("tau_s", "K_rad_s_V", "fc_V")
+_OTHER_K: Final = 0.1  # by which K may differ with the load beyond all intervals, as where friction grows with torque
 
 Inputs = Mapping[str, "Quantity"]
 Formula = Callable[[Mapping[str, float]], float]
@@ -30,8 +32,8 @@ class Quantity(NamedTuple):
 
     @property
     def percent(self) -> float:
-        """Its half width, % of it."""
-        return 100.0 * self.u95 / abs(self.value)
+        """Its half width, % of it; inf where it is 0."""
+        return 100.0 * self.u95 / abs(self.value) if self.value else math.inf
 
     def as_json(self) -> JsonObject:
         """Both."""
@@ -115,8 +117,12 @@ def newton_metres(
     ]
     if unusable:
         return NewtonMetres("refused", tuple(unusable))
-    inputs = _inputs(loaded, load, bare, R_ohm)
     reasons = [f"the run {which} is doubtful" for which, one in runs.items() if one.verdict != "ok"]
+    if bare is not None and (other := _other_motor(loaded, bare)) > 0.0:
+        reasons.insert(0, _other_K(loaded, bare))
+        if other > _OTHER_K:
+            return NewtonMetres("refused", tuple(reasons))
+    inputs = _inputs(loaded, load, bare, R_ohm)
     by_gravity, by_inertia = _by_gravity(inputs, reasons), _by_inertia(inputs, reasons)
     ways = [(way, formula) for way, formula in ((by_gravity, _gravity), (by_inertia, _inertia)) if way is not None]
     if not ways:
@@ -149,7 +155,24 @@ def newton_metres(
 
 
 def _is_whole(answer: Answer) -> bool:
-    return all(math.isfinite(known(answer.value(name))) for name in ("tau_s", "K_rad_s_V", "fc_V"))
+    """Whether it has the numbers of a motor, each with an interval: what has none is not exact."""
+    tau_s, K, fc_V = (known(answer.value(name)) for name in _NUMBERS)
+    is_motor = 0.0 < tau_s < math.inf and 0.0 < K < math.inf and 0.0 <= fc_V < math.inf
+    return is_motor and all(answer.at_95(name) is not None for name in _NUMBERS)
+
+
+def _other_motor(loaded: Answer, bare: Answer) -> float:
+    """By how much K differs beyond both intervals, as a share of it: a load leaves K as it is."""
+    one, other = (_number(answer, "K_rad_s_V") for answer in (loaded, bare))
+    return (abs(one.value - other.value) - one.u95 - other.u95) / other.value - 1e-9
+
+
+def _other_K(loaded: Answer, bare: Answer) -> str:
+    with_it, without = (_number(answer, "K_rad_s_V") for answer in (loaded, bare))
+    return (
+        f"K is {with_it.value:.4g} (rad/s)/V with the load, {without.value:.4g} without it, and a load leaves K as it "
+        "is: are both runs of one motor, with the same gear and supply"
+    )
 
 
 def _inputs(loaded: Answer, load: Load, bare: Answer | None, R_ohm: Quantity | None) -> dict[str, Quantity]:
@@ -166,13 +189,23 @@ def _inputs(loaded: Answer, load: Load, bare: Answer | None, R_ohm: Quantity | N
     }
     if bare is not None:
         inputs["without_V"] = inertia_V_s2_rad(bare)
-    pull = next((law for law in loaded.law or () if law.name == _OVER_POSITION), None)
+    pull = _pull_of(loaded)
     if pull is not None and known(pull.value) > 0.0:
         low, high = map(known, pull.ci95 or (None, None))
-        inputs["pull_V"] = Quantity(known(pull.value), 0.5 * (high - low))
+        inputs["pull_V"] = Quantity(known(pull.value), math.hypot(0.5 * (high - low), _own_pull_V(bare)))
     if R_ohm is not None:
         inputs["R_ohm"] = R_ohm
     return inputs
+
+
+def _pull_of(answer: Answer) -> FoundLawResult | None:
+    return next((law for law in answer.law or () if law.name == _OVER_POSITION), None)
+
+
+def _own_pull_V(bare: Answer | None) -> float:
+    """Force over position without the load, V: nobody knows whether it adds to the load's, or takes from it."""
+    own = None if bare is None else _pull_of(bare)
+    return 0.0 if own is None else known(own.value)
 
 
 def inertia_V_s2_rad(answer: Answer) -> Quantity:
@@ -202,14 +235,15 @@ def _correlation(answer: Answer) -> float:
     names = answer.covariance_of
     if answer.correlation is None or "tau_s" not in names or "K_rad_s_V" not in names:
         return 0.0
-    found = known(answer.correlation[names.index("tau_s")][names.index("K_rad_s_V")])
+    row = answer.correlation[names.index("tau_s") :][:1]
+    found = known(next(iter(row[0][names.index("K_rad_s_V") :]), None)) if row else math.nan
     return min(max(found, -1.0), 1.0) if math.isfinite(found) else 0.0
 
 
 def _supply_error(answer: Answer) -> float:
-    """By how much a volt of the bench may be off, 1: what u95_absolute of K has and u95 has not."""
-    within, whole = (known((one or {}).get("K_rad_s_V")) for one in (answer.u95, answer.u95_absolute))
-    more = whole**2 - within**2
+    """By how much a volt of the bench may be off, 1: what u95_absolute of K has beyond scatter."""
+    low, high = answer.interval("K_rad_s_V") or (0.0, 0.0)
+    more = known((answer.u95_absolute or {}).get("K_rad_s_V")) ** 2 - (0.5 * (high - low)) ** 2
     return math.sqrt(more) / known(answer.K_rad_s_V) if more > 0.0 else 0.0
 
 

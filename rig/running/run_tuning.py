@@ -162,12 +162,16 @@ def servo_loop_of(folder: Path, model: ServoModel, least: Margins, p_scale: floa
 
     least     margins that every motor of its intervals keeps
     p_scale   share of full duty that a gain of 1 makes of 1 rad, 1/rad; None: as manuals have it
-    Raises RecordingError where the folder has no result, or does not say its supply; TuneError as ``servo_loop``.
+    Raises RecordingError where the folder has no result, does not say its supply, or is of another servo, ConfigError
+    for a config that cannot be read; TuneError as ``servo_loop``.
     """
     result, _ = read_result(folder)
     if result is None:
         require_run(folder)
         raise RecordingError(folder / RESULT, "is missing", "`rig tune` reads the run folder of an identified motor")
+    own = config.load(folder / CONFIG, follows_links=False).daq.servo if (folder / CONFIG).exists() else None
+    if own is not None and own.model != model.name:
+        raise RecordingError(folder, f"is a run of a {own.model}, not of a {model.name}", f"type --servo {own.model}")
     meta, _ = read_meta(folder)
     supply_V = None if meta is None or meta.drive is None else meta.drive.supply_V
     if not supply_V:

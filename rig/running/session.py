@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import stat
 import traceback
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
@@ -29,7 +31,7 @@ from rig.identification import Identification, IdentifyError, identify
 from rig.model.supply import SupplyReading
 from rig.output.report import write_report
 from rig.run_folder.live.stop_flag import StopFlag
-from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recorder import Recorder
@@ -78,6 +80,11 @@ class Outcome:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate.reasons))
         return "; ".join(why)
 
+    def fail(self, error: RecordingError) -> None:
+        """Note what could not be written, once: the result is written twice."""
+        words = f"{error.path.name} {error.cause}; {error.cure}"
+        self.failures += [] if words in self.failures else [words]
+
     def as_json(self) -> JsonObject:
         """What `--json` prints: whether all is well, the folder, if not the cause and the cure; then result.json."""
         printed: JsonObject = {"ok": not self.failure, "folder": str(self.folder)}
@@ -100,9 +107,26 @@ class Session:
     recording: Recording | None = None  # the rows that were read last
     delay: BenchDelay | None = None  # of the bench, once it is known; in a replay from the begin
     paced: str = ""  # at the end: as of ``Outcome``
+    made: os.stat_result | None = field(init=False, default=None)  # the folder, as it was made
+
+    def __post_init__(self) -> None:
+        with suppress(OSError):
+            self.made = self.folder.lstat()
+
+    def require_own_folder(self) -> None:
+        """Raise CannotWriteError where another folder stands in the place of the run's: what is there is not rig's."""
+        with suppress(OSError):  # there is none: who writes says so
+            here = self.folder.lstat()
+            if self.made is not None and stat.S_ISDIR(here.st_mode) and not os.path.samestat(here, self.made):
+                raise CannotWriteError(
+                    self.folder,
+                    "is another folder than the one that this run began in: its files stay as they are",
+                    "the rows of this run are where somebody has moved its folder: type `rig identify` on that",
+                )
 
     def read(self) -> Recording:
         """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
+        self.require_own_folder()
         self.recording = read_run(self.folder, self.recording)
         return self.recording
 
@@ -280,6 +304,7 @@ def _told_pace(session: Session) -> str:
         return ""
     session.meta = session.meta.model_copy(update={"time": run_time(session.bench)})
     with suppress(RecordingError):  # a full disk has its own words: the result that follows goes there, too
+        session.require_own_folder()
         write_meta(session.folder, session.meta, follows_links=False)
     stood = "without a stall"
     if clock.stalls:
@@ -313,11 +338,12 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             outcome.failures.append(f"the recording was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
+        session.require_own_folder()
         if session.folder.is_symlink():  # somebody has put it in the folder's place
             raise OSError(f"{session.folder} is a link now, and rig follows none here")
         write_report(session.folder, session.found.identification, session.recording)
     except RecordingError as error:
-        outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
+        outcome.fail(error)
     except OSError as error:
         outcome.failures.append(f"no report: {error}")
     except Exception as error:  # noqa: BLE001 - recording and result are there
@@ -363,10 +389,10 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
         outcome.result = _least_result(session, outcome)
     try:
+        session.require_own_folder()
         write_result(session.folder, outcome.result, follows_links=False)
     except RecordingError as error:
-        words = f"{error.path.name} {error.cause}; {error.cure}"
-        outcome.failures += [] if words in outcome.failures else [words]  # it is written twice
+        outcome.fail(error)
 
 
 def _least_result(session: Session, outcome: Outcome) -> RunResult:

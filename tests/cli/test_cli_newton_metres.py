@@ -128,6 +128,52 @@ def test_what_the_motor_does_not_show_is_no_way() -> None:
     assert refused.verdict == "refused" and refused.reasons == ("the run without it has no usable answer",)
 
 
+def test_a_run_of_another_motor_is_none_without_the_load() -> None:
+    load, other = a_load(), (2.0 * KT, R_OHM, INERTIA, VISCOUS, FRICTION)
+    found = newton_metres(answer(load), load, answer(None, other))
+    assert found.verdict == "refused" and found.torque_N_m_V is None and "one motor" in found.reasons[0]
+    near = (KT, R_OHM, INERTIA, 1.3 * VISCOUS, FRICTION)  # K 2.7 % off
+    assert newton_metres(answer(load), load, answer(None, near)).verdict != "ok"
+    assert newton_metres(answer(load, half=0.02), load, answer(None, near, half=0.02)).verdict == "ok"
+
+
+def test_numbers_without_an_interval_are_not_exact() -> None:
+    load = a_load()
+    assert newton_metres(answer(load, half=0.01), load, answer().model_copy(update={"ci95": None})).verdict == "refused"
+
+
+@pytest.mark.parametrize("update", [{"tau_s": 0.0}, {"K_rad_s_V": 0.0}, {"K_rad_s_V": -2.0}, {"fc_V": math.nan}])
+def test_numbers_that_no_motor_has_are_refused(update: dict[str, float]) -> None:
+    load = a_load()
+    assert newton_metres(answer(load), load, answer().model_copy(update=update)).verdict == "refused"
+
+
+def test_a_force_that_the_motor_has_without_the_load_widens_the_pull() -> None:
+    """Beside the load's it may stand at any angle."""
+    load = a_load(half=0.0)
+    own = answer().model_copy(update={"law": answer(load, pull=0.05).law})
+    found = newton_metres(answer(load), load, own)
+    assert found.by_gravity is not None and found.by_gravity.percent == pytest.approx(5.0, rel=1e-2)
+
+
+def test_a_motor_without_friction_is_shown(tmp_path: Path) -> None:
+    load, file = a_load(), tmp_path / "loaded.json"
+    none = answer(load).as_json() | {
+        "fc_V": 0.0,
+        "ci95": {"tau_s": [1.0, 1.0], "K_rad_s_V": [1.0, 1.0], "fc_V": [0.0, 0.0]},
+    }
+    file.write_text(json.dumps({"answer": none}))
+    assert rig("newton-metres", file, "--mass-kg", MASS, "--arm-m", ARM).exit_code == 0
+
+
+def test_what_a_volt_is_worth_is_in_kt_however_the_answer_has_it() -> None:
+    """Of a log of a servo's own loop K has it in u95, too."""
+    K = answer().K_rad_s_V or 0.0
+    unsure = answer(u95={"K_rad_s_V": 0.41 * K}, u95_absolute={"K_rad_s_V": 0.41 * K})
+    found = newton_metres(answer(a_load(half=0.0)), a_load(half=0.0), unsure, Quantity(R_OHM))
+    assert found.kt_N_m_A is not None and found.kt_N_m_A.percent == pytest.approx(41.0, rel=1e-6)
+
+
 def test_the_command_says_it_and_its_status(tmp_path: Path) -> None:
     load, files = a_load(half=0.0), {}
     for name, one in {"loaded": answer(load), "bare": answer()}.items():

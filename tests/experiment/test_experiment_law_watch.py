@@ -28,6 +28,7 @@ from faults import hanging_laws
 from rig.config import load
 from rig.control.law import Rest, Timed
 from rig.core.faults import Fault
+from rig.core.halted import Halts
 from rig.core.signals import Sample
 from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.live.stop_flag import request_stop
@@ -467,6 +468,13 @@ def test_a_law_that_ends_the_process_ends_its_run_with_a_fault_and_a_result(tmp_
     assert fault["code"] == "LAW_FAILED" and "loop_died" not in (folder / "events.jsonl").read_text(encoding="utf-8")
 
 
+def test_a_law_that_ends_the_process_in_c_does_not_do_so_without_a_word(tmp_path: Path) -> None:
+    """Its status is 0, and there is no result: the keeper says so."""
+    host = hanging(tmp_path, "exits in C")
+    said = host.communicate(timeout=HUNG_S)[1]
+    assert host.returncode == 0 and "ended within a step of the law hangs" in said and "there is no result" in said
+
+
 @pytest.mark.parametrize("in_thread", [False, True])
 def test_a_law_that_swallows_what_keeps_the_process_alive_drives_no_further(in_thread: bool) -> None:
     law: WatchedLaw
@@ -557,11 +565,12 @@ def test_where_a_motor_could_move_no_law_goes_on_without_its_keeper(
 def test_a_keeper_that_is_stopped_while_it_has_the_link_never_speaks_again_and_the_loop_stops_the_drive() -> None:
     """As by SIGSTOP between its claim and its stop: it neither gives the link back nor ends the loop's process."""
     lease, keeper = LawLease(-1), law_watch.Keeper.__new__(law_watch.Keeper)
-    keeper.lease, keeper._verdict_s, keeper._stopped_s = lease, 10.0, math.inf
+    keeper.lease, keeper._verdict_s = lease, 10.0
     law = WatchedLaw(Timed(SimpleNamespace(step=lambda _: float(lease.take(lease.at_work))), 1.0, "own"), times())
     law.keeper = keeper
     waits = [sys.executable, "-c", "input()"]
     with subprocess.Popen(waits, stdin=subprocess.PIPE) as keeper._process:
+        keeper._halts = Halts(keeper._process.pid)
         keeper._process.send_signal(signal.SIGSTOP)
         with pytest.raises(Fault, match=r"LAW_UNWATCHED.*somebody has stopped the keeper"):
             law.step(Sample(0.0, 0.0, 512))
@@ -601,18 +610,21 @@ def test_a_law_that_changes_the_folder_leaves_the_run_in_its_own(
     assert (folder / "report.html").exists() and not (folder / "stop.flag").exists()
 
 
-class PutsALink:
-    """A law during which somebody moves the run's folder away, and puts a link in its place."""
+class Swaps:
+    """A law during which somebody moves the run's folder away, and puts a link, or a folder, in its place."""
 
-    def __init__(self, runs: Path, victim: Path) -> None:
-        self._runs, self._victim, self._steps = runs, victim, 0
+    def __init__(self, runs: Path, victim: Path, *, is_link: bool = True) -> None:
+        self._runs, self._victim, self._is_link, self._steps = runs, victim, is_link, 0
 
     def step(self, sample: Sample) -> float:
         self._steps += 1
         if self._steps == 10:
             [folder] = self._runs.glob("2*")
             folder.rename(folder.with_name("moved"))
-            folder.symlink_to(self._victim)
+            if self._is_link:
+                folder.symlink_to(self._victim)
+            else:
+                self._victim.rename(folder)
         return 0.3
 
 
@@ -621,13 +633,25 @@ def test_a_link_in_the_place_of_the_runs_folder_leads_nothing_elsewhere(tmp_path
     (victim := tmp_path / "victim").mkdir()
     for name in ("result.json", "report.html", "stop.flag"):
         (victim / name).write_text("precious")
-    law = PutsALink(tmp_path / "runs", victim)
+    law = Swaps(tmp_path / "runs", victim)
     with pytest.raises(RecordingError, match="a folder without a run"):
         rig.run(rig.ready("simulated"), law=law, duration_s=1.0, out=tmp_path / "runs")
     assert {path.read_text() for path in victim.iterdir()} == {"precious"} and len(list(victim.iterdir())) == 3
     moved = tmp_path / "runs" / "moved"
     assert not (moved / "stop.flag").exists() and "loop_died" not in (moved / "events.jsonl").read_text()
     assert len((moved / "samples.csv").read_text().splitlines()) > 100
+
+
+def test_another_folder_in_the_place_of_the_runs_stays_as_it_is(tmp_path: Path) -> None:
+    (victim := tmp_path / "victim").mkdir()
+    for name in ("result.json", "samples.csv", "meta.json"):
+        (victim / name).write_text("precious")
+    law = Swaps(tmp_path / "runs", victim, is_link=False)
+    with suppress(RecordingError):  # what is there is no run
+        rig.run(rig.ready("simulated"), law=law, duration_s=1.0, out=tmp_path / "runs")
+    [there] = (tmp_path / "runs").glob("2*")
+    assert {path.read_text() for path in there.iterdir()} == {"precious"} and len(list(there.iterdir())) == 3
+    assert len((tmp_path / "runs" / "moved" / "samples.csv").read_text().splitlines()) > 100
 
 
 class Forks:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,15 @@ import servo_log
 from command_line import rig
 
 from rig.identification import identify
+from rig.identification.drive_scale import by_own_loop
+from rig.output.report.simulated import beyond
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat, LogFormatError
 from rig.run_folder.recording.reader import read, read_all
-from rig.run_folder.recording.servo_law import SCALES, Scale, ServoLaw, scale_of
+from rig.run_folder.recording.servo_law import SCALES, OwnLoop, Scale, ServoLaw, least_known, scale_of
 from rig.run_folder.results import Answer
 
+_BAMS = ("xl330", "sts3215")
 KNOWN = Scale(1.0, 1.0, "stated")
 TAU_S, K, FC_V = 0.0444, 2.354, 0.133  # of the emulated XL330
 
@@ -76,7 +80,7 @@ def test_a_log_is_read_by_its_columns_and_says_what_it_took(tmp_path: Path) -> N
     rows = [(0.01 * k, 0.1 * k, 0.1 * k + 0.2, 7.4 + 0.1 * (k % 3)) for k in range(30)]
     found = read(written(tmp_path / "log.csv", rows), log_of())
     np.testing.assert_allclose(found.u_V, 7.5 * 0.5 * 0.2)
-    assert found.p_scale == KNOWN and found.drive_steps is not None
+    assert found.own_loop == OwnLoop(KNOWN, 0.5 * 7.5) and found.drive_steps is not None
     assert "the supply is the median of column voltage, 7.5 V" in found.notes
     assert found.notes[-1].startswith("the drive is that of the servo's own law, P 0.5, 7.5 V")
     stated = read(tmp_path / "log.csv", log_of(supply_V=5.0))
@@ -113,7 +117,8 @@ def test_options_of_another_kind_of_log_are_refused() -> None:
 def test_a_log_of_bams_is_read_as_it_is(tmp_path: Path) -> None:
     (found,) = read_all(bam(tmp_path / "log.json"))
     assert len(found) == 40 and found.t_s[0] == 0.3  # the stretch with the torque on
-    assert found.p_scale == SCALES["dynamixel"]
+    assert found.own_loop is not None and found.own_loop.scale == SCALES["dynamixel"]
+    assert "a factor of 2 only" in beyond(Answer(), found)
     assert found.drive_steps is not None
     # the goal of a row was written before its position was read: it holds in the time before it
     error_rad = 3.1 + 0.2 - (3.0 + 0.1 / 20)
@@ -121,6 +126,22 @@ def test_a_log_of_bams_is_read_as_it_is(tmp_path: Path) -> None:
     own = read(tmp_path / "log.json", LogFormat(servo=ServoLaw(None, scale_of("dynamixel", 0.004)), supply_V=6.0))
     assert own.drive_steps is not None
     assert own.drive_steps[1][0] == pytest.approx(6.0 * 100 * 0.004 * error_rad)
+
+
+def test_a_log_of_bams_that_names_another_servo_is_refused(tmp_path: Path) -> None:
+    law = ServoLaw(None, SCALES["feetech"], model="sts3215")
+    with pytest.raises(RecordingError, match="its motor is xl330, not sts3215"):
+        read(bam(tmp_path / "log.json"), LogFormat(servo=law))
+
+
+def _of(motor: str, data: dict[str, Any]) -> None:
+    data.update(motor=motor)
+
+
+def test_nobody_says_that_the_d_of_an_sts3215_was_0(tmp_path: Path) -> None:
+    own, theirs = (read_all(bam(tmp_path / "log.json", partial(_of, motor)))[0] for motor in _BAMS)
+    assert own.own_loop is not None and own.own_loop.is_P_alone
+    assert theirs.own_loop is not None and not theirs.own_loop.is_P_alone
 
 
 @pytest.mark.parametrize(
@@ -131,6 +152,10 @@ def test_a_log_of_bams_is_read_as_it_is(tmp_path: Path) -> None:
         (lambda data: [one.update(torque_enable=False) for one in data["entries"]], "with the torque on"),
         (lambda data: data["entries"][40].pop("goal_position"), "entry 40 lacks"),
         (lambda data: data["entries"][40].update(timestamp=0.0), "its time does not rise after entry 9"),
+        (lambda data: [one.update(input_volts=-5.0) for one in data["entries"]], "its input_volts are -5"),
+        (lambda data: data["entries"][40].update(torque_enable="off"), "entry 40 is neither true nor false"),
+        (lambda data: data["entries"][69].update(timestamp=1e6), "which goal it had in the 1e\\+06 s before"),
+        (lambda data: [one.update(timestamp=10.0 * k) for k, one in enumerate(data["entries"])], "10 s apart"),
     ],
 )
 def test_a_broken_log_of_bams_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:
@@ -160,6 +185,32 @@ def test_a_motor_comes_back_from_its_servos_own_loop_and_its_volts_are_as_uncert
     assert "factor" not in " ".join(stated.reasons)
 
 
+def found(half: float = 0.01, K_rad_s_V: float = 2.0) -> Answer:
+    """An answer whose numbers all have this half width, 1."""
+    numbers = {"tau_s": 0.05, "K_rad_s_V": K_rad_s_V, "fc_V": 0.2}
+    u95 = {name: half * value for name, value in numbers.items()}
+    return Answer(**numbers, u95=u95, u95_absolute=u95, verdict="ok")
+
+
+def test_what_nobody_knows_of_a_servos_loop_is_in_the_answer() -> None:
+    """A delay of 1 ms does what gain x 1 ms of viscous friction would do, and no record shows it."""
+    late = by_own_loop(found(), OwnLoop(KNOWN, 20.0))
+    for name, value in {"tau_s": 0.05, "K_rad_s_V": 2.0}.items():
+        low, high = late.at_95(name) or (math.nan, math.nan)
+        assert 0.5 * (high - low) / value == pytest.approx(math.hypot(0.01, 2.0 * 20.0 * 1e-3))
+    assert late.at_95("fc_V") == pytest.approx((0.198, 0.202))
+    assert late.verdict == "doubtful" and "a smaller P" in late.reasons[0]
+    assert by_own_loop(found(), OwnLoop(KNOWN, 5.0)).verdict == "ok"
+    with_D = by_own_loop(found(), OwnLoop(KNOWN, 5.0, is_P_alone=False))
+    assert with_D.verdict == "doubtful" and "--gain P,I,D" in with_D.reasons[0]
+
+
+def test_of_several_logs_the_least_known_counts() -> None:
+    loops = OwnLoop(KNOWN, 9.0), None, OwnLoop(SCALES["feetech"], 3.0, is_P_alone=False)
+    assert least_known(loops) == OwnLoop(SCALES["feetech"], 9.0, is_P_alone=False)
+    assert least_known([None]) is None
+
+
 def test_the_options_of_the_command(tmp_path: Path) -> None:
     file = written(tmp_path / "log.csv", [(0.01 * k, 2048, 2048, 5.0) for k in range(30)])
     servo = ("--servo", "xl330-m288", "--gain", "400")
@@ -167,6 +218,9 @@ def test_the_options_of_the_command(tmp_path: Path) -> None:
         (("--gain", "400"), "add --servo MODEL"),
         (("--servo", "ax12", "--gain", "400"), "no servo that rig knows"),
         ((*servo, "--drive", "V"), "--drive and --servo are both given"),
+        (("--servo", "sts3215", "--gain", "16,0,32"), "duty = P x error, and I is 0, D 32"),
+        (("--servo", "sts3215", "--gain", "nan"), "must be the servo's P"),
+        ((*servo, "--p-scale", "inf"), "must be a number"),
         # 4096 counts a turn need not be said
         ((*servo, "--time", "s", "--position", "counts", "--goal", "counts"), "the position never changes"),
     ):

@@ -20,6 +20,7 @@ from rig.model.real_motor import FramedMotor
 from rig.running.run_tuning import position_mode_of
 
 TAU_S, K, FC_V = 0.0444, 2.354, 0.133  # the XL330 of Rhoban/bam, model M1
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 XL330, STS3215 = position_mode_of(MODELS["xl330-m288"]), position_mode_of(MODELS["sts3215"])
 MANUAL = 4096 / (2.0 * math.pi) / 885 / 128
 
@@ -82,6 +83,15 @@ def test_the_command_prints_and_writes_nothing(tmp_path: Path) -> None:
         (("--servo", "ax12"), "no servo that rig knows"),
         (("--servo", "sts3215", "--loop", "velocity"), "--loop is for rig's own loop"),
         (("--p-scale", "0.1"), "add --servo"),
+        (("--servo", "xl330-m288", "--p-scale", "inf"), "must be a number"),
+        (("--servo", "xl330-m288", "--p-scale", "nan"), "must be a number"),
     ):
         refused = rig("tune", run, *more)
         assert refused.exit_code == 2 and words in refused.output
+
+
+def test_a_run_of_another_servo_is_refused(tmp_path: Path) -> None:
+    run = tuned_run(tmp_path)
+    (run / "config.yaml").write_bytes((CONFIG / "servo.yaml").read_bytes())
+    refused = rig("tune", run, "--servo", "sts3215")
+    assert refused.exit_code == 2 and "is a run of a xl330-m288, not of a sts3215" in refused.output

@@ -55,8 +55,13 @@ def _exits() -> None:
     os._exit(0)
 
 
+def _exits_in_c() -> None:
+    ctypes.CDLL(None)._exit(0)
+
+
 WAYS = {
     "spins": _spins, "swallows": _swallows, "sleeps": _sleeps, "in C": _in_c, "locked": _locked, "exits": _exits,
+    "exits in C": _exits_in_c,
 }  # fmt: skip
 # other ways: the law returns, and then a thread of it holds the interpreter between two steps; in virtual time a loop
 # that reads and writes at every tick lets no thread in, but for one that asks at once

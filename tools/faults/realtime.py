@@ -339,7 +339,7 @@ def _law_row(name: str, way: str, code: str, status: int, *signals: signal.Signa
             case.host.send_signal(number)
             time.sleep(0.002)
 
-    by_signal = code != "LAW_TIME"  # else the law's time is what ends it
+    by_signal = code not in ("LAW_TIME", "LAW_FAILED")  # else the law's time, or what it does, is what ends it
     return RealRow(
         name,
         f"a law of the user's own, `{way}`{' and signals' if signals else ''}",
@@ -361,6 +361,7 @@ _LAW_ROWS = (
     _law_row("law sleeps in C", "locked", "LAW_TIME", -9),
     _law_row("law swallows every exception", "swallows", "LAW_TIME", -9),
     _law_row("a thread of the law holds Python", hanging_laws.THREAD, "LAW_TIME", -9),
+    _law_row("law ends the process by os._exit", "exits", "LAW_FAILED", 1),
     *(
         _law_row(f"law hangs, {number.name}", "spins", "INTERRUPTED", 1, number)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

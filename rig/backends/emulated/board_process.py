@@ -56,7 +56,7 @@ class BoardProcess:
     def _launch_module(self, module: str, device: object, link: Path | None, trace: Path | None, **options: str) -> str:
         """As ``_launch``, of one of rig's own modules (``rig.backends.emulated.real_time``), which gets the device."""
         packed = base64.b64encode(pickle.dumps(device)).decode("ascii")
-        return self._launch((sys.executable, "-m", module), {"device": packed, **options}, link, trace)
+        return self._launch((sys.executable, "-P", "-m", module), {"device": packed, **options}, link, trace)
 
     def _must_not_run(self) -> None:
         if self._process is not None:

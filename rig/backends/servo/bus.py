@@ -244,6 +244,21 @@ class ServoLink:
         except ValueError as error:
             raise self.client.misfit(str(error)) from error
 
+    def one_answers(self, name: str, wait_s: float) -> bool:
+        """Whether one answer, and nothing but that, comes to one question for a register, and ``wait_s`` after it.
+
+        Raises Fault LINK_LOST, SERVO_REFUSED.
+        """
+        register, before = self.model[name], self.client.statistics
+        try:
+            self.client.asked(self.bus.reading(register.address, register.size, str(register)), self._timeout_s)
+        except Fault as fault:
+            if fault.code in ("LINK_LOST", REFUSAL):
+                raise
+        self.client.wait(wait_s)
+        after = self.client.statistics
+        return all(after[counted] == before[counted] for counted in ("stale_bytes", "bad_replies"))
+
     def put(self, name: str, value: int) -> None:
         """Write a register; the reply confirms it."""
         self.client.patiently(self.write_of(name, value), self._timeout_s)

@@ -42,12 +42,19 @@ class ServoAnswers:
     adapter: Adapter | None = None
 
 
-def model_named(name: str) -> ServoModel:
-    """The model of that name, or the first whose name begins so. Raises AnswerError where rig knows none."""
-    found = MODELS.get(name) or next((MODELS[one] for one in sorted(MODELS) if one.startswith(name)), None)
-    if found is None:
+def model_named(name: str, *, is_read: bool = False) -> ServoModel:
+    """The model of that name, or the one whose name begins so.
+
+    is_read  the servo itself will tell which: then the first of several will do
+    Raises AnswerError where rig knows none, and for several.
+    """
+    found = [MODELS[name]] if name in MODELS else [MODELS[one] for one in sorted(MODELS) if one.startswith(name)]
+    if not found:
         raise AnswerError(f"rig knows no servo {name!r}", f"one of {', '.join(sorted(MODELS))}")
-    return found
+    if len(found) > 1 and not is_read:
+        names = " or ".join(one.name for one in found)
+        raise AnswerError(f"{name} may be {names}", f"name it, such as --servo {found[-1].name}, or give its --port")
+    return found[0]
 
 
 def text(answers: ServoAnswers) -> str:

@@ -15,6 +15,7 @@ from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
+from rig.core.halted import WORDS, Halts
 
 _STARTS_S: Final = 10.0
 _ENDS_S: Final = 3.0
@@ -59,6 +60,7 @@ class ServoKeeper:
             raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
         finally:
             os.close(heard)
+        self._halts = Halts(self._process.pid)
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             self._process.stdin.write(json.dumps(orders).encode("ascii") + b"\n")
@@ -82,6 +84,8 @@ class ServoKeeper:
 
     def beat(self) -> None:
         """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
+        if self._halts.is_for_good:
+            raise Fault("SERVO_UNWATCHED", WORDS)
         self._tell(_BEAT)
 
     def rest(self) -> None:
@@ -97,6 +101,8 @@ class ServoKeeper:
             with contextlib.suppress(Fault):
                 self._tell(_DONE)
         self._let_go()
+        if self._process.poll() is None and self._halts.is_stopped:
+            self._process.kill()
         try:
             self._process.wait(_ENDS_S)
         except subprocess.TimeoutExpired:

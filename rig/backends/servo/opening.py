@@ -18,6 +18,8 @@ from rig.core.faults import Fault
 _SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V may differ
 _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits
 _LISTENS_S: Final = 0.05  # for another master
+_QUESTIONS: Final = 4  # that tell whether one servo alone answers
+_ANSWERS_S: Final = 0.03  # within which a second answer comes, also behind a slow adapter
 _TORQUE_BY_GOAL, _SLAVE = 0x08, 0x02  # bits of Dynamixel's drive mode
 _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuration
 _ANSWERS_ALL: Final = {"dynamixel": 2, "feetech": 1}  # level at which a servo answers every instruction
@@ -91,9 +93,9 @@ class Left:
 def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
     """Every check that only reads. Returns remarks.
 
-    Raises Fault SECOND_MASTER, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
+    Raises Fault SECOND_MASTER, LINK_UNIT, SERVO_IN_USE, SERVO_SETUP, SERVO_ERROR, SERVO_SUPPLY, SERVO_HOT.
     """
-    check_alone(link)
+    _check_bus(link)
     _check_errors(link)
     _check_setup(link)
     _check_supply(link, setup)
@@ -105,11 +107,11 @@ def look(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
 def objections(link: ServoLink) -> tuple[str, ...]:
     """What ``look`` would refuse whatever the config says, for people. Raises Fault LINK_*."""
     found = []
-    for check in (_check_errors, _check_setup, _check_torque):
+    for check in (check_one, _check_errors, _check_setup, _check_torque):
         try:
             check(link)
         except Fault as fault:
-            if not fault.code.startswith("SERVO_") or fault.code == "SERVO_REFUSED":
+            if not (fault.code.startswith("SERVO_") or fault.code == "LINK_UNIT") or fault.code == "SERVO_REFUSED":
                 raise
             found.append(f"{fault.code}: {fault.detail}")
     return tuple(found)
@@ -196,12 +198,34 @@ def check_alone(link: ServoLink) -> None:
         )
 
 
+def check_one(link: ServoLink) -> None:
+    """Raise Fault LINK_UNIT where two servos answer to one id: both would obey.
+
+    Two answers come one after the other, or damage each other: positions, and clocks, are hardly the same.
+    """
+    roles = link.model.roles
+    asked = [roles[role] for role in ("position", "tick") if role in roles]
+    twice = sum(not link.one_answers(asked[k % len(asked)], _ANSWERS_S) for k in range(_QUESTIONS))
+    if 2 * twice >= _QUESTIONS:
+        raise Fault(
+            "LINK_UNIT",
+            f"to {twice} of {_QUESTIONS} questions more came than one whole answer: as where two servos have id "
+            f"{link.bus.id}",
+        )
+
+
+def _check_bus(link: ServoLink) -> None:
+    link.client.wait(_ANSWERS_S)  # what the last question brings besides is no other master's
+    check_alone(link)
+    check_one(link)
+
+
 def check_free(link: ServoLink) -> None:
     """Before rig takes the torque away from a servo that it has left: somebody else may have taken it over since.
 
-    Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER.
+    Rig's own torque is on in PWM mode alone. Raises Fault SERVO_IN_USE, SECOND_MASTER, LINK_UNIT.
     """
-    check_alone(link)
+    _check_bus(link)
     if link.value(link.model.roles["mode"]) != link.model.pwm_mode:
         _check_torque(link)
 

@@ -99,8 +99,16 @@ def predicted_record(answer: Answer, recording: Recording) -> Simulated:
 
 
 def beyond(answer: Answer, recording: Recording) -> str:
-    """Where a recording goes beyond what the answer was measured over, as a sentence; empty where it does not."""
-    holds = answer.holds
+    """Where a recording goes beyond what the answer was measured over, as a sentence; empty where it does not.
+
+    Of a servo's own loop whose P nobody has measured, that its drive is hardly known.
+    """
+    holds, loop = answer.holds, recording.own_loop
+    if loop is not None and loop.scale.high > loop.scale.low:
+        factor = loop.scale.high / loop.scale.low
+        return (
+            f"the drive of this record is known to a factor of {factor:.3g} only, so a poor fit says nothing: --p-scale"
+        )
     if holds is None:
         return ""
     drive = beyond_drive(holds, float(np.abs(recording.u_V).max()))

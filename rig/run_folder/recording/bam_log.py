@@ -28,8 +28,9 @@ from rig.run_folder.recording.text_file import content_of, text_of
 from rig.run_folder.results import JsonObject
 
 _MOST_BYTES: Final = 200_000_000
-# of BAM's motors whose position mode rig knows: the protocol, and the ramp as shipped, V/s (ROBOTIS e-Manual)
-_MOTORS: Final = {"xl330": ("dynamixel", 140 * 1.977), "sts3215": ("feetech", math.inf)}
+# of BAM's motors whose position mode rig knows: the protocol, the ramp as shipped, V/s, and whether I and D are 0 as
+# shipped (ROBOTIS e-Manual; of an STS3215 no manual says): BAM writes P alone
+_MOTORS: Final = {"xl330": ("dynamixel", 140 * 1.977, True), "sts3215": ("feetech", math.inf, False)}
 _NUMBERS: Final = ("timestamp", "position", "goal_position")
 _FEWEST_ROWS: Final = 22
 
@@ -64,16 +65,18 @@ def read_bam_log(path: Path, log: LogFormat | None = None) -> Recording | None:
 
 
 def _law(path: Path, data: JsonObject, stated: ServoLaw | None) -> tuple[ServoLaw, float]:
-    motor = _MOTORS.get(str(data.get("motor")))
+    name = str(data.get("motor"))
+    motor = _MOTORS.get(name)
     if stated is None and motor is None:
         raise RecordingError(
-            path,
-            f"is of a motor whose P rig does not know: {data.get('motor')}",
-            "say which servo it is: --servo MODEL",
+            path, f"is of a motor whose P rig does not know: {name}", "say which servo it is: --servo MODEL"
         )
-    if stated is None:
-        protocol, slew_V_s = _MOTORS[str(data["motor"])]
-        stated = ServoLaw(None, SCALES[protocol], slew_V_s)
+    if stated is not None and stated.model and motor is not None and not stated.model.startswith(name):
+        raise RecordingError(path, f"says that its motor is {name}, not {stated.model}", "leave --servo out")
+    if stated is None and motor is not None:
+        protocol, slew_V_s, is_P_alone = motor
+        stated = ServoLaw(None, SCALES[protocol], slew_V_s, is_P_alone=is_P_alone)
+    assert stated is not None
     return replace(stated, goal_first=True), _number(path, data, "kp") if stated.P is None else stated.P
 
 
@@ -84,6 +87,8 @@ def _rows(path: Path, entries: Sequence[JsonValue]) -> list[JsonObject]:
         if not isinstance(one, dict) or not all(_is_number(one.get(name)) for name in _NUMBERS):
             raise RecordingError(path, f"entry {number} lacks one of {', '.join(_NUMBERS)}", "record it again")
         rows.append(one)
+        if one.get("torque_enable", True) not in (True, False):
+            raise RecordingError(path, f"the torque_enable of entry {number} is neither true nor false", "correct it")
     stretches = [list(group) for on, group in groupby(rows, lambda one: bool(one.get("torque_enable", True))) if on]
     longest = max(stretches, key=len, default=[])
     if len(longest) < _FEWEST_ROWS:
@@ -94,7 +99,10 @@ def _rows(path: Path, entries: Sequence[JsonValue]) -> list[JsonObject]:
 def _supply_V(path: Path, data: JsonObject, rows: list[JsonObject]) -> float:
     """The median of what the servo told, else what the log states."""
     told = [float(volts) for one in rows if _is_number(volts := one.get("input_volts")) and volts]  # type: ignore[arg-type]
-    return float(np.median(told)) if told else _number(path, data, "vin")
+    supply_V = float(np.median(told)) if told else _number(path, data, "vin")
+    if not supply_V > 0.0:
+        raise RecordingError(path, f"says that its input_volts are {supply_V:g}", "give the volts at it: --supply-V 5")
+    return supply_V
 
 
 def _number(path: Path, data: JsonObject, name: str) -> float:

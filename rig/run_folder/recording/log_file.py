@@ -37,7 +37,7 @@ from rig.run_folder.recording.log_mends import (
     unwrapped_velocity,
 )
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
-from rig.run_folder.recording.servo_law import ServoLaw
+from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
 
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.5, 20e-6  # between samples; rig/identification/plausibility.py refuses others
 _FEWEST_ROWS = 22  # fewer are no recording to be fitted
@@ -189,9 +189,19 @@ def servo_recording(
     columns  times, s, rising; positions and goals, rad
     rows     their lines
     law      of the servo, and its P
+    Raises RecordingError where rows lie too far apart: between them the drive is that of the servo's loop.
     """
     t_s, y_rad, goal_rad = columns
     servo, P = law
+    periods_s = np.diff(t_s)
+    if (period_s := float(np.median(periods_s))) > _LONGEST_PERIOD_S:
+        raise RecordingError(source, f"its rows are {period_s:.3g} s apart", "correct the unit of time, or log faster")
+    if periods_s.max() > _LONGEST_PERIOD_S:
+        k = int(np.argmax(periods_s))
+        raise RecordingError(
+            source, f"nothing says which goal it had in the {periods_s[k]:.3g} s before this row",
+            "cut the log here, and give both parts", rows[k + 1],
+        )  # fmt: skip
     edges_s, u_V, at_rows_V = servo.drive(P, t_s, y_rad, goal_rad, supply_V)
     scale = servo.scale
     said = (
@@ -205,7 +215,7 @@ def servo_recording(
         columns_present=("t_s", "u_V", "y_rad"),
         units_stated=True,
         drive_steps=(edges_s, u_V),
-        p_scale=scale,
+        own_loop=OwnLoop(scale, scale.middle * P * supply_V, servo.is_P_alone),
     )
 
 

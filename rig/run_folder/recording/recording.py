@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.core.signals import BenchDelay
 from rig.run_folder.recording.columns import COLUMNS, KINDS, SampleRow
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.servo_law import Scale
+from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import MeasuredDelay, RunEvent, RunMeta
 from rig.run_folder.results.reading import DamagedError, parsed
 
@@ -46,7 +46,7 @@ class Recording:
     first_row    number of the first row in the file; not 0 in a selection of rows
     units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     drive_steps  the drive as it was, times in s and volts, where there are fewer positions than drives; None: u_V
-    p_scale      of the servo whose law gave the drive: u_V is that of its middle; None: volts are volts
+    own_loop     of the servo that gave the drive; None: volts are volts
     slew_V_s     by which the device ramps its drive from one row's to the next, V/s; None: at once
     """
 
@@ -73,7 +73,7 @@ class Recording:
     first_row: int = 0
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
-    p_scale: Scale | None = None
+    own_loop: OwnLoop | None = None
     slew_V_s: float | None = None
 
     def __len__(self) -> int:
@@ -172,12 +172,12 @@ def assembled(
     notes: tuple[str, ...] = (),
     units_stated: bool = False,
     drive_steps: tuple[Floats, Floats] | None = None,
-    p_scale: Scale | None = None,
+    own_loop: OwnLoop | None = None,
 ) -> Recording:
     """A recording from its known columns; it keeps these arrays and makes them read-only.
 
     numbers       the line of each row, for messages
-    units_stated, drive_steps, p_scale  as in ``Recording``
+    units_stated, drive_steps, own_loop  as in ``Recording``
     Raises RecordingError if times do not rise.
     """
     require_rising(source, columns["t_s"], numbers)
@@ -195,7 +195,7 @@ def assembled(
         first_row=0,
         units_stated=units_stated,
         drive_steps=drive_steps,
-        p_scale=p_scale,
+        own_loop=own_loop,
         slew_V_s=None,
     )
 

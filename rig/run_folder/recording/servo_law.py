@@ -6,6 +6,7 @@ What a step of its gain P means no manual says well, so the drive is known up to
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -33,6 +34,28 @@ class Scale(NamedTuple):
         return math.sqrt(self.low * self.high)
 
 
+class OwnLoop(NamedTuple):
+    """What the drive of a log is known by, where a servo's own loop gave it.
+
+    scale       of its P: u_V is that of the middle
+    gain_V_rad  volts of a radian of error, by that
+    is_P_alone  whether somebody says that its I and D were 0
+    """
+
+    scale: Scale
+    gain_V_rad: float
+    is_P_alone: bool = True
+
+
+def least_known(loops: Iterable[OwnLoop | None]) -> OwnLoop | None:
+    """What several recordings together are known by; None where all volts are volts."""
+    some = [one for one in loops if one is not None]
+    if not some:
+        return None
+    widest = max(some, key=lambda one: one.scale.high / one.scale.low)
+    return OwnLoop(widest.scale, max(one.gain_V_rad for one in some), is_P_alone=all(one.is_P_alone for one in some))
+
+
 SCALES: Final = {
     "dynamixel": Scale(
         0.5 * _OF_MANUAL, _OF_MANUAL, "the manual says 1/128 of a step a count, BAM saw 1/256 on an XL330"
@@ -55,12 +78,16 @@ class ServoLaw:
     scale      of P
     slew_V_s   of its ramp; inf: it has none
     goal_first whether each row's goal was written before its position was read
+    is_P_alone whether its I and D are known to be 0
+    model      its name; "": nobody says
     """
 
     P: float | None
     scale: Scale
     slew_V_s: float = math.inf
     goal_first: bool = False
+    is_P_alone: bool = True
+    model: str = ""
 
     def drive(
         self, P: float, t_s: Floats, y_rad: Floats, goal_rad: Floats, supply_V: float

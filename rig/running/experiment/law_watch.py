@@ -27,6 +27,7 @@ from rig.config import Experiment
 from rig.control.law import Stopped, Timed, is_of_own_law
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
+from rig.core.halted import WORDS, Halts
 from rig.core.signals import Sample
 from rig.run_folder.live.law_lease import SIZE, LawLease
 from rig.run_folder.recording.layout import create_file
@@ -35,7 +36,6 @@ from rig.running.session import Session
 
 _STARTS_S: Final = 30.0
 _CLOSES_S: Final = 5.0
-_WAKES_S: Final = 0.1  # a keeper that was stopped together with the loop may go on so much later
 _VIRTUAL_LEASE_S: Final = 2.0
 _LEAST_CPU_S: Final = 0.002  # page faults and interrupts have cost a good law up to 0.7 ms in one step
 _LOOK_EVERY_STEPS: Final = 50
@@ -182,7 +182,7 @@ class Keeper:
             except OSError:
                 self.let_go()
                 raise
-        self._verdict_s, self._stopped_s = times.still_s, math.inf
+        self._verdict_s, self._halts = times.still_s, Halts(self._process.pid)
         for pipe in self._pipes:
             keep_from_copies(pipe.fileno())
         try:
@@ -201,21 +201,12 @@ class Keeper:
         """Why it watches no more: it is gone, though nobody ended it, or somebody has stopped it. Empty: it watches."""
         if (status := self._process.poll()) is not None:
             return f"the keeper ended with status {status}"
-        if not self._is_stopped:
-            self._stopped_s = math.inf
-            return ""
-        now_s = time.monotonic()
-        self._stopped_s = min(self._stopped_s, now_s)
-        return "somebody has stopped the keeper, as by SIGSTOP" if now_s - self._stopped_s > _WAKES_S else ""
+        return WORDS if self._halts.is_for_good else ""
 
     @property
     def signals(self) -> int:
         """Descriptor to which the system is to write each signal (``signal.set_wakeup_fd``)."""
         return self._signals
-
-    @property
-    def _is_stopped(self) -> bool:
-        return os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
 
     def await_verdict(self) -> str:
         """Wait while the link is the keeper's: it gives it back at once (empty), or ends this process.
@@ -239,7 +230,7 @@ class Keeper:
         for pipe in self._pipes:
             no_longer_own(pipe.fileno())
             pipe.close()
-        if self._process.poll() is None and self._is_stopped:
+        if self._process.poll() is None and self._halts.is_stopped:
             self._process.kill()
         try:
             self._process.wait(_CLOSES_S)

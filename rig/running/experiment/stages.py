@@ -296,6 +296,7 @@ def _note_real_time(session: Session, done: RealTime) -> None:
         granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
         session.found.notes += granted + [f"loop: {line}" for line in done.refused]
         session.meta = session.meta.model_copy(update={"real_time": report})
+        session.require_own_folder()
         write_meta(session.folder, session.meta, follows_links=False)
 
 

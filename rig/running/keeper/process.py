@@ -13,7 +13,8 @@ loop's process, which nothing else can end, and writes down what happened as soo
 Between two steps the loop may stand still, too: a thread that the law has started may hold the interpreter. Where a
 drive may be on, and the loop has not looked for long, the keeper ends its process, and then stops the device.
 
-If the loop's process dies by itself meanwhile, as by `kill -9`, the keeper stops the device, too.
+If the loop's process dies by itself meanwhile, as by `kill -9`, the keeper stops the device, too, and says so where the
+law was at work: a law that ends the process in C may leave the status 0.
 """
 
 from __future__ import annotations
@@ -260,6 +261,13 @@ def main(arguments: list[str]) -> int:
         os.close(link)  # the next run may have the port
     charge = watch.still if ended == "still" else watch.charge
     if ended == "loop died" or charge is None:
+        if lease.at_work:  # as by `_exit` in C, whose status may be 0
+            _say(
+                f"the process of this run ended within a step of the law {loop.law}: the law ended it, or crashed, or "
+                f"somebody killed it; {_stopped_words(loop, confirmed)}",
+                "there is no result: `rig identify` reads what was recorded",
+                loop,
+            )
         _add_events(loop, _stop_event(loop, confirmed, 0.0))
     else:
         fault = Fault("LAW_TIME", _words(loop, watch, charge, confirmed, still=ended == "still"))
@@ -343,12 +351,15 @@ def _words(loop: Loop, watch: Watch, charge: Charge, confirmed: bool, *, still: 
         what = too_long_words(loop.law, "its step did not return: it had taken", charge.cpu_s, loop.times)
     else:
         what = f"the law {loop.law}: its step did not return within {loop.times.lease_s:g} s of its time"
-    stopped = "nothing moves in virtual time"
-    if loop.is_real:
-        stopped = "the keeper stopped the device" if confirmed else f"no stop could be written: {_left(loop)}"
     asked = watch.signal or (watch.flagged and f"the Stop by {watch.flagged}")
     heeded = f"it heeded no signal{f', nor {asked}' if asked else ''}, so rig's process was ended"
-    return f"{what}; {heeded}; {stopped}"
+    return f"{what}; {heeded}; {_stopped_words(loop, confirmed)}"
+
+
+def _stopped_words(loop: Loop, confirmed: bool) -> str:
+    if not loop.is_real:
+        return "nothing moves in virtual time"
+    return "the keeper stopped the device" if confirmed else f"no stop could be written: {_left(loop)}"
 
 
 def _left(loop: Loop) -> str:
@@ -365,15 +376,19 @@ def _stop_event(loop: Loop, confirmed: bool, late_s: float) -> list[JsonObject]:
     return [{"t_s": loop.now_s(), "kind": "stop", "confirmed": confirmed, "by": "keeper", "late_ms": late_ms}]
 
 
+def _say(what: str, cure: str, loop: Loop) -> None:
+    with contextlib.suppress(OSError):  # the terminal is gone, as after SIGHUP: the files say the same
+        sys.stderr.write(f"rig: {what}\n     {cure}\n     recorded so far: {loop.folder}\n")
+        sys.stderr.flush()
+
+
 def _conclude(loop: Loop, fault: Fault, stopped: list[JsonObject]) -> None:
     """Say it, and write events and result, so that the folder is read as that of any run."""
     from rig.run_folder.recording.errors import RecordingError
     from rig.run_folder.recording.folder import write_result
     from rig.run_folder.results import FaultReport, RunResult
 
-    with contextlib.suppress(OSError):  # the terminal is gone, as after SIGHUP: the files say the same
-        sys.stderr.write(f"rig: {fault}\n     {fault.cure}\n     recorded so far: {loop.folder}\n")
-        sys.stderr.flush()
+    _say(str(fault), fault.cure, loop)
     _add_events(loop, [*stopped, {"t_s": loop.now_s(), "kind": "fault", **fault.as_dict()}])
     result = RunResult(
         backend=loop.backend,

@@ -70,6 +70,14 @@ def test_a_servo_that_could_move_unasked_is_refused_and_nothing_is_written(
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_two_servos_of_one_id_are_refused_as_both_would_obey(protocol: str) -> None:
+    bench = Bench(protocol)
+    bench.bystanders[0].put("id", bench.own.id)
+    fault = refused(bench)
+    assert fault.code == "LINK_UNIT" and f"two servos have id {bench.own.id}" in fault.detail
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_another_supply_than_the_configs_is_refused(protocol: str) -> None:
     bench = Bench(protocol)
     bench.servo.supply(0.9 * bench.setup.supply_V)

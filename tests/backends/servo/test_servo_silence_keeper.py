@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -11,6 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from rig.backends.servo.keeper import ServoKeeper
+from rig.core.faults import Fault
+from rig.core.halted import Halts
 from rig.running.keeper.silence import BEAT, DONE, REST, Kept, Order, keep
 
 
@@ -144,3 +150,25 @@ def test_a_link_that_is_gone_confirms_nothing() -> None:
     far.close()
     assert not Kept(near.fileno(), ORDERS, ()).stop()
     near.close()
+
+
+def test_a_keeper_that_somebody_has_stopped_is_a_fault_before_the_next_drive() -> None:
+    """It hears nothing: if the command died then, the servo would drive on."""
+    keeper = ServoKeeper.__new__(ServoKeeper)
+    heard, keeper._pipe = os.pipe()
+    waits = [sys.executable, "-c", "input()"]
+    with subprocess.Popen(waits, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as keeper._process:
+        keeper._halts = Halts(keeper._process.pid)
+        keeper.beat()
+        keeper._process.send_signal(signal.SIGSTOP)
+        until_s, said = time.monotonic() + 20.0, ""
+        while not said and time.monotonic() < until_s:  # for a while it may be that the whole machine stood still
+            try:
+                keeper.beat()
+            except Fault as fault:
+                said = str(fault)
+            time.sleep(1e-3)
+        keeper.end(restored=True)
+        assert keeper._process.returncode == -signal.SIGKILL
+        assert "SERVO_UNWATCHED" in said and "SIGSTOP" in said
+    os.close(heard)

@@ -28,5 +28,5 @@ class PicoBoard(BoardProcess):
         Raises EmulationError where it does not start.
         """
         self._must_not_run()
-        program = (sys.executable, "-m", "rig.backends.serial.emulated.pico_process")
+        program = (sys.executable, "-P", "-m", "rig.backends.serial.emulated.pico_process")
         return self._launch(program, {"chip": json.dumps(parameters)}, link, trace)

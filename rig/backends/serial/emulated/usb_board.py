@@ -29,7 +29,9 @@ class UsbBoard(BoardProcess):
         """
         self._must_not_run()
         options = {"device": self._device.port, "adapter": self._adapter}
-        return self._launch((sys.executable, "-m", "rig.backends.serial.emulated.usb_process"), options, link, None)
+        return self._launch(
+            (sys.executable, "-P", "-m", "rig.backends.serial.emulated.usb_process"), options, link, None
+        )
 
     def reset(self) -> None:
         """Press the device's reset button. Raises EmulationError when it does not run."""
