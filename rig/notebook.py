@@ -24,11 +24,11 @@ from rig.output.report.simulated import Simulated, beyond, drawn, figure_of, pre
 from rig.output.report.style import AbsentError, laid_out, style
 from rig.output.report.tables import estimates as estimate_rows
 from rig.output.report.words import PARAMETERS, quantity
-from rig.run_folder.recording.columns import COLUMNS, UNITS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import META
 from rig.run_folder.recording.given import recordings_of
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.sample_columns import COLUMNS, UNITS
 from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult
 from rig.run_folder.results.answer_words import answer_lines
 from rig.terminal import (

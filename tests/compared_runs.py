@@ -14,7 +14,7 @@ from rig.control.relay import DualChannelRelay
 from rig.control.simulation import Sampling, simulate
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
-from rig.run_folder.recording.columns import HEADER, SampleRow, format_row
+from rig.run_folder.recording.sample_columns import HEADER, SampleRow, format_row
 
 ERRORS = (0.0003, 0.008, 0.0005)  # standard errors of tau, K and f_c
 METHOD = "sampled-data"

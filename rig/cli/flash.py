@@ -18,6 +18,19 @@ if TYPE_CHECKING:  # it loads slowly
 _Options = dict[str, str | int | bool | None]
 
 
+def _inputs_of(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+    """The kind of inputs of the bridge that is named, by its inputs or as it is sold."""
+    from rig.config.new_bench import BRIDGES, AnswerError, require_braking
+
+    if value is None or value in BRIDGES:
+        return None if value is None else BRIDGES[value].inputs
+    try:
+        require_braking(value)
+    except AnswerError as error:
+        raise click.BadParameter(f"{error.cause}; {error.cure}", context, parameter) from error
+    raise click.BadParameter(f"{value!r} is not one of {', '.join(BRIDGES)}", context, parameter)
+
+
 @click.command()
 @click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
 @click.option(
@@ -43,8 +56,9 @@ _Options = dict[str, str | int | bool | None]
     help="Baud rate of the firmware; the config's daq.baud must be the same. Default: daq.baud of CONFIG, else 115200.",
 )  # fmt: skip
 @click.option(
-    "--bridge", type=click.Choice(["pwm-dir", "in1-in2"]), default=None,
-    help="Kind of inputs that the H-bridge has (docs/real-bench.md). Default: drive.bridge of CONFIG, else pwm-dir.",
+    "--bridge", metavar="[pwm-dir|in1-in2|MODULE]", default=None, callback=_inputs_of,
+    help="Kind of inputs that the H-bridge has (docs/real-bench.md), or a module as `rig init` knows it, such as "
+    "l298n. Default: drive.bridge of CONFIG, else pwm-dir.",
 )  # fmt: skip
 @click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1 (Pico: GP27).")
 @click.option("--supply", is_flag=True, help="The motor supply is wired to A2 (Pico: GP28), through its divider.")

@@ -50,7 +50,7 @@ Wanted = tuple[Path | None, tuple[str, ...]]
     "slew_V_s",
     metavar="V/S",
     type=Positive(),
-    help="By which the device of a log ramps its drive; an XL330 as shipped: 277. Default: at once.",
+    help="How fast the device of a log ramps its drive, V/s; an XL330 as shipped: 277. Default: no ramp.",
 )
 @click.option(
     "--picture",

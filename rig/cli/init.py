@@ -18,7 +18,7 @@ from rig.config import ConfigError, new_bench
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False), default=Path("bench.yaml"))
-@click.option("--board", type=click.Choice(list(new_bench.BOARDS)), help="The board.")
+@click.option("--board", type=click.Choice([*new_bench.BOARDS, "servo"]), help="The board; a servo: --servo MODEL.")
 @click.option("--sensor", type=click.Choice(list(new_bench.SENSORS)), help="The position sensor.")
 @click.option(
     "--bridge",
@@ -84,6 +84,8 @@ def init(
         )  # fmt: skip
         _init_servo(file, servo, port, servo_id, supply_V, no_load_rpm)
         return
+    if board == "servo":
+        fail(EXIT_BAD_INPUT, "--board servo does not say which", "a servo: --servo MODEL, such as --servo xl330")
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
     from rig.running import preflight
@@ -173,7 +175,7 @@ def init(
             new.write(text)
         experiment, _ = preflight.check(file)
         longest_s = longest_watchdog_s(experiment)
-        if longest_s is not None and longest_s > experiment.daq.watchdog_s:
+        if longest_s is not None and longest_s != experiment.daq.watchdog_s:
             file.write_text(new_bench.with_watchdog(text, longest_s), encoding="utf-8")
             experiment, _ = preflight.check(file)
     except OSError as error:
@@ -182,7 +184,7 @@ def init(
         fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
     if number_on_usb is None:
-        click.echo(f"no board with a USB serial number is at {port}: rig cannot tell another one there from this one")
+        click.echo(_without_number(port))
     else:
         click.echo(f"this config is for the board with USB serial number {number_on_usb}, and for no other")
     click.echo(
@@ -193,8 +195,20 @@ def init(
         f"switch the motor's supply off, then type: rig flash {shlex.quote(str(file))}{pico}; add --supply and "
         "--end-switches if these are wired: the config does not say"
     )
-    click.echo("docs/real-bench.md has the wiring and the first steps")
+    wiring = (
+        "docs/pico.md has the wiring, docs/real-bench.md"
+        if board == "pico"
+        else "docs/real-bench.md has the wiring and"
+    )
+    click.echo(f"{wiring} the first steps")
     click.echo(f"then `rig calibrate {shlex.quote(str(file))}` measures most of what its comments ask for")
+
+
+def _without_number(port: str) -> str:
+    """Why no USB serial number is known, and what follows."""
+    if not Path(port).exists():
+        return f"no board is at {port} yet: `rig calibrate` will note its USB serial number"
+    return f"the board at {port} has no serial number on USB: rig cannot tell another one there from this one"
 
 
 def _refuse_beside_servo(given: dict[str, object]) -> None:

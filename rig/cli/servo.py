@@ -39,7 +39,7 @@ def servo() -> None:
 def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
     """Show who is on a bus, and what a run would refuse. It changes nothing.
 
-    Without PORT, each serial port of this machine.
+    Without PORT, each serial port on USB.
     """
     from rig.backends.servo.scan import USUAL_BAUDS, scan
 
@@ -200,7 +200,7 @@ def _reopened(before: SerialPort, port: str, baud: int) -> Iterator[SerialPort]:
 def _ports() -> list[str]:
     from rig.backends.serial.flash import serial_ports
 
-    ports = [one.device for one in serial_ports()]
+    ports = [one.device for one in serial_ports() if one.vid is not None]
     if not ports:
         fail(EXIT_BAD_INPUT, "there is no serial port on USB", "plug the adapter in, or name its PORT")
     return ports

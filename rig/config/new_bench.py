@@ -9,6 +9,7 @@ import json
 import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from rig.config import ready
@@ -244,7 +245,7 @@ def text(answers: Answers, file: str) -> str:
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
     new = ready.text(board.example)
     for key, value in (
-        ("name", "bench"),
+        ("name", _name_of(file)),
         ("port", answers.port),
         ("calibration", _rows((middle - counts, -calibrated_rad), (middle + counts, calibrated_rad))),
         ("bridge", module.inputs),
@@ -270,8 +271,14 @@ def text(answers: Answers, file: str) -> str:
     return _with_introduction(new, answers, module).replace(f"config/{board.example}.yaml", file)
 
 
+def _name_of(file: str) -> str:
+    """The name of runs by this config: that of the file, where it can be one."""
+    stem = Path(file).stem
+    return stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", stem) else "bench"
+
+
 def with_watchdog(config: str, watchdog_s: float) -> str:
-    """The config with this watchdog time, s: the longest that the room to stop bears needs the config to be read."""
+    """The config with this watchdog time, s: the longest that leaves room to stop needs the config to be read."""
     return _with(config, "watchdog_s", f"{watchdog_s:g}")
 
 

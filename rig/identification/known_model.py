@@ -11,7 +11,8 @@ from rig.model.real_motor import Frame, FramedMotor
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import RESULT
 from rig.run_folder.recording.path_kind import no_run
-from rig.run_folder.recording.reader import read_object, read_result
+from rig.run_folder.recording.reader import MOST_BYTES, read_object, read_result
+from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.results import Answer, EstimateResult, IdentificationResult, known
 from rig.run_folder.results.identification import Answered
 from rig.run_folder.results.reading import salvaged
@@ -69,6 +70,11 @@ def answer_in(path: Path) -> Answer:
     Raises RecordingError where there is none.
     """
     if path.is_file() and path.name != RESULT:
+        if not content_of(path, MOST_BYTES).lstrip().startswith(b"{"):
+            name = quote(str(path))
+            raise RecordingError(
+                path, "is no answer", f"if it is a recording, type: rig identify {name} --json > found.json"
+            )
         result, _ = salvaged(IdentificationResult, read_object(path))
         answer = result.answer
     else:

@@ -48,7 +48,7 @@ FEW_LEVELS = 8
 # Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
 # them; rows over which a speed is taken; how speed and drive are correlated there.
 TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
-SAY_UNIT = "The column's name says rad: if it is right, type --position y_rad:rad; if not, the unit in place of rad"
+SAY_UNIT = "For degrees type --position y_rad:deg; if they are radians, --position y_rad:rad"
 
 
 class Objection(NamedTuple):
@@ -161,8 +161,8 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
         return [
             Objection(
                 "refused",
-                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad (where units are given: "
-                "--reversed), or are they swapped?",
+                f"{name}: the motor turns against its drive: type --reversed, or reverse the sign of u_V or y_rad; or "
+                "are they swapped?",
             )
         ]
     return []
@@ -397,8 +397,8 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, so f_c and asymmetry cannot be told apart, and fc_V is "
-                "what both take that way: record a drive that moves it both ways",
+                f"{test.name}: the shaft turned one way only: friction and asymmetry (a) show only as f_c - a, or as "
+                "f_c + a backwards. For f_c, drive it both ways",
                 spoils=False,
             ),
         ]

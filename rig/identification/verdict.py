@@ -1,4 +1,7 @@
-"""Rules that the verdicts of all estimators share. Reasons say what to record instead (docs/theory.md 7.7)."""
+"""Rules that the verdicts of all estimators share; the answer's own is in ``motor_law.reservations``.
+
+Reasons say what to record instead (docs/theory.md 7.7).
+"""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ from rig.panel.aside import answer_of
 from rig.panel.bench import Bench
 from rig.panel.errors import RefusedError
 from rig.panel.messages import Answer, Refusal, Refused, State, Stop
-from rig.panel.runs import Runs
+from rig.panel.past_runs import Runs
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S, MOST_SOCKETS, Meter
 from rig.panel.watch import Follower, Watch
 from rig.run_folder.results import JsonObject

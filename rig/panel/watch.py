@@ -17,8 +17,8 @@ from typing import Final
 
 from rig.panel.bench import CALIBRATION, Bench, StopAnswer
 from rig.panel.messages import Live, Message, News, RunEnded, Stop
+from rig.panel.past_runs import Runs
 from rig.panel.processes import Ended
-from rig.panel.runs import Runs
 from rig.run_folder.live.stop_flag import Unrecorded, command_of, is_recorded
 from rig.run_folder.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot
 

@@ -14,7 +14,7 @@ from tuned_run import few_draws
 
 from rig.output.report.source import load
 from rig.output.report.words import headline
-from rig.panel.runs import Runs
+from rig.panel.past_runs import Runs
 from rig.run_folder.results.meta import REHEARSAL
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -168,9 +168,12 @@ def test_a_port_that_is_not_there(tmp_path: Path) -> None:
 def test_a_port_of_another_group_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = put(tmp_path, "dev/ttyACM0", "")
     monkeypatch.setattr("os.access", lambda *_: False)  # root may open everything
-    found = machine.serial_port(port)
-    assert found.state == "bad"
-    assert found.cure.startswith("`sudo adduser $USER ")
+    for group in ("dialout", "root"):
+        monkeypatch.setattr("grp.getgrgid", lambda _, group=group: SimpleNamespace(gr_name=group))
+        found = machine.serial_port(port)
+        assert found.state == "bad"
+        assert ("sudo adduser $USER dialout" in found.cure) == (group == "dialout")
+        assert ("udev rule" in found.cure and "adduser" not in found.cure) == (group == "root")
 
 
 def test_a_full_disk_and_one_that_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,9 +17,9 @@ from scipy.io import loadmat
 
 from rig.identification import identify
 from rig.output.export import export, matlab_names
-from rig.run_folder.recording.columns import COLUMNS
 from rig.run_folder.recording.folder import write_result
 from rig.run_folder.recording.reader import read, read_run
+from rig.run_folder.recording.sample_columns import COLUMNS
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 RUN = GOLDEN / "simulated-fault"

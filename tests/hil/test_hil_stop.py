@@ -40,7 +40,7 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.panel import bench as panel_bench
 from rig.panel.bench import Bench as PanelBench
-from rig.panel.runs import Runs
+from rig.panel.past_runs import Runs
 from rig.panel.watch import Watch
 from rig.run_folder.live.lease import LONGEST_NS, HeldLease, Leaser
 from rig.run_folder.live.stop_flag import StopFlag, request_stop

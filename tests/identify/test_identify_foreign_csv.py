@@ -39,10 +39,10 @@ from rig.identification.departures.laws import orders
 from rig.identification.estimate import Estimate
 from rig.identification.plausibility import judge_records
 from rig.identification.preprocessing import from_recording
-from rig.run_folder.recording.columns import COLUMNS
 from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.log_format import LogColumn, LogFormat
 from rig.run_folder.recording.reader import read
+from rig.run_folder.recording.sample_columns import COLUMNS
 
 pytestmark = pytest.mark.long
 

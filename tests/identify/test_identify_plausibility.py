@@ -83,7 +83,7 @@ def test_a_position_against_its_name_is_asked_about_with_what_to_type_if_the_nam
     turns = replace(moved, y_rad=110.0 * moved.y_rad, name="steps.csv")
     (objection,) = judge_records([turns])
     assert "span 54.9 rad, 8.7 turns" in objection.reason
-    assert "if it is right, type --position y_rad:rad" in objection.reason
+    assert "For degrees type --position y_rad:deg; if they are radians, --position y_rad:rad" in objection.reason
     assert judge_records([replace(turns, units_stated=True)]) == []
 
 

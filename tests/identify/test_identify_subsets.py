@@ -23,10 +23,10 @@ from foreign_bench import (
 
 from rig.identification import identify
 from rig.identification.estimate import Estimate
-from rig.run_folder.recording.columns import COLUMNS
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.reader import read
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.sample_columns import COLUMNS
 
 pytestmark = pytest.mark.long
 

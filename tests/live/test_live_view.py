@@ -13,7 +13,7 @@ import pytest
 from rig.run_folder.live.running import Lookout, running
 from rig.run_folder.live.stop_flag import Runner, StopFlag
 from rig.run_folder.live.view import KEPT_ROWS, Cycle, Estimate, LiveView, Planes
-from rig.run_folder.recording.columns import HEADER, SampleRow, format_row
+from rig.run_folder.recording.sample_columns import HEADER, SampleRow, format_row
 
 ROOT = Path(__file__).resolve().parents[2]
 

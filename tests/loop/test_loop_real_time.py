@@ -49,8 +49,8 @@ with real_time(RealTimeSettings(priority=60, cpu=4000, raise_workers=True)) as d
     core, memory, scheduler, workers, granted, policy = told
     assert core.startswith("core 4000 refused (Invalid argument): set loop.cpu to one of 0")
     assert memory.startswith("locked memory refused (")
-    assert memory.endswith("put `@realtime - memlock unlimited` in /etc/security/limits.conf, join the group realtime, "
-                           "log in again")  # fmt: skip
+    assert "put `@realtime - memlock unlimited` in /etc/security/limits.conf, join that group: " in memory
+    assert memory.endswith("`sudo groupadd -f realtime; sudo adduser $USER realtime`, log in again")
     assert scheduler.startswith("SCHED_FIFO refused (Operation not permitted): put `@realtime - rtprio 90`")
     assert workers == "raised kernel workers refused (Operation not permitted): only root may have them"
     assert granted == "granted []"

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from rig.run_folder.recording.columns import HEADER
 from rig.run_folder.recording.follow import Progress, Tail, stage_line
+from rig.run_folder.recording.sample_columns import HEADER
 from rig.run_folder.results import JsonObject
 
 EVENTS: list[JsonObject] = [

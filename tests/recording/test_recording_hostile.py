@@ -20,7 +20,7 @@ from rig.core.plain_file import NotPlainError, TooLargeError, open_plain, read_p
 from rig.core.strict_json import MOST_DIGITS, MOST_LEVELS, MOST_VALUES, JsonError
 from rig.output.compare.comparison import CompareError, compare
 from rig.output.report.source import load as load_for_report
-from rig.panel.runs import Runs
+from rig.panel.past_runs import Runs
 from rig.panel.watch import Follower, Scene
 from rig.run_folder.catalogue.index import INDEX, catalogue
 from rig.run_folder.live.view import LiveView

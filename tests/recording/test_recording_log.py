@@ -138,7 +138,7 @@ def test_an_angle_within_one_turn_goes_on(tmp_path: Path) -> None:
         (
             "x,pwm,counts\n" + ROWS,
             1,
-            r"no column is called like a time; there are: 'x', 'pwm', 'counts'; say which, .*--time x:UNIT",
+            r"no column is called like a time; there are: 'x', 'pwm', 'counts'; type --period 10ms.*--time x:UNIT",
         ),
         ("t,millis,pwm,counts\n0,0,1,1\n1,1,1,1\n2,2,1,1\n", 1, "several columns may be the time: 't', 'millis'"),
         ("0,1,2,3\n1,1,2,3\n2,1,2,3\n", 1, r"4 columns without names; number them from 1: --time 1:ms --drive 2:pwm"),
@@ -186,7 +186,7 @@ def test_a_column_that_is_not_there_and_one_that_is_taken_twice(tmp_path: Path) 
         (
             NAMED.replace("\n", "\n(us),(pwm),(counts)\n", 1),
             COUNTED,
-            "column 'millis' sounds like us, and --time says ms",
+            "column 'millis' is in us, by the row of units, and --time says ms",
             "type --time us",
         ),
         (

@@ -51,7 +51,7 @@ WORDS = {
 }
 NOT_FOR_IDENTIFY = {
     "my runs/a/samples.csv": ("is one file of a run", "'{}/my runs/a'"),
-    "log.csv": ("is a CSV file, not a run folder", "`rig identify {}/log.csv` reads it"),
+    "log.csv": ("is a CSV file, not a run folder", "this takes a run of rig's; `rig identify {}/log.csv` reads it"),
     "notes.txt": ("is a file, not a run folder", "`rig run`"),
 }
 

@@ -15,11 +15,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from rig.run_folder.recording import csv_table
-from rig.run_folder.recording.columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.run_folder.recording.csv_file import read_csv
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.reader import read, read_run
 from rig.run_folder.recording.recording import Recording, from_columns
+from rig.run_folder.recording.sample_columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.run_folder.recording.text_file import MAX_BYTES
 from rig.run_folder.results import RunMeta
 
@@ -245,16 +245,20 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         (
             "t u y_deg\n" + ROWS.replace(",", " "),
             1,
-            "such as --time t:UNIT --drive u:UNIT --position y_deg:deg, with the column's own unit for UNIT: of time s,"
+            "such as --time t:UNIT --drive u:UNIT --position deg, with the column's own unit for UNIT: of time s,"
             " ms or us, of drive V, mV, .* or percent$",
         ),
         (
             "time_ms,voltage_mV,angle_deg\n" + ROWS,
             1,
-            "--time time_ms:ms --drive voltage_mV:mV --position angle_deg:deg$",
+            "--time ms --drive mV --position deg$",
         ),
-        ("millis,pwm,count\n" + ROWS, 1, "--time millis:ms --drive pwm:pwm --position count:counts$"),
-        ("t_s,u_V,rpm\n" + ROWS, 1, "--velocity rpm:rpm$"),
+        (
+            "millis,pwm,count\n" + ROWS,
+            1,
+            "--time ms --drive pwm --position counts; of pwm also --full 255 --supply-V 12",
+        ),
+        ("t_s,u_V,rpm\n" + ROWS, 1, "--velocity rpm$"),
         (b"\x1f\x8b\x08\x00rest", None, "gzip.*gunzip"),
         (b"PK\x03\x04rest\n", None, "Excel workbook"),
         ("t_s,u_V,y_rad\n0,1,0.1\n\n# c\n0,1,0.2\n2,1,0.3\n", 5, "repeats the time"),

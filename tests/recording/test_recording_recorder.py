@@ -30,10 +30,10 @@ from processes import wait_until
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 from rig.run_folder.recording import layout
-from rig.run_folder.recording.columns import COLUMNS, HEADER, KINDS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sample_columns import COLUMNS, HEADER, KINDS
 from rig.run_folder.recording.sink import JsonScalar
 from rig.run_folder.recording.writer import AppendOnlyFile, KeptRoom, Writer
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.run_folder.recording.columns import COLUMNS
+from rig.run_folder.recording.sample_columns import COLUMNS
 from rig.running.replay import Replay, replay
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"

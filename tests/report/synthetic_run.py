@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.run_folder.recording.columns import HEADER, SampleRow, format_row
+from rig.run_folder.recording.sample_columns import HEADER, SampleRow, format_row
 
 PERIOD_S = 0.01
 DELAY_S = 0.003

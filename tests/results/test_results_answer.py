@@ -19,7 +19,7 @@ from rig.output.export.motor import identified_motor
 from rig.output.export.whole_run import ExportedRun
 from rig.output.report.source import load
 from rig.output.report.words import headline
-from rig.panel.runs import Runs
+from rig.panel.past_runs import Runs
 from rig.run_folder.catalogue.entry import read_entry
 from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.results import (

@@ -19,9 +19,9 @@ import numpy as np
 
 from bench.benchmark import options, tell
 from rig.core.signals import Sample
-from rig.run_folder.recording.columns import SampleRow, format_row
 from rig.run_folder.recording.layout import ROW
 from rig.run_folder.recording.recorder import Recorder
+from rig.run_folder.recording.sample_columns import SampleRow, format_row
 from shared.table import markdown
 
 BASE = "shared memory"

@@ -28,7 +28,7 @@ from rig.core.faults import Fault
 from rig.core.signals import Limits
 from rig.identification import IdentifyError, identify
 from rig.output.report.source import load as load_report
-from rig.panel.runs import Runs
+from rig.panel.past_runs import Runs
 from rig.panel.watch import Follower, Scene
 from rig.run_folder.catalogue.index import catalogue
 from rig.run_folder.live.view import LiveView

@@ -98,7 +98,7 @@ class SerialBackend(LineBackend):
     def plan(self, d: DeviceSetup) -> Iterator[str]:
         yield f"link: {self.budget(d).beside(d.period_s)}"
         delay_ms = 1e3 * link_budget.sample_to_drive_s(d)
-        yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
+        yield f"delay of the link: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
         if d.runs_relay:
             block = link_budget.block_sum(d.daq.baud)
             if not d.runs_strokes:

@@ -15,7 +15,10 @@ from rig.control.loop.kernel_workers import raised_workers
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK = 29
 _SYSTEMS = {"win32": "Windows", "darwin": "macOS"}
-_LIMITS_CONF = "in /etc/security/limits.conf, join the group realtime, log in again"
+_LIMITS_CONF = (
+    "in /etc/security/limits.conf, join that group: `sudo groupadd -f realtime; sudo adduser $USER realtime`, "
+    "log in again"
+)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from typing import Literal, NoReturn
 from rig.control.loop.device_relay import STOPPING
 from rig.control.loop.stop_request import StopRequest
 from rig.core.faults import Fault
-from rig.run_folder.recording.columns import SampleRow
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.sample_columns import SampleRow
 
 By = Literal["law", "guard", "record"]
 

@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 
 from rig.config.problems import ConfigError
 from rig.config.yaml12 import parse
-from rig.run_folder.recording.columns import COLUMNS, KINDS, UNITS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import RESULT, json_text, write_whole
 from rig.run_folder.recording.path_kind import is_file_of_a_run
 from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, UNITS
 from rig.run_folder.results import JsonObject, RunResult
 
 LONGEST_NAME: Final = 63  # of a MATLAB variable or field: namelengthmax

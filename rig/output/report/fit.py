@@ -1,4 +1,4 @@
-"""The cycles of a relay test, and an estimated model's prediction of a recording under the recorded drive."""
+"""Curves for figures, no figure: the cycles of a relay test, and what a model predicts under the recorded drive."""
 
 from __future__ import annotations
 

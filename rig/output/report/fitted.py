@@ -1,4 +1,4 @@
-"""Figures of the estimates: averaged cycle and model, residual, and the estimates side by side."""
+"""Figures of a run's estimates, from the curves of ``fit``: averaged cycle and model, residual, side by side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an identified motor does under the recorded drive, beside what was measured: the picture of an answer."""
+"""``--picture``: what the motor of an answer does under any recorded drive, beside what was measured."""
 
 from __future__ import annotations
 

@@ -16,11 +16,11 @@ from typing import Final, Literal, NamedTuple, TypedDict
 from rig.config import ConfigError, Experiment, load
 from rig.core.signals import FLAG_SKIPPED, Limits, plain
 from rig.run_folder.live.stop_flag import Runner, runner_of
-from rig.run_folder.recording.columns import COLUMNS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, META
 from rig.run_folder.recording.follow import Progress, Tail, event_of, live_remark, number, real
 from rig.run_folder.recording.reader import read_meta
+from rig.run_folder.recording.sample_columns import COLUMNS
 from rig.run_folder.recording.stage import StageKind, kind_of
 from rig.run_folder.recording.writer import EVENTS, SAMPLES
 from rig.run_folder.results import JsonObject, ScriptCall

@@ -13,15 +13,33 @@ from typing import Final
 
 import numpy as np
 
-from rig.run_folder.recording.columns import COLUMNS
-from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_number, shown
+from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.log_format import OWN_NAMES, UNITS, sounds_like, units_said
+from rig.run_folder.recording.log_format import (
+    CURRENT_CAUSE,
+    CURRENT_CURE,
+    OWN_NAMES,
+    UNITS,
+    USUAL_NAMES,
+    says_current,
+    sounds_like,
+    units_of_column,
+    units_said,
+    usual_places,
+)
 from rig.run_folder.recording.log_mends import runs_of, unwrapped_clock
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Recording, assembled
+from rig.run_folder.recording.sample_columns import COLUMNS
 
 REQUIRED: Final = ("t_s", "u_V", "y_rad")
 _OR_SAY: Final = "say what the columns are (docs/any-csv.md), such as"
+# What else a unit takes.
+_FURTHER: Final = {
+    "pwm": "--full 255 --supply-V 12",
+    "duty": "--supply-V 12",
+    "percent": "--supply-V 12",
+    "counts": "--counts-per-turn 1440",
+}
 # Other common names of these columns, for "did you mean".
 _OTHER_NAMES: Final = {
     "t_s": ("t", "time", "time_s", "times", "seconds", "sec", "timestamp", "t_ms", "time_ms"),
@@ -31,7 +49,8 @@ _OTHER_NAMES: Final = {
 
 
 def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -> Recording:
-    """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
+    """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab, | or blanks
+    between.
 
     The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The names may stand
     behind a #, and a row of units may follow. The reader skips blank lines, lines that begin with #, and ``sep=``. It
@@ -69,7 +88,7 @@ def _parsed(
     """The columns, the lines of their rows, notes and the names of all columns; as in ``read_csv``."""
     text = CsvText.of(path, own=own)
     header_line, row_numbers = text.numbers[0], text.numbers[1:]
-    header = _parse_header(text, header_line)
+    header = _parse_header(text)
     if len(row_numbers) < MIN_ROWS:
         raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", header_line)
     text = text.with_decimal_points(row_numbers)
@@ -92,39 +111,76 @@ def _parsed(
     return columns, row_numbers, notes, header
 
 
-def _parse_header(text: CsvText, line_number: int) -> tuple[str, ...]:
-    path, names = text.path, tuple(text.fields(line_number))
+def _parse_header(text: CsvText) -> tuple[str, ...]:
+    """The names of the columns. Raises RecordingError."""
+    path, line_number = text.path, text.numbers[0]
+    names = tuple(text.fields(line_number))
     missing = [name for name in REQUIRED if name not in names]
-    if missing and is_number(names[0]):
+    if missing and (is_number(names[0]) or (is_date(names[0]) and all(map(is_number, names[1:])))):
+        timed = "--time ms" if is_number(names[0]) else "--period 10ms"
         raise RecordingError(
             path,
             "the first line has no column names",
-            f"put t_s,u_V,y_rad (as they are) above; or {_OR_SAY} --time ms --drive pwm --position counts",
+            f"put t_s,u_V,y_rad (as they are) above; or {_OR_SAY} {timed} --drive pwm --position counts",
             line_number,
         )
     if missing:
-        there = ", ".join(shown(name) for name in names[:20])
-        own = {name: quantity for quantity, name in OWN_NAMES.items()}
-        guesses = {name: _did_you_mean(name, own[name], names) for name in missing}
-        hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items() if guess]
-        cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
-        options = [_option(own[name], guess) for name, guess in guesses.items() if guess]
-        if "y_rad" in missing and not guesses["y_rad"]:
-            options += [_option("velocity", name) for name in names if sounds_like(name, "velocity")][:1]
-        cure += f"; or {_OR_SAY} {' '.join(options) or '--time ms --drive pwm --position counts'}"
-        unsaid = [own[name] for name, guess in guesses.items() if guess and not units_said(guess, own[name])]
-        if unsaid:
-            cure += f", with the column's own unit for UNIT: of {', of '.join(map(_units_of, unsaid))}"
-        raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
+        raise _lacking(text, names, missing)
     for name in names:
         if name in COLUMNS and names.count(name) > 1:
             raise RecordingError(path, f"has column {name} twice", "delete or rename one", line_number)
     return names
 
 
+def _lacking(text: CsvText, names: Sequence[str], missing: Sequence[str]) -> RecordingError:
+    """The error for columns that are not there: what they may be called, and what to type."""
+    there = ", ".join(shown(name) for name in names[:20])
+    own = {name: quantity for quantity, name in OWN_NAMES.items()}
+    guesses = {name: guess for name in missing if (guess := _did_you_mean(name, own[name], names))}
+    cause, line_number = f"has no column {', '.join(missing)}; there are: {there}", text.numbers[0]
+    currents = [name for name, unit in _with_units(names, text.units) if says_current(name, unit)]
+    if "u_V" in missing and "u_V" not in guesses and currents:
+        return RecordingError(text.path, f"column {shown(currents[0])}: {CURRENT_CAUSE}", CURRENT_CURE, line_number)
+    first_row = text.fields(text.numbers[1]) if len(text.numbers) > 1 else []
+    dates = "t_s" in guesses and any(map(is_date, first_row[names.index(guesses["t_s"]) :][:1]))
+    options = {name: _option(own[name], guess, names, text.units) for name, guess in guesses.items()}
+    if "y_rad" in missing and "y_rad" not in guesses:
+        speed = next((name for name in names if sounds_like(name, "velocity")), None)
+        options |= {} if speed is None else {"y_rad": _option("velocity", speed, names, text.units)}
+    hints = [f"{shown(guess)} for {name}" for name, guess in guesses.items() if not (dates and name == "t_s")]
+    cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
+    if "t_s" in missing and (dates or "t_s" not in guesses):
+        without = f"column {shown(guesses['t_s'])} holds dates" if dates else "no column is called like a time"
+        rest = {name: option for name, option in options.items() if name != "t_s"}
+        if len(missing) > 1 and not rest:
+            rest = {"": "--drive pwm --position counts"}
+        words = f"type {' '.join(['--period 10ms', *rest.values()])}, with your own time from row to row: {without}"
+        cure = f"{words}; or log the time"
+        options = rest
+    else:
+        cure += f"; or {_OR_SAY} {' '.join(options.values()) or '--time ms --drive pwm --position counts'}"
+    unsaid = [own[name] for name in options if name in own and options[name].endswith(("UNIT", "UNIT'"))]
+    if unsaid:
+        cure += f", with the column's own unit for UNIT: of {', of '.join(map(_units_of, unsaid))}"
+    typed = [option.rpartition(" ")[2].strip("'").rpartition(":")[2] for option in options.values()]
+    further = [f"of {unit} also {_FURTHER[unit]}" for unit in typed if unit in _FURTHER]
+    if further:
+        cure += f"; {', '.join(further)}, with your own numbers"
+    return RecordingError(text.path, cause, cure, line_number)
+
+
+def _with_units(names: Sequence[str], units: Sequence[str]) -> list[tuple[str, str]]:
+    """Each column's name with what the row of units says of it, empty without such a row."""
+    return list(zip(names, units or [""] * len(names), strict=True))
+
+
 def _refuse_other_units(text: CsvText, header: Sequence[str]) -> None:
     """Refuse a row of units that denies the unit in a column's name."""
     for name, unit in zip(header, text.units, strict=False):
+        if name == "u_V" and says_current(name, unit):
+            raise RecordingError(
+                text.path, f"column u_V is in {unit}: {CURRENT_CAUSE}", CURRENT_CURE, text.numbers[0] + 1
+            )
         quantity = next((key for key, own in OWN_NAMES.items() if own == name), "")
         if name in REQUIRED and unit in UNITS[quantity] and not name.endswith(f"_{unit}"):
             cause = f"column {name} is in {shown(unit)}, by the row of units"
@@ -135,6 +191,8 @@ def _refuse_other_units(text: CsvText, header: Sequence[str]) -> None:
 def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
     """The column that may be ``name``: by a usual name, by a unit in its name, or by its spelling."""
     unclaimed = {other.lower(): other for other in there if other not in COLUMNS}
+    if quantity == "drive":
+        unclaimed = {key: other for key, other in unclaimed.items() if not says_current(other)}
     for other in (name.lower(), *_OTHER_NAMES[name]):
         if other in unclaimed:
             return unclaimed[other]
@@ -143,13 +201,17 @@ def _did_you_mean(name: str, quantity: str, there: Sequence[str]) -> str | None:
     for found in (of_name, of_unit):
         if len(found) == 1:
             return found[0]
-    close = difflib.get_close_matches(name.lower(), [other[:100] for other in unclaimed], n=1, cutoff=0.5)
+    others = [key for key in unclaimed if not any(sounds_like(key, q) for q in USUAL_NAMES if q != quantity)]
+    close = difflib.get_close_matches(name.lower(), [other[:100] for other in others], n=1, cutoff=0.5)
     return unclaimed.get(close[0]) if close else None
 
 
-def _option(quantity: str, name: str) -> str:
-    """The option that takes this column, in the unit that its name says. No guess: a wrong one makes wrong numbers."""
-    unit = next(iter(sorted(units_said(name, quantity))), "UNIT")
+def _option(quantity: str, name: str, names: Sequence[str], units: Sequence[str]) -> str:
+    """The option that takes this column, in the unit that it says. No guess: a wrong one makes wrong numbers."""
+    said = units_of_column(name, dict(_with_units(names, units))[name], quantity)
+    unit = min(said) if len(said) == 1 else "UNIT"
+    if unit != "UNIT" and [names[k] for k in usual_places(names, quantity, unit)] == [name]:
+        return f"--{quantity} {unit}"
     return f"--{quantity} {quote(f'{name}:{unit}')}"
 
 

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 import numpy as np
 
 from rig.core.signals import plain
-from rig.run_folder.recording.columns import COLUMNS, KINDS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import UNIT_WORDS, UNITS, USUAL_NAMES, sounds_like
 from rig.run_folder.recording.recording import Column, Columns
+from rig.run_folder.recording.sample_columns import COLUMNS, KINDS
 from rig.run_folder.recording.text_file import lines_of, whole_content, without_torn_line
 
 MAX_STAGE_LENGTH: Final = 64
@@ -26,15 +28,17 @@ _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
 _ALL_UNITS: Final = {unit for units in UNITS.values() for unit in units} | UNIT_WORDS
 _NO_UNIT: Final = {"", "-", "1"}
-_DELIMITERS: Final = (",", ";", "\t")
+_DELIMITERS: Final = (",", ";", "\t", "|")
+_DATE: Final = re.compile(r"\d{4}-\d\d?-\d\d?|\d\d?\.\d\d?\.\d{4}|\d\d?:\d\d")  # the begin of a date or a time of day
+_WITH_UNIT: Final = re.compile(r"([+-]?[0-9.]+(e[+-]?[0-9]+)?)\s*([^\W\d_]+|%|°)", re.IGNORECASE)
 _FEWEST_COLUMNS: Final = 3
 _BLANKS: Final = " "  # the delimiter if none of those is in the first line; any number of blanks
 # First bytes of files that people often give in place of a CSV file: what the file is, and how to get a CSV file.
 _NO_CSV: Final = {
     b"\x1f\x8b": ("is compressed (gzip)", "unpack it first: gunzip"),
     b"PK\x03\x04": ("is an Excel workbook or a zip file", "export the sheet as CSV in UTF-8, or unpack it"),
-    b"\xff\xfe": ("is UTF-16 text", "save it as CSV in UTF-8"),
-    b"\xfe\xff": ("is UTF-16 text", "save it as CSV in UTF-8"),
+    b"\xff\xfe": ("is UTF-16 text", "iconv -f UTF-16 -t UTF-8 {path} > plain.csv"),
+    b"\xfe\xff": ("is UTF-16 text", "iconv -f UTF-16 -t UTF-8 {path} > plain.csv"),
     b"\x89HDF": ("is an HDF5 file", "export t_s, u_V and y_rad as CSV"),
 }
 
@@ -70,7 +74,7 @@ class CsvText:
         if not numbers:
             raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")
         text = cls(path, lines, numbers, (*moved, *torn))
-        return text if own else text._with_names()._with_units()
+        return text if own else text._with_names()._with_units()._without_last_delimiter()
 
     def _with_names(self) -> CsvText:
         """With the names of the columns, if these stand behind a # above rows of numbers or of units.
@@ -106,6 +110,20 @@ class CsvText:
         words = f"line {self.numbers[1]} was read as the units: {', '.join(map(shown, units[:20]))}"
         return replace(self, numbers=[self.numbers[0], *self.numbers[2:]], notes=(*self.notes, words), units=units)
 
+    def _without_last_delimiter(self) -> CsvText:
+        """Without the delimiter behind the last column, if all rows have it and the names have not; with a note."""
+        rows = self.numbers[1:]
+        mark = self.delimiter
+        if not rows or mark == _BLANKS or any(not self.lines[row - 1].rstrip().endswith(mark) for row in rows):
+            return self
+        if len(self.fields(rows[0])) != len(self.fields(self.numbers[0])) + 1:
+            return self
+        lines = list(self.lines)
+        for row in rows:
+            lines[row - 1] = lines[row - 1].rstrip()[:-1]
+        words = f"{shown(mark)} behind the last column of each row was left out"
+        return replace(self, lines=lines, notes=(*self.notes, words))
+
     @property
     def delimiter(self) -> str:
         """What separates the columns, by the first line."""
@@ -129,7 +147,7 @@ class CsvText:
 class CsvTable:
     """Rows of a CSV file under named columns.
 
-    names      of all columns: those of ``columns.COLUMNS`` are read, others are not
+    names      of all columns: those of ``sample_columns.COLUMNS`` are read, others are not
     called     what the file calls each of them, for messages
     rows       numbers of their lines, from 1
     required   names of columns that must have a number in each row
@@ -168,6 +186,11 @@ def is_number(text: str) -> bool:
     return "_" not in text
 
 
+def is_date(text: str) -> bool:
+    """Whether a field is a date or a time of day."""
+    return _DATE.match(text) is not None
+
+
 def shown(text: str) -> str:
     """A text of the file, quoted, for a message."""
     return repr(text if len(text) <= 40 else text[:40] + "...")
@@ -181,7 +204,7 @@ def _fields(count: int) -> str:
 def _check_magic(path: Path, content: bytes) -> None:
     for magic, (cause, cure) in _NO_CSV.items():
         if content.startswith(magic):
-            raise RecordingError(path, cause, cure)
+            raise RecordingError(path, cause, cure.format(path=quote(str(path))))
 
 
 def _with_line_feeds(content: bytes) -> bytes:
@@ -263,13 +286,14 @@ def _broken_row(table: CsvTable, fields: Sequence[Sequence[str]], numbers: Seque
             return RecordingError(
                 path,
                 f"the line has {_fields(len(row))}, and the {first} {len(header)}",
-                "correct or delete it",
+                _cure_of_count(table.text, number, len(row), len(header)),
                 number,
             )
         for name, called, text in zip(header, table.called, row, strict=True):
             complaint = _complaint(name, text.strip(), name in table.required) if name in COLUMNS else ""
             if complaint:
-                return RecordingError(path, f"column {called}: {complaint}", _cure(text.strip()), number)
+                cure = _cure(path, name, text.strip())
+                return RecordingError(path, f"column {called}: {complaint}", cure, number)
     return RecordingError(path, "cannot be read as numbers", "save it as plain CSV", numbers[0])
 
 
@@ -289,9 +313,30 @@ def _complaint(name: str, text: str, required: bool) -> str:
     return ""
 
 
-def _cure(text: str) -> str:
+def _cure_of_count(text: CsvText, number: int, there: int, wanted: int) -> str:
+    """What to do about a line with another number of fields than the names have."""
+    line, mark = text.lines[number - 1], text.delimiter
+    others = [other for other in _DELIMITERS if other != mark and line.count(other) == wanted - 1]
+    if there == 1 and others:
+        return f"the names stand between {shown(mark)}, and the rows between {shown(others[0])}: make them alike"
+    if mark != "," or there <= wanted or "." in line or not all(map(is_number, line.split(","))):
+        return "correct or delete it"
+    cure = "if decimal commas stand between commas, save it with semicolons between the columns"
+    if there != 2 * wanted:
+        return cure
+    command = f"sed -E '{text.numbers[0] + 1},$ s/([0-9]+),([0-9]+)/\\1.\\2/g' {quote(str(text.path))} > plain.csv"
+    return f"{cure}; or, if each number has one: {command}"
+
+
+def _cure(path: Path, name: str, text: str) -> str:
     if not text:
         return "fill it in or delete this line"
+    if name == "t_s" and is_date(text):
+        return "it is a date: write seconds; or, if the rows came evenly, --period 10ms in place of --time"
+    if text.endswith("%") and is_number(text[:-1].strip()):
+        return f"take the % out: sed 's/%//g' {quote(str(path))} > plain.csv; then --drive percent"
+    if (found := _WITH_UNIT.fullmatch(text)) and is_number(found[1]) and found[3] in _ALL_UNITS:
+        return f"write the number alone, without {found[3]}"
     if "," in text and is_number(text.replace(",", ".")):
         return "use a decimal point"
     return "correct or delete this line"

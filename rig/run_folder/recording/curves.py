@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rig.run_folder.recording.columns import COLUMNS
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CURVES, json_text, write_whole
 from rig.run_folder.recording.reader import MOST_BYTES, is_there, read_object
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.sample_columns import COLUMNS
 from rig.run_folder.results import Answer, Part, known
 from rig.run_folder.results.estimates import LARGEST
 from rig.run_folder.results.part import VERSION, Count, Number, Text

@@ -9,21 +9,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 import numpy as np
 
-from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_number, shown
+from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
+    CURRENT_CAUSE,
+    CURRENT_CURE,
     LARGEST,
     OWN_NAMES,
     UNITS,
     USUAL_SUPPLY,
     LogColumn,
     LogFormat,
+    says_current,
     sounds_like,
+    units_of_column,
     units_said,
+    usual_places,
     words_of,
 )
 from rig.run_folder.recording.log_mends import (
@@ -61,7 +67,7 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         notes.append(f"line {numbers[0]}, the first, is torn and was left out")
         numbers = numbers[1:]
     first = text.fields(numbers[0])
-    has_names = not all(is_number(field) for field in first if field)
+    has_names = not all(is_number(field) or is_date(field) for field in first if field)
     rows = numbers[1:] if has_names else numbers
     if len(rows) < MIN_ROWS:
         raise RecordingError(path, f"has {len(rows)} rows", f"record at least {MIN_ROWS}", numbers[0])
@@ -79,6 +85,9 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     )
     if has_names:
         said = {q: (first[place], text.units[place] if text.units else "") for q, place in places.items()}
+        if "drive" in said and says_current(*said["drive"]):
+            cure = f"{CURRENT_CURE}; if this column holds that, rename it"
+            raise RecordingError(path, f"column {shown(said['drive'][0])}: {CURRENT_CAUSE}", cure, numbers[0])
         _refuse_other_units(path, numbers[0], choices, said)
     raw = table.columns()
     for name, values in raw.items():
@@ -332,14 +341,18 @@ def _refuse_other_units(
     """
     for quantity, (name, of_units) in said_of.items():
         given = choices[quantity]
-        said = {of_units} & UNITS[quantity].keys()
-        said = said or units_said(of_units, quantity) or units_said(name, quantity)
+        said = units_of_column(name, of_units, quantity)
         if given.column is None and said and given.unit not in said:
+            units = " or ".join(sorted(said))
+            by_row = said != units_said(name, quantity)
+            words = (
+                f"column {shown(name)} {f'is in {units}, by the row of units' if by_row else f'sounds like {units}'}"
+            )
             raise RecordingError(
                 path,
-                f"column {shown(name)} sounds like {' or '.join(sorted(said))}, and --{quantity} says {given.unit}",
+                f"{words}, and --{quantity} says {given.unit}",
                 f"type --{quantity} {min(said)}; or, if it is in {given.unit}: --{quantity} "
-                + (f"'{name}:{given.unit}'" if " " in name else f"{name}:{given.unit}"),
+                + quote(f"{name}:{given.unit}"),
                 line,
             )
 
@@ -405,10 +418,12 @@ def _named_place(path: Path, line: int, first: Sequence[str], has_names: bool, q
 def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one: LogColumn, taken: set[int]) -> int:
     """The place of the only column with a usual name of this quantity."""
     free = [k for k in range(len(first)) if k not in taken]
-    exact = [k for k in free if first[k] in (OWN_NAMES[quantity], one.unit)]
-    usual = exact or [k for k in free if sounds_like(first[k], quantity)]
+    usual = usual_places(["" if k in taken else name for k, name in enumerate(first)], quantity, one.unit)
     if len(usual) == 1:
         return usual[0]
+    currents = [first[k] for k in free if quantity == "drive" and says_current(first[k])]
+    if currents and not usual:
+        raise RecordingError(path, f"column {shown(currents[0])}: {CURRENT_CAUSE}", CURRENT_CURE, line)
     if usual:
         cause = f"several columns may be the {quantity}: {', '.join(shown(first[k]) for k in usual[:20])}"
     else:
@@ -420,8 +435,11 @@ def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
     usual = [name for name in names if sounds_like(name, quantity)]
     name = next((name for name in (*usual, *names) if name), "1")
-    quoted = f"'{name}:UNIT'" if " " in name else f"{name}:UNIT"
-    return f"say which, for example --{quantity} {quoted}, with one of the units {', '.join(UNITS[quantity])}"
+    named, units = quote(f"{name}:UNIT"), ", ".join(UNITS[quantity])
+    cure = f"say which, for example --{quantity} {named}, with one of the units {units}"
+    if quantity == "time" and not usual:
+        return f"type --period 10ms, with your own time from row to row, in place of --time; or {cure}"
+    return cure
 
 
 def _numbered(choices: Mapping[str, LogColumn]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -59,28 +60,48 @@ NAMES_UNIT: Final[dict[str, dict[str, str]]] = {
         "s": "s",
         "sec": "s",
         "seconds": "s",
+        "sekunden": "s",
+        "secondes": "s",
     },
-    "drive": {"pwm": "pwm", "duty": "duty", "volts": "V", "mv": "mV"},
+    "drive": {
+        "pwm": "pwm",
+        "duty": "duty",
+        "volt": "V",
+        "volts": "V",
+        "mv": "mV",
+        "percent": "percent",
+        "prozent": "percent",
+    },
     "position": {
         "rad": "rad",
         "radians": "rad",
         "deg": "deg",
         "degrees": "deg",
         "grad": "deg",
+        "degrés": "deg",
         "turns": "turns",
+        "umdrehungen": "turns",
+        "tours": "turns",
         "count": "counts",
         "counts": "counts",
         "ticks": "counts",
     },
-    "velocity": {"rpm": "rpm"},
+    "velocity": {"rpm": "rpm", "min": "rpm"},  # U/min, tr/min
 }
 NAMES_UNIT["goal"] = NAMES_UNIT["position"]
-UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {"%", "A", "mA"}
+UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {
+    "%",
+    "°",
+    "A",
+    "mA",
+}
 _WORD: Final = re.compile(r"[^\W\d_]+")
+_RATE: Final = re.compile(r"/\s*(s|sec|min)\b|(?<![^\W_])per(?![^\W_])", re.IGNORECASE)  # in a velocity's name
 _PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us)\s*")
 _CURRENTS: Final = ("A", "mA")
 CURRENT_CAUSE: Final = "a current is a torque: under it a motor has no K, and no tau of its own"
 CURRENT_CURE: Final = "log the voltage at the motor, or the bridge's duty"
+_CURRENT_WORDS: Final = {"amps", "ampere", "amperes", "strom", "motorstrom", "courant", "corriente", "corrente"}
 MOST_ROWS_OFF: Final = 5
 LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s", "goal": "yd_rad"}
@@ -98,8 +119,37 @@ def sounds_like(name: str, quantity: str) -> bool:
 
 
 def units_said(name: str, quantity: str) -> set[str]:
-    """The units of this quantity that a column's name says."""
-    return {unit for word in words_of(name) if (unit := NAMES_UNIT[quantity].get(word))}
+    """The units of this quantity that a column's name, or its field in a row of units, says."""
+    said = {unit for word in words_of(name) if (unit := NAMES_UNIT[quantity].get(word))}
+    if quantity == "velocity":
+        return said | {unit for unit in UNITS[quantity] if unit in name}
+    if _RATE.search(name):  # of a speed: "rad/s" is neither an angle nor a time
+        return set()
+    if quantity == "drive":
+        said |= {"V" for k, word in enumerate(_WORD.findall(name)) if word == "V" or (word == "v" and k > 0)}
+        said |= {"percent"} if "%" in name else set()
+        return said - {"pwm", "duty"} if "percent" in said else said  # of these it is the unit
+    return said | ({"deg"} if quantity != "time" and "°" in name else set())
+
+
+def units_of_column(name: str, of_row: str, quantity: str) -> set[str]:
+    """The units of this quantity that a column says, by the row of units if this says any, else by its name."""
+    return ({of_row} & UNITS[quantity].keys()) or units_said(of_row, quantity) or units_said(name, quantity)
+
+
+def usual_places(names: Sequence[str], quantity: str, unit: str) -> list[int]:
+    """Places of the columns that may be this quantity by their names: one that is its own name or unit comes first."""
+    free = [k for k, name in enumerate(names) if quantity != "drive" or not says_current(name)]
+    exact = [k for k in free if names[k] in (OWN_NAMES[quantity], unit)]
+    return exact or [k for k in free if sounds_like(names[k], quantity)]
+
+
+def says_current(name: str, of_row: str = "") -> bool:
+    """Whether a column is a current, by its name or by its field in a row of units."""
+    words = [word for word in _WORD.findall(name) if word.lower() not in ("a", "ma")]
+    ampere = re.search(r"[(\[]\s*m?A\s*[)\]]|(?<![^\W_])mA(?![^\W_])|^[iI]_?A$", name)
+    spoken = {word.lower() for word in words} & _CURRENT_WORDS or words[-1:] in (["current"], ["Current"])
+    return of_row in _CURRENTS or (bool(ampere or spoken) and not units_said(name, "drive") and not of_row)
 
 
 class LogFormatError(RigError):
@@ -128,7 +178,7 @@ class LogColumn:
         column, colon, unit = text.rpartition(":")
         units = ", ".join(UNITS[quantity])
         if unit not in UNITS[quantity]:
-            if quantity == "drive" and unit in _CURRENTS:
+            if quantity == "drive" and (unit in _CURRENTS or (not colon and says_current(unit))):
                 raise LogFormatError(f"--drive {text}: {CURRENT_CAUSE}", CURRENT_CURE)
             if column in UNITS[quantity] and unit.isdecimal():
                 raise LogFormatError(

@@ -61,8 +61,11 @@ def no_run(path: Path) -> RecordingError:
         if found is not None:
             return found
         if _looks_like_csv(path):
+            name = quote(str(path))
             return RecordingError(
-                path, "is a CSV file, not a run folder", f"`rig identify {quote(str(path))}` reads it"
+                path,
+                "is a CSV file, not a run folder",
+                f"this takes a run of rig's; `rig identify {name}` reads it, and `rig predict-run` takes its answer",
             )
     return RecordingError(path, "is a file, not a run folder", _PRINTED)
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.signals import BenchDelay
-from rig.run_folder.recording.columns import COLUMNS, KINDS, SampleRow
 from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.sample_columns import COLUMNS, KINDS, SampleRow
 from rig.run_folder.recording.servo_law import OwnLoop
 from rig.run_folder.results import MeasuredDelay, RunEvent, RunMeta
 from rig.run_folder.results.reading import DamagedError, parsed
@@ -35,7 +35,7 @@ class Recording:
     t_s          time of the sample y, s; strictly rising
     t_u_s        time at which u took effect, s; nan if unknown
     y_rad, u_V   position; drive that acts from t_u_s until t_u_s of the next row
-    v_rad_per_s, z_rad_s, yd_rad, late_us, io_us   as in ``columns``; nan if absent
+    v_rad_per_s, z_rad_s, yd_rad, late_us, io_us   as in ``sample_columns``; nan if absent
     tick         as recorded, else 0, 1, 2, ...
     seq, y_counts   as recorded, else -1
     flags        as recorded, else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from glob import escape
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 from rig.core.plain_file import TooLargeError, UnfitError, read_plain
@@ -88,7 +89,9 @@ def text_of(path: Path, content: bytes) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise RecordingError(path, "is not UTF-8 text", "save it as text in UTF-8", line) from error
+        raise RecordingError(
+            path, "is not UTF-8 text", f"iconv -f LATIN1 -t UTF-8 {quote(str(path))} > plain.csv", line
+        ) from error
 
 
 def line_of(path: Path, content: bytes, number: int) -> str:

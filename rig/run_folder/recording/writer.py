@@ -31,9 +31,9 @@ from typing import Final
 
 from rig.core.plain_file import open_folder
 from rig.run_folder.recording import layout
-from rig.run_folder.recording.columns import HEADER, SampleRow, format_row
 from rig.run_folder.recording.end_of_input import EndOfInput, end_of_input
 from rig.run_folder.recording.layout import ROW, SharedMemory
+from rig.run_folder.recording.sample_columns import HEADER, SampleRow, format_row
 
 SAMPLES: Final = "samples.csv"
 EVENTS: Final = "events.jsonl"

@@ -11,6 +11,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 
 from serial.tools import list_ports
 
@@ -33,15 +34,16 @@ _UDEV_RULE = (
 )
 
 
-def examine(run_folder: Path, root: Path = ROOT) -> Iterator[Finding]:
-    """Everything about this machine that can be checked without a run."""
+def examine(run_folder: Path, root: Path = ROOT, *, ports: bool = True) -> Iterator[Finding]:
+    """Everything about this machine that can be checked without a run; ``ports``: all its serial ports, too."""
     yield kernel(root)
     yield clock_source(root)
     yield governor(root)
     yield cores(root)
     yield from scheduling()
     yield kernel_workers(root)
-    yield from serial_ports()
+    if ports:
+        yield from serial_ports()
     yield from latency_timers(root)
     yield modem_manager(root)
     yield disk(run_folder)
@@ -198,6 +200,15 @@ def serial_port(device: Path) -> Finding:
         group = grp.getgrgid(device.stat().st_gid).gr_name
     except (ImportError, KeyError):
         group = "dialout"
+    if group == "root":  # who joins it may do more than open ports
+        rule = f'SUBSYSTEM=="tty", KERNEL=="{device.name}", GROUP="dialout", MODE="0660"'
+        return Finding(
+            "serial port",
+            "bad",
+            f"{device} belongs to root",
+            f"name another port; or a udev rule gives this one to dialout: `echo {quote(rule)} | sudo tee "
+            "/etc/udev/rules.d/99-rig-port.rules; sudo udevadm trigger`",
+        )
     return Finding(
         "serial port",
         "bad",

@@ -35,7 +35,7 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
     not answer is a finding.
     """
     d = experiment.device
-    yield from machine.examine(run_folder)
+    yield from machine.examine(run_folder, ports=False)
     port_name = experiment.daq.port or ""
     backend = backend_of(d)
     adapter = backend.adapter_behind(d)

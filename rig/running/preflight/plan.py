@@ -48,8 +48,8 @@ def plan(e: Experiment) -> Iterator[str]:
     room_s = room_for_delay_s(e)
     if 0.0 < room_s < math.inf:
         yield (
-            "delay: the breakaway check bounds how late a drive shows in the reading; there is room for "
-            f"{1e3 * room_s:.0f} ms beyond a drive's own tick"
+            f"delay: a drive may show in the reading up to {1e3 * room_s:.0f} ms later than its own tick; "
+            "the breakaway check looks"
         )
     if words := watchdog_words(e):
         yield words
@@ -144,10 +144,10 @@ def _breakaway(e: Experiment) -> _Stage:
         return _Stage((), longest_s)
     longest_s = 2.0 * b.rest_s + strokes.longest_s(b.max_V)
     longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
-    lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
+    lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} ms at first and {shortest:.3g} ms at last"
     lines = (
-        f"stage breakaway: strokes of {lengths} to and fro, {1e3 * strokes.step_V:.3g} mV "
-        f"stronger each time, up to {b.max_V:g} V; at most about {longest_s:.0f} s",
+        f"stage breakaway: strokes to and fro, {lengths}, each {1e3 * strokes.step_V:.3g} mV stronger than the one "
+        f"before, up to {b.max_V:g} V; at most about {longest_s:.0f} s",
         f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
         f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
         f"of both ways. That holds {_check_ends_by(strokes.watchdog_s, e.device)}",

@@ -154,18 +154,18 @@ def watchdog_words(e: Experiment) -> str:
     longest_s, watchdog_s = longest_watchdog_s(e), e.daq.watchdog_s
     if longest_s is None:
         return ""
-    told = f"watchdog: {1e3 * watchdog_s:g} ms, through which a host that stands still does no harm"
+    told = f"watchdog: so long ({1e3 * watchdog_s:g} ms) may the host stand still"
     if watchdog_s > longest_s * (1.0 + _ROUNDING):
         left_ms, wanted_ms = 1e3 * max(room_for_delay_s(e), 0.0), 1e3 * _LEFT_FOR_DELAY_S
         return (
-            f"{told}; that leaves room for {left_ms:.0f} ms of further delay; with daq.watchdog_s {longest_s:g} it "
-            f"would be {wanted_ms:.0f} ms"
+            f"{told}. The limits have room for {left_ms:.0f} ms of further delay; set daq.watchdog_s to {longest_s:g} "
+            f"for {wanted_ms:.0f} ms"
         )
     if watchdog_s >= longest_s * (1.0 - _ROUNDING):
         return told
     longer = e.model_copy(update={"daq": e.daq.model_copy(update={"watchdog_s": longest_s})})
     room = "" if e.limits.is_endless else f": {stopping_sum(longer.device)}, of {room_rad(e.device):.3f} rad"
-    return f"{told}; the room to stop bears daq.watchdog_s {longest_s:g}{room}"
+    return f"{told}. There is room for daq.watchdog_s {longest_s:g}{room}"
 
 
 def stopping_sum(d: DeviceSetup) -> str:

@@ -1,0 +1,169 @@
+"""Odd logs: each is read, or refused with a cause, and with options that then read it when typed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rig.cli.log_options import log_options
+from rig.run_folder.recording.errors import RecordingError
+from rig.run_folder.recording.log_format import LogFormat, units_said
+from rig.run_folder.recording.reader import read
+from rig.run_folder.recording.recording import Recording
+
+T_S: Final = 0.01 * np.arange(30)
+U_V: Final = np.where(np.arange(30) // 5 % 2, -1.5, 1.5)
+Y_RAD: Final = 0.25 * np.sin(20.0 * T_S) + 0.1
+_FURTHER: Final = "--full 255 --supply-V 12 --counts-per-turn 1440"
+
+
+def log(names: str, mark: str = ",", row: str = "{t:.2f}{m}{u}{m}{y:.4f}", end: str = "\n") -> str:
+    """A log of this motion, below these names; ``row`` may take t, u, y, the mark between columns and the number k."""
+    rows = [row.format(t=t, u=u, y=y, m=mark, k=k) for k, (t, u, y) in enumerate(zip(T_S, U_V, Y_RAD, strict=True))]
+    return end.join([*([names] if names else []), *rows, ""])
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path))
+@log_options
+def reading(path: Path, log: LogFormat | None) -> None:
+    """Read a log with the options of a log, as `rig identify` does."""
+    recording = read(path, log)
+    assert len(recording) == 30
+
+
+def test_logs_that_are_read_as_they_are(tmp_path: Path) -> None:
+    decimal = log("t_s;u_V;y_rad", ";").replace(".", ",")
+    for text in (
+        log("t_s|u_V|y_rad", "|"),
+        "\ufeff" + log("t_s,u_V,y_rad", end="\r\n"),
+        log('"t_s","u_V","y_rad"', row='"{t:.2f}","{u}","{y:.4f}"'),
+        log("t_s,u_V,y_rad", row="{t:.2f},{u},{y:.4f},"),
+        log("t_s;u_V;y_rad;", ";", row="{t:.2f};{u};{y:.4f};"),
+        decimal,
+        decimal.replace(";", "|"),
+        log("t_s,u_V,y_rad").replace("\n0.10", "\n\n\n0.10"),
+        "sep=;\n" + log("t_s;u_V;y_rad", ";"),
+        log("t_s,u_V,y_rad\n(s),(V),(rad)"),
+    ):
+        path = tmp_path / "log.csv"
+        path.write_text(text, newline="")
+        recording = read(path)
+        assert recording.t_s == pytest.approx(T_S) and recording.u_V == pytest.approx(U_V), text[:40]
+        assert recording.y_rad == pytest.approx(Y_RAD, abs=1e-4)
+
+
+ODD = {  # for each: the log, what the error says, what to type by it
+    "German": (log("Zeit (s);Spannung (V);Winkel (Grad)", ";"), "did you mean", "--time s --drive V --position deg"),
+    "French": (log("Temps (s);Tension (V);Angle (tours)", ";"), "did you mean", "--time s --drive V --position turns"),
+    "units row": (log("time,voltage,angle\ns,V,deg"), "did you mean", "--time s --drive V --position deg"),
+    "percent": (log("time_s,duty_%,angle_rad"), "did you mean", "--time s --drive percent --position rad"),
+    "percent, in words": (log("t_s,duty_percent,y_rad"), "did you mean", "--drive percent"),
+    "pwm and volts": (log("t_s,pwm_V,y_rad"), "for UNIT: of drive V, mV", "--drive pwm_V:UNIT"),
+    "rows of blanks": (log("millis pwm counts", " ", row="{k} {k} {k}"), "", "--time ms --drive pwm --position counts"),
+    "no time": (log("u_V,y_rad", row="{u},{y:.4f}"), "no column is called like a time", "--period 10ms"),
+    "no time, other names": (
+        log("volts,deg", row="{u},{y:.4f}"), "row to row", "--period 10ms --drive V --position deg"
+    ),
+    "dates": (
+        log("timestamp,u_V,y_rad", row="2026-01-02T03:04:05.{k:02d}0,{u},{y:.4f}"),
+        "column 'timestamp' holds dates", "--period 10ms",
+    ),
+    "clock times": (
+        log("time;Spannung [V];Lage [°]", ";", row="12:00:00.{k:02d}0;{u};{y:.4f}"), "holds dates",
+        "--period 10ms --drive V --position deg",
+    ),
+    "a speed": (log("t [s],u [V],omega [rad/s]"), "no column", "--time s --drive V --velocity rad/s"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_an_odd_log_is_refused_with_options_that_read_it(tmp_path: Path, name: str) -> None:
+    text, words, options = ODD[name]
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError) as caught:
+        read(path)
+    said = str(caught.value)
+    assert words in said and options in said
+    typed = options.replace("UNIT", "V").split()
+    typed += [part for part in re.findall(r"of \w+ also ([^,;]+)", said) for part in part.split()]
+    result = CliRunner().invoke(reading, [str(path), *typed])
+    assert result.exit_code == 0, (result.output, result.exception)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "cause"),
+    [
+        (log("t_s,current_A,y_rad"), "", "a current is a torque"),
+        (log("t_s,motor current,y_rad"), "--drive V", "a current is a torque"),
+        (log("t_s,current_A,y_rad"), "--drive current_A:V", "a current is a torque"),
+        (log("t_s,current_A,y_rad"), "--drive current_A", "a current is a torque"),
+        (log("t_s,i_mA,y_rad"), "--drive V", "a current is a torque"),
+        (log("Zeit;Strom (A);Winkel", ";"), "", "a current is a torque"),
+        (log("t_s,drive,y_rad\ns,A,rad"), "--drive V", "a current is a torque"),
+        (log("t_s,u_V,y_rad\ns,A,rad"), "", "a current is a torque"),
+        (log("t_s,u_V,y_rad", row="{t:.2f},33%,{y:.4f}"), "", "sed 's/%//g'"),
+        (log("t_s,u_V,y_rad", row="{t:.2f},1.5 V,{y:.4f}"), "", "the number alone, without V"),
+        (log("t_s,u_V,y_rad", row="{t:.2f};{u};{y:.4f}"), "", "the names stand between ',', and the rows between ';'"),
+        (
+            log("t_s,u_V,y_rad", row="{k},1,5,0,3"),
+            "",
+            "if decimal commas stand between commas, save it with semicolons",
+        ),
+        (log("", row="2026-01-02 03:04:05.{k:02d},{u},{y:.4f}"), "", "--period 10ms --drive pwm --position counts"),
+        (log("t_s,u_V,y_rad", row=""), "", "has 0 rows; record at least 3"),
+        ("y_rad\n" + "0.1\n" * 30, "", "has no column t_s, u_V"),
+    ],
+)
+def test_an_odd_log_is_refused_with_what_to_do(tmp_path: Path, text: str, options: str, cause: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    result = CliRunner().invoke(reading, [str(path), *re.findall(r"--drive|[^ ]+", options)])
+    assert result.exit_code != 0 and cause in f"{result.output} {result.exception}"
+
+
+@pytest.mark.parametrize(
+    ("content", "names"),
+    [
+        (log("t_s,u_V,y_rad").replace("t_s", "Größe,t_s").replace("\n0", "\n1,0").encode("latin-1"), "is not UTF-8"),
+        (log("t_s,u_V,y_rad").encode("utf-16"), "is UTF-16"),
+        (log("t_s,u_V,y_rad").replace(",", ", ").replace(".", ",").replace(", ", ",").encode(), "has 6 fields"),
+    ],
+)
+def test_the_command_of_a_refusal_makes_a_file_that_is_read(tmp_path: Path, content: bytes, names: str) -> None:
+    path = tmp_path / "my log.csv"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=names) as caught:
+        read(path)
+    command = caught.value.cure.partition("has one: ")[2] or caught.value.cure
+    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True)
+    assert whole(read(tmp_path / "plain.csv"))
+
+
+def whole(recording: Recording) -> bool:
+    """Whether all rows of the motion are there, as they were."""
+    return bool(np.allclose(recording.t_s, T_S) and np.allclose(recording.y_rad, Y_RAD, atol=1e-4))
+
+
+def test_units_that_a_name_says() -> None:
+    for name, quantity, units in (
+        ("Spannung (V)", "drive", {"V"}),
+        ("v", "drive", set()),
+        ("duty_%", "drive", {"percent"}),
+        ("PWM [%]", "drive", {"percent"}),
+        ("pwm duty", "drive", {"pwm", "duty"}),
+        ("omega (rad/s)", "position", set()),
+        ("omega (rad/s)", "time", set()),
+        ("counts per second", "position", set()),
+        ("Drehzahl (U/min)", "velocity", {"rpm"}),
+        ("Winkel [°]", "position", {"deg"}),
+    ):
+        assert units_said(name, quantity) == units, name
