@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identification.departures.departure import COARSEST_PATH_RAD
 from rig.run_folder.recording.series import TimeSeries, steps_of
 
+COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 OF_COARSEST = 0.8  # mean way of several rows as one, at most, of that beyond which no law over the angle is looked for
 
 

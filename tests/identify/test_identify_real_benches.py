@@ -14,7 +14,7 @@ from rig.identification import identify
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Columns, levels
-from rig.identification.departures.departure import COARSEST_PATH_RAD, Bench
+from rig.identification.departures.departure import Bench
 from rig.identification.departures.fit import CORE, Problem, limits_of, solve, start
 from rig.identification.departures.laws import orders
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
@@ -25,7 +25,7 @@ from rig.identification.in_pieces import fit_in_pieces
 from rig.identification.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
-from rig.identification.thinning import showing_the_angle, thinned
+from rig.identification.thinning import COARSEST_PATH_RAD, showing_the_angle, thinned
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries

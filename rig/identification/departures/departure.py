@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rig.core.motor_numbers import NUMBERS, PARTS
+from rig.identification.thinning import COARSEST_PATH_RAD
 
 LARGEST = 10.0  # size of a law, in its ranges: beyond it no bench is, and a fit loses its way
 LARGEST_FORCE = 3.0  # of a law over the angle, times the largest drive
-COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 NOTHING: Mapping[str, float] = {}
 
 
