@@ -8,6 +8,8 @@
  *     edge at a time;
  *   - an interrupt that came while it was held back is lost to it: the tick's is raised again when it is let in;
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
+ *   - it looks at each cycle for a level that an external interrupt waits for, until that pin is high, also where edges are
+ *     selected meanwhile: the encoder's pins are shown from then on;
  *   - its sleep waits for real time: not here;
  *   - PINB has the port's bits where the pins show a timer: it is read anew from the pins;
  *   - it lets a program write registers as the data sheet forbids: Timer1, on which the drive hangs, is in timer1.c, and
@@ -42,7 +44,7 @@
 #define DRIVE_STEPS 32000 /* of the bridge's duty, as the bench counts it */
 #define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
 #define RUN_CYCLES 200u /* instructions of about so many cycles run without a look at the timers: none is due then */
-#define CONTACTS 0x70u /* of port D; at D2 and D3, until EICRA selects edges, libsimavr looks for low levels at each cycle */
+#define CONTACTS 0x70u /* of port D */
 #define CHANNELS 0x0Cu /* of an encoder, at port D */
 #define LOOK_CYCLES 1600u /* at the shaft, at least so often: 100 us */
 #define HAND_CYCLES 800u /* between two edges of a shaft that was put elsewhere: 20,000 a second */
@@ -53,7 +55,7 @@
 
 /* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
 enum {
-    PINB = 0x23, PIND = 0x29, DDRB = 0x24, PORTB = 0x25, PINC = 0x26, DDRC = 0x27, PORTC = 0x28, PORTD = 0x2B, TIFR2 = 0x37, SMCR = 0x53, MCUSR = 0x54, WDTCSR = 0x60, TIMSK2 = 0x70,
+    PINB = 0x23, PIND = 0x29, DDRB = 0x24, PORTB = 0x25, PINC = 0x26, DDRC = 0x27, PORTC = 0x28, PORTD = 0x2B, TIFR2 = 0x37, SMCR = 0x53, MCUSR = 0x54, WDTCSR = 0x60, EICRA = 0x69, TIMSK2 = 0x70,
     ADCSRA = 0x7A, ADMUX = 0x7C, UCSR0A = 0xC0, UCSR0B = 0xC1, UCSR0C = 0xC2, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
 };
 enum { PC_WIRE_A = 3, PC_WIRE_B = 4, PC_ESTOP = 5 }; /* of a loop-back: firmware/boards/uno/wiring.h */
@@ -66,7 +68,7 @@ enum { UPE0_TO_FE0 = 0x1C };
 /* Whose writes are looked at besides those that libsimavr itself tells of. */
 static const avr_io_addr_t WATCHED[] = {
     DDRB, PORTB, DDRC, PORTC, PORTD, TCCR1A, TCCR1B, TCNT1L, TCNT1H, ICR1L, ICR1H, OCR1AL, OCR1AH, OCR1BL, OCR1BH,
-    ADMUX, UCSR0A, UCSR0C, UBRR0L, UBRR0H, WDTCSR
+    ADMUX, UCSR0A, UCSR0C, UBRR0L, UBRR0H, WDTCSR, EICRA
 };
 #define WATCHED_COUNT (sizeof WATCHED / sizeof WATCHED[0])
 
@@ -500,7 +502,8 @@ static uint8_t open_contacts(const virtual_board *b)
 /* Which contacts read high: the open ones, where the pull-up is on. The encoder drives its pins itself. */
 static void tell_contacts(virtual_board *b)
 {
-    const bool has_encoder = b->params.encoder != 0;
+    const uint8_t selected = b->avr->data[EICRA];
+    const bool has_encoder = b->params.encoder != 0 && (selected & 3u) != 0u && (selected & 0xCu) != 0u;
     const unsigned levels = has_encoder ? bench_encoder_levels(&b->bench, b->shown_steps) << 2 : 0u;
     b->shown_open = open_contacts(b);
     const uint8_t high = (uint8_t)((b->shown_open & b->avr->data[PORTD] & CONTACTS) | levels);
@@ -596,7 +599,7 @@ static void register_written(avr_irq_t *irq, uint32_t value, void *context)
     } else {
         timer1_advance(&b->timer1, b->avr->cycle);
     }
-    if (w->address == PORTD || w->address == DDRC || w->address == PORTC) {
+    if (w->address == PORTD || w->address == EICRA || w->address == DDRC || w->address == PORTC) {
         tell_contacts(b);
     }
     look_at_ends(b);
@@ -1145,4 +1148,5 @@ void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)
     advance_bench(b);
     b->bench.y_rad = y_rad;
     b->bench.v_rad_per_s = v_rad_per_s;
+    b->looks = false; /* it looks at once: of edges that came since the last look none would come sooner than its speed has them */
 }
