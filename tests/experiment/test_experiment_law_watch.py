@@ -421,6 +421,12 @@ def keepers_of(pid: int) -> list[int]:
     return [child for child, line in named.items() if b"rig.running.keeper" in line]
 
 
+def cpu_s(pid: int) -> float:
+    """CPU time that a process has had."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 @pytest.mark.parametrize(
     ("way", "numbers", "is_gone"),
     [
@@ -437,6 +443,8 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read_also_where_the_
     assert host.stderr is not None
     if is_gone:
         host.stderr.close()
+    had_s = cpu_s(host.pid)
+    wait_until(lambda: cpu_s(host.pid) > had_s + 0.05)  # it is in the loop: a moment before, a signal would end the run
     for number in numbers:
         host.send_signal(number)
     said = "" if is_gone else host.stderr.read()
