@@ -15,6 +15,7 @@ from virtual_host import LSB_RAD
 
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.plug import Until
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
@@ -160,6 +161,7 @@ def test_bytes_that_find_no_room_are_lost_and_not_those_before_them() -> None:
 @pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
 def test_a_reply_takes_the_time_of_its_bits(options: Variant) -> None:
     host = ChipHost(VirtualChip(BENCH, options=options), options.baud)
+    host.board.reads = Until.BYTE
     host.send(Kind.HELLO)
     data, times_s = b"", []
     while not data.endswith(b"\0"):
