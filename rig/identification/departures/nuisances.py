@@ -19,7 +19,7 @@ Begins = NDArray[np.int64]
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 FEWEST_PIECES = 6  # that say by how much a law's evidence differs between them
-SHOWN = 1e-9  # of the squares of a law's columns: what is left of them beside the fit's own numbers, if it is no rounding
+SHOWN = 1e-9  # of the squares of a law's columns: what is left beside the fit's own numbers, if it is no rounding
 UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 
 
