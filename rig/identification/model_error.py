@@ -3,9 +3,11 @@
 On a motor that is what the model says both are no larger than the scatter of the fit tells, and add nothing. On another
 the pieces differ by more than that, for the noise of each is not the cause: then what they differ by says how far the
 numbers may be off (a sandwich covariance over pieces, and half the difference between the halves with low and with high
-drive). Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands for it, but
-not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a velocity. It stands
-for three laws and more, too, whatever they leave: so many stand in for something that no law here describes.
+drive). The numbers of a record differ by much the same ratio, and few pieces tell each one's own badly: so what the
+others say joins it. Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands
+for it, but not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a
+velocity. It stands for three laws and more, too, whatever they leave: so many stand in for something that no law here
+describes.
 
 A law of the catalogue is not quite that of a bench. Where a fit with laws leaves white noise, or the rounding to the
 sensor's steps, its laws are the bench's. Where it leaves more, three tenths of what each law moves a number by stand
@@ -31,7 +33,7 @@ from rig.model.real_motor import is_plain
 
 Array = NDArray[np.float64]
 
-CHANCE = 0.005 / 3.0  # that pieces of a motor that the model describes seem to differ in a number; it has three
+CHANCE = 0.005  # that pieces of a motor that the model describes seem to differ
 FEWEST_PIECES = 6
 NORMAL = 3.0  # fourth moment of a normal distribution over the square of its variance
 APART = 1.15  # drive of the half with high drives over that of the other: less tells nothing
@@ -49,10 +51,15 @@ PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to sha
 
 
 class ModelError(NamedTuple):
-    """Lines of the budget, and how many rows say as much as one, >= 1: by how much pieces differ more than noise."""
+    """Lines of the budget, and how many rows say as much as one, >= 1: by how much pieces differ more than noise.
+
+    effect   of all numbers
+    of_each  of tau, K and friction
+    """
 
     lines: tuple[Entry, ...] = ()
     effect: float = 1.0
+    of_each: tuple[float, ...] = (1.0, 1.0, 1.0)
 
 
 def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelError:
@@ -74,7 +81,7 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):
         return ModelError()
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-    of_pieces, effect = beyond_noise(matrix, gradient, unit(fit), at)
+    of_pieces, effect, of_each = beyond_noise(matrix, gradient, unit(fit), at, as_noise=not leaves)
     lines = (of_pieces, _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
     found = [
         Entry(source, *(half * size).tolist())
@@ -83,7 +90,7 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     ]
     if leaves or laws >= MANY_LAWS:
         found.append(Entry(LEFT, *(SHARED * abs(getattr(fit.motor, name)) for name in OF)))
-    return ModelError(tuple(found), effect)
+    return ModelError(tuple(found), effect, tuple(of_each.tolist()))
 
 
 def only_like(fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] = ()) -> tuple[Entry, ...]:
@@ -103,14 +110,21 @@ def only_like(fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] =
     return (Entry(LIKE, *half.tolist()),) if half.any() else ()
 
 
-def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]) -> tuple[Array, float]:
+def beyond_noise(
+    matrix: Array, gradient: Array, noise: float, at: Sequence[int], *, as_noise: bool = True
+) -> tuple[Array, float, Array]:
     """(k,) half widths that pieces show beyond the scatter of as many rows as count, and how many rows count as one.
 
     matrix, gradient   (p, m, m) and (p, m): normal equations of each piece
     noise              variance of its rows
     at                 (k,) which numbers
-    Degrees of freedom are those of normal pieces as unequal as these are, by what each says of a number and by how far
-    it moves it, whichever are fewer.
+    as_noise           whether pieces are taken to differ by noise alone until chance hardly makes them differ so
+    How many count as one is for all numbers, and (k,) for each. Degrees of freedom are those of normal pieces as
+    unequal as these are, by what each says of a number and by how far it moves it, whichever are fewer.
+
+    By how much more than noise a number differs between few pieces is hardly known from that number, and the numbers of
+    a record differ by much the same ratio. So what the others say joins it, as far as they move otherwise than it does
+    (as the moderated variances of Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).
     """
     inverse = _inverse(matrix.sum(axis=0))
     moves = -(gradient @ inverse)[:, at]
@@ -120,13 +134,20 @@ def beyond_noise(matrix: Array, gradient: Array, noise: float, at: Sequence[int]
     naive = np.maximum(np.diag(inverse)[at] * noise, 1e-300)
     by_noise = np.maximum(np.einsum("ik,pkl,li->pi", inverse[at], matrix, inverse[:, at]), 0.0)
     effective = np.maximum(np.minimum(_as_many(by_noise) - 1.0, NORMAL * _as_many(moves**2) - 2.0), 1.0)
-    bar = np.array([chi_squared_quantile(one, CHANCE) / one for one in effective])
-    half = np.array([student_975(one) for one in effective]) * np.sqrt(squares)
-    differ = squares > bar * naive
-    ratio = squares / naive
-    effect = max(1.0, float(np.exp(np.log(ratio[differ]).mean()))) if differ.any() else 1.0
-    beyond = np.sqrt(np.maximum(half**2 - COVERAGE**2 * naive * effect, 0.0))
-    return np.where(differ, beyond, 0.0), effect
+    own = np.maximum(squares / naive, 1e-300)
+    freedom = float(effective.max())
+    of_all = float(np.exp(np.average(np.log(own), weights=effective)))
+    if of_all <= (chi_squared_quantile(freedom, CHANCE) / freedom if as_noise else 1.0):
+        return np.zeros(len(at)), 1.0, np.ones(len(at))
+    products = moves.T @ moves
+    alike = products**2 / np.maximum(np.outer(np.diag(products), np.diag(products)), 1e-300)
+    weight = effective * np.maximum(1.0 - alike - np.eye(len(at)), 0.0)
+    of_others = np.exp(weight @ np.log(own) / np.maximum(weight.sum(axis=1), 1e-300))
+    joining = np.minimum(weight.sum(axis=1), freedom)
+    of_each = np.maximum((effective * own + joining * of_others) / (effective + joining), 1.0)
+    sure = np.array([student_975(one) for one in effective + joining])
+    beyond = np.sqrt(np.maximum(sure**2 - COVERAGE**2, 0.0) * of_each * naive)
+    return beyond, of_all, of_each
 
 
 def _as_many(squares: Array) -> Array:

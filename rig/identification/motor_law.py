@@ -17,7 +17,7 @@ from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
-from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
+from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, Shifts, budget
 from rig.identification.departures.choice import Choice, Chooser, as_likely, levels, with_own_noise
 from rig.identification.departures.coupled import coupling_rad_s, takes_enough
 from rig.identification.departures.departure import Departure
@@ -446,7 +446,8 @@ def motor_law(
     of_levels = levels_line(parts, level) if any(law.name == LEVEL_EACH for law in choice.laws) else ()
     bench = begun.chooser.bench
     hidden = [law for law in begun.chooser.candidates if law.may_hide]
-    nuisances = Nuisances.of(parts, choice.laws, hidden, bench, outside(parts, choice.laws, bench))
+    seen = outside(parts, choice.laws, bench)
+    nuisances = Nuisances.of(parts, choice.laws, hidden, bench, seen, blocks.cut.longest_s)
     bare = bare_fits(parts, choice.laws, begun.chooser)
     coupled = fit.problem.cut.coupling_rad_s
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
@@ -457,10 +458,15 @@ def motor_law(
     for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
         instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
-    own = None if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2 * of_model.effect
+    scatter = Shifts.of(nuisances).scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     lines = budget(
-        nuisances.tempered(of_model.effect), by_size, instead, scales, own, (*of_model.lines, *like, *of_levels)
+        nuisances.tempered(of_model.effect),
+        by_size,
+        instead,
+        scales,
+        scatter * of_model.of_each,
+        (*of_model.lines, *like, *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))

@@ -15,8 +15,9 @@ from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Columns, levels
 from rig.identification.departures.departure import Bench
-from rig.identification.departures.fit import CORE, Problem, limits_of, solve, start
+from rig.identification.departures.fit import CORE, Problem, Rows, limits_of, solve, start
 from rig.identification.departures.laws import orders
+from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import Estimate
@@ -384,7 +385,8 @@ def test_errors_of_the_model_add_nothing_on_a_motor_that_is_what_the_model_says(
     assert max(entry.K_rad_s_V for entry in lines[1].values()) > 0.005 * MOTOR.K_rad_s_V
 
 
-def test_few_pieces_that_differ_hold_the_truth_and_are_no_wider_than_that_takes() -> None:
+@pytest.mark.parametrize("at", [[0], [0, 1, 2]])
+def test_few_pieces_that_differ_hold_the_truth_and_are_no_wider_than_that_takes(at: list[int]) -> None:
     random = np.random.default_rng(5)
     pieces, numbers, scatter, draws = 10, 5, 5.0, 400
     half, off = np.empty(draws), np.empty(draws)
@@ -394,10 +396,42 @@ def test_few_pieces_that_differ_hold_the_truth_and_are_no_wider_than_that_takes(
         pulls = np.einsum("pij,pj->pi", matrix, scatter * random.standard_normal((pieces, numbers)))
         inverse = np.linalg.inv(matrix.sum(axis=0))
         found = inverse @ pulls.sum(axis=0)
-        beyond, effect = beyond_noise(matrix, matrix @ found - pulls, 1.0, [0])
-        half[k], off[k] = math.hypot(beyond[0], 2.0 * math.sqrt(effect * inverse[0, 0])), found[0]
+        beyond, _, of_each = beyond_noise(matrix, matrix @ found - pulls, 1.0, at)
+        half[k], off[k] = math.hypot(beyond[0], 2.0 * math.sqrt(of_each[0] * inverse[0, 0])), found[0]
     assert 0.93 < np.mean(np.abs(off) < half) < 0.99
     assert np.median(half) < 3.0 * scatter / math.sqrt(pieces)
+    # what the other numbers say makes the width less a matter of chance
+    assert bool(np.std(half) < 0.2 * np.mean(half)) == (len(at) > 1)
+
+
+def test_pieces_that_differ_by_noise_alone_are_believed_where_the_fit_leaves_more_than_noise() -> None:
+    random = np.random.default_rng(7)
+    rows = random.standard_normal((30, 40, 4))
+    matrix = np.swapaxes(rows, 1, 2) @ rows
+    pulls = np.einsum("pij,pi->pj", rows, 1.2 * random.standard_normal((30, 40)))
+    pulls -= matrix @ np.linalg.inv(matrix.sum(axis=0)) @ pulls.sum(axis=0)
+    assert beyond_noise(matrix, pulls, 1.0, [0, 1, 2])[1] == 1.0
+    assert 1.2 < beyond_noise(matrix, pulls, 1.0, [0, 1, 2], as_noise=False)[1] < 3.0
+
+
+def test_evidence_of_a_law_that_pulls_parts_to_and_fro_counts_as_of_fewer_rows() -> None:
+    random = np.random.default_rng(9)
+    parts, each = 12, 100
+    n, law = parts * each, random.standard_normal((parts * each, 1))
+    rows = Rows(np.zeros(n), np.zeros(n), random.standard_normal((n, 3)), random.standard_normal((n, 2)))
+    part = np.repeat(np.arange(parts), each)
+    noise = random.standard_normal(n)
+    ways = np.where(np.arange(parts) % 2, 1.0, -1.0)
+
+    def apart(residual: np.ndarray, ends: np.ndarray) -> float:
+        whole = np.zeros(1, dtype=np.int64)
+        return float(pulls_apart(replace(rows, residual=residual), law, whole, ends, float(np.var(residual)))[0])
+
+    ends = np.arange(0, n, each)
+    assert 0.3 < apart(noise, ends) < 2.5
+    assert apart(noise + 0.3 * law[:, 0], ends) < 2.5  # the same way in all of them
+    assert apart(noise + 0.6 * ways[part] * law[:, 0], ends) > 10.0
+    assert apart(noise + 0.6 * ways[part] * law[:, 0], ends[:5]) == 1.0  # five parts say nothing of that
 
 
 def test_a_law_that_one_block_alone_shows_takes_nothing_away() -> None:

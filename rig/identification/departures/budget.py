@@ -82,7 +82,7 @@ def budget(
     by_size: Sequence[Profile],
     instead: Sequence[InPlace],
     scales: ScaleErrors,
-    scatter: Array | None = None,
+    scatter: Array,
     of_model: Sequence[Entry] = (),
 ) -> Budget:
     """The budget of a fit with its chosen laws.
@@ -91,14 +91,13 @@ def budget(
     by_size     laws in which the motion is not linear, size by size
     instead     those that could stand in place of a chosen one
     scales      how well the bench's volt, radian and second are known
-    scatter     (3,) variances of tau, K and friction by the noise alone; None: those of the fit
+    scatter     (3,) variances of tau, K and friction by the scatter of the fit
     of_model    lines for errors of the model itself
     """
-    shifts = Shifts.of(nuisances)
-    hidden = Hidden.of(shifts, nuisances.each, by_size)
+    hidden = Hidden.of(Shifts.of(nuisances), nuisances.each, by_size)
     motor = nuisances.fit.motor
     entries = [
-        Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter if scatter is None else scatter)).tolist()),
+        Entry(TYPE_A, *(COVERAGE * np.sqrt(scatter)).tolist()),
         *hidden.lines(),
         *instead_of(instead),
         *of_model,
@@ -146,11 +145,13 @@ class Shifts:
         own, border = matrix[:core, :core], matrix[core:, :core]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
         inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
+        inside = _no_less_than_nothing((matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread))
+        fewer = np.sqrt(nuisances.as_one)
         return cls(
             np.diag(inverse)[nuisances.at] * nuisances.size**2,
             -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
-            _no_less_than_nothing((matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread)),
-            (gradient[core:] - border @ inverse @ gradient[:core]) * spread,
+            inside / np.outer(fewer, fewer),
+            (gradient[core:] - border @ inverse @ gradient[:core]) * spread / nuisances.as_one,
             np.array([one.law.one_sided for one in nuisances.each for _ in one.columns], dtype=bool),
         )
 

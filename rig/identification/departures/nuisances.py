@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.choice import Columns, with_own_noise
 from rig.identification.departures.departure import NOTHING, Bench, Departure
-from rig.identification.departures.fit import POSITIVE, Fit, unit
+from rig.identification.departures.fit import POSITIVE, Fit, Rows, unit
 
 Array = NDArray[np.float64]
+Begins = NDArray[np.int64]
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
+FEWEST_PIECES = 6  # that say by how much a law's evidence differs between them
+SHOWN = 1e-9  # of the squares of a law's columns: what is left beside the fit's own numbers, if it is no rounding
 UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 
 
@@ -42,6 +46,8 @@ class Nuisances:
     each       the starts of the laws that it has not
     matrix, gradient   normal equations in units of the noise: of the fit's own numbers, then of the nuisances
     spread     standard deviation of each nuisance before the record is looked at
+    as_one     how many rows say as much as one of each nuisance, >= 1, beyond what they do of all: where noise is not
+               white, by how much more than noise its evidence differs between pieces
     """
 
     fit: Fit
@@ -49,6 +55,7 @@ class Nuisances:
     matrix: Array
     gradient: Array
     spread: Array
+    as_one: Array
 
     @classmethod
     def of(
@@ -58,16 +65,19 @@ class Nuisances:
         candidates: Sequence[Departure],
         bench: Bench,
         outside: Sequence[tuple[Departure, Array, int]] = (),
+        longest_s: float = math.inf,
     ) -> Nuisances:
         """Of all ``candidates`` that are not among the ``laws`` of the fit.
 
         outside   laws that the motor's model has not, each start with the change of the readings, (n, k), for 1 of its
                   sizes, and how many starts the law has
+        longest_s   of a piece between which evidence may differ, s: longer ones of the fit are cut
         """
         fit = with_own_noise(fit)
         absent = [law for law in candidates if law not in laws]
         smooth = [law for law in absent if law.trials(bench) == (NOTHING,)]
-        columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts), smooth)
+        rows = fit.problem.rows(fit.motor, fit.starts)
+        columns = Columns(fit, rows, smooth)
         added: list[Array] = []
         each: list[Nuisance] = []
         spreads: list[float] = []
@@ -83,11 +93,22 @@ class Nuisances:
             spreads += [law.range_of(bench) / UNIFORM] * change.shape[1]
         normal = columns.normal(np.column_stack(added)) if added else columns.base
         variance = unit(fit)
-        return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads))
+        as_one = np.ones(len(spreads))
+        if added and not fit.problem.noise.white:
+            cut = fit.problem.cut
+            ends = cut.every(longest_s).begins if cut.longest_s > 1.01 * longest_s else cut.begins
+            apart = pulls_apart(rows, np.column_stack(added), cut.begins, ends, variance)
+            for one in each:  # whichever way a wave is turned
+                as_one[one.columns] = max(float(np.mean(apart[one.columns])), 1.0)
+        return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads), as_one)
 
     def tempered(self, effect: float) -> Nuisances:
-        """The same where only one of ``effect`` (>= 1) rows says something: pieces differ by more than noise."""
-        return replace(self, matrix=self.matrix / effect, gradient=self.gradient / effect)
+        """The same where only one of ``effect`` (>= 1) rows says something: pieces differ by more than noise.
+
+        Of a nuisance whose own evidence differs by more, still fewer rows do.
+        """
+        as_one = np.maximum(self.as_one / effect, 1.0)
+        return replace(self, matrix=self.matrix / effect, gradient=self.gradient / effect, as_one=as_one)
 
     @property
     def core(self) -> int:
@@ -103,3 +124,30 @@ class Nuisances:
     def size(self) -> Array:
         """(3,) tau, K and friction in their units for one of the fit's numbers."""
         return np.array([getattr(self.fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
+
+
+def pulls_apart(rows: Rows, added: Array, begins: Begins, ends: Begins, variance: float) -> Array:
+    """(k,) by how much more than noise what each column of ``added`` pulls differs between parts of the rows, 1.
+
+    begins     first row of each piece: its start is taken out of the columns, and then the fit's own numbers are
+    ends       first row of each part
+    variance   of the whitened residual
+    What a law pulls over all rows is a sum over the parts, and of parts that differ by noise it is known by their
+    number. A law that stands in for something else pulls some parts one way and some the other.
+    """
+    if ends.size < FEWEST_PIECES:
+        return np.ones(added.shape[1])
+    both = np.column_stack((rows.by_number, np.nan_to_num(added, posinf=0.0, neginf=0.0)))
+    squares = np.sum(both**2, axis=0)
+    for first, stop in pairwise([*begins.tolist(), rows.residual.size]):
+        start = np.linalg.qr(rows.by_start[first:stop])[0]
+        both[first:stop] -= start @ (start.T @ both[first:stop])
+    m = rows.by_number.shape[1]
+    own = np.linalg.qr(both[:, :m] / np.sqrt(np.maximum(squares[:m], 1e-300)))[0]
+    left = both[:, m:] - own @ (own.T @ both[:, m:])
+    shown = np.sum(left**2, axis=0)
+    pulls = np.add.reduceat(left * rows.residual[:, None], ends)
+    pulls -= pulls.mean(axis=0)
+    differ = np.sum(pulls**2, axis=0) * ends.size / max(ends.size - m / 2.0, 1.0)
+    is_shown = shown > SHOWN * squares[m:]
+    return np.where(is_shown, differ / np.maximum(shown * variance, 1e-300), 1.0)
