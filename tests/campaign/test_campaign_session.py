@@ -152,10 +152,10 @@ def test_a_dask_cluster_gives_the_same_rows(tmp_path: Path) -> None:
         "import sys; from pathlib import Path; from rig.campaign import report, session; "
         "from small_campaign import small; "
         "report.write_report = lambda *_: None; "
-        'print(session.run(small(int(sys.argv[1])), Path(sys.argv[2]), jobs=2, backend="dask").added)'
+        "print(session.run(small(int(sys.argv[1])), Path(sys.argv[2]), jobs=2, backend=sys.argv[3]).added)"
     )
     path = os.pathsep.join(str(folder) for folder in (Path(__file__).parent, *sys.path))
-    command = [sys.executable, "-W", "ignore", "-c", program, str(COUNT), str(tmp_path)]
+    command = [sys.executable, "-W", "ignore", "-c", program, str(COUNT), str(tmp_path), "dask"]
     done = subprocess.run(
         command, env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE, text=True, check=True
     )
