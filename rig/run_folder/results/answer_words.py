@@ -60,10 +60,11 @@ def answer_lines(
         if laws:
             yield f"also: {'; '.join(laws)}"
         yield from validity(answer)
-    for reason in answer.reasons[:MOST_REASONS]:
+    most = 1 if answer.is_refused else MOST_REASONS  # the first is the cause, and others follow from it
+    for reason in answer.reasons[:most]:
         yield f"{answer.verdict}: {reason}"
-    if len(answer.reasons) > MOST_REASONS:
-        more = len(answer.reasons) - MOST_REASONS
+    if len(answer.reasons) > most:
+        more = len(answer.reasons) - most
         yield f"{answer.verdict}: {more} more reason{'s' if more > 1 else ''}"
     if answer.is_refused and not answer.reasons:
         yield verdict
