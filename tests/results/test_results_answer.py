@@ -218,6 +218,9 @@ def test_where_it_holds_at_one_drive_alone_is_said_so() -> None:
     holds = HoldsResult(drive_V=(5.648, 5.652), speed_rad_s=(10.0, 120.0), travel_rad=(0.0, 900.0), ways="forward")
     (line,) = validity(Answer(method="sampled-data", holds=holds))
     assert line == "holds at 5.65 V, 10 and 120 rad/s, one way"
+    chirp = holds.model_copy(update={"drive_V": (1e-15, 5.65)})  # goes through zero, and through what friction takes
+    (line,) = validity(Answer(method="sampled-data", fc_V=0.5, holds=chirp))
+    assert line == "holds up to 5.65 V, 10 and 120 rad/s, one way"
 
 
 def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:
@@ -228,11 +231,10 @@ def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:
     assert "± 98 %" in lines[2] and not any("e+" in line for line in lines)
 
 
-def test_a_refused_answer_shows_no_number_and_of_many_reasons_the_first_two() -> None:
-    refused = one(0.17, "refused").model_copy(update={"reasons": ("first", "second", "third", "fourth")})
-    assert shown(answer_of({"sampled-data": refused})) == [
-        "refused: first",
-        "refused: second",
-        "refused: 2 more reasons",
-    ]
+def test_of_many_reasons_the_first_two_are_shown_and_of_a_refused_answer_the_first_and_no_number() -> None:
+    many = {"reasons": ("first", "second", "third", "fourth")}
+    refused = one(0.17, "refused").model_copy(update=many)
+    assert shown(answer_of({"sampled-data": refused})) == ["refused: first", "refused: 3 more reasons"]
+    doubtful = shown(answer_of({"sampled-data": one(0.17, "doubtful").model_copy(update=many)}))
+    assert doubtful[-3:] == ["doubtful: first", "doubtful: second", "doubtful: 2 more reasons"]
     assert shown(None) == ["no answer: nothing was identified"]
