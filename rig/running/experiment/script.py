@@ -226,4 +226,6 @@ def _drive_tests(session: Session, known: FramedMotor | None = None) -> None:
 
 def _named(script: str) -> ScriptCall:
     """What meta.json says of a script with a breakaway check."""
-    return ScriptCall(name=script, breakaway=BREAKAWAY_LAW, search=SEARCH_LAW)
+    if script in ("run", "relay"):
+        return ScriptCall(name=script, breakaway=BREAKAWAY_LAW, search=SEARCH_LAW)
+    return ScriptCall(name=script, breakaway=BREAKAWAY_LAW)
