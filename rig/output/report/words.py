@@ -216,10 +216,12 @@ def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun) -> list[str
 
 def _some_V(value: float | None, reach: tuple[float | None, float | None] | None) -> str:
     """A drive with two digits and its interval; empty where it is not known."""
-    low, high = map(known, reach or (None, None))
-    if not math.isfinite(known(value)):
+    level, low, high = map(known, (value, *(reach or (None, None))))
+    if not level > 0.0:
         return ""
-    return f"{known(value):.2g} V" + (f" ({low:.2g} to {high:.2g})" if math.isfinite(low + high) else "")
+    digits = max(1 - math.floor(math.log10(level)), 0)
+    between = f" ({low:.{digits}f} to {high:.{digits}f})" if math.isfinite(low + high) else ""
+    return f"{level:.{digits}f} V{between}"
 
 
 def _command(*parts: str | Path) -> str:

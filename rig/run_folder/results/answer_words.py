@@ -87,7 +87,7 @@ def graded_words(answer: Answer) -> str:
     Of an answer that is ok: what rig promises of them.
     """
     if answer.verdict == "ok":
-        return "rig promises that tau, K and f_c are within 5 % of the motor's"
+        return "the verdict is ok: rig promises that tau, K and f_c are within 5 %"
     grade = answer.grade or {}
     return ", ".join(f"{name} is {grade[key].grade}" for key, name, _ in PARAMETERS if key in grade)
 
