@@ -327,7 +327,10 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         self._start_s = self._step_start_s = math.nan
 
     def further_gains(self, ratio: float) -> tuple[float, float]:
-        """Gains (h1, h2), V, for the first cycle's period and ``ratio`` times its amplitude; as ``seek_second``."""
+        """Gains (h1, h2), V, for the first cycle's period and ``ratio`` times its amplitude; as ``seek_second``.
+
+        Raises ValueError before that.
+        """
         if self.first is None:
             raise ValueError("the second cycle has not been searched")
         return self._scaled(self.first, self._with_room(ratio))
