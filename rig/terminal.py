@@ -163,13 +163,17 @@ def show_run(outcome: Outcome, *, verbose: bool = True) -> None:
 
 
 def tracking_words(tracking: Mapping[str, TrackingResult]) -> str:
-    """The RMS error with the model of each method, in brackets that of the emulated shaft."""
-    words = []
+    """The RMS error with the model of each method, in brackets that of the emulated shaft; then what did not run."""
+    ran, others = [], []
     for method, one in tracking.items():
-        error = "not run" if one.rms_rad is None else f"{1e3 * one.rms_rad:.1f}"
-        words.append(f"{method} {error}" + ("" if one.true_rms_rad is None else f" ({1e3 * one.true_rms_rad:.1f})"))
+        if one.rms_rad is None:
+            others.append(f"{method} ({one.not_run or 'no outcome was recorded'})")
+        else:
+            shaft = "" if one.true_rms_rad is None else f" ({1e3 * one.true_rms_rad:.1f})"
+            ran.append(f"{method} {1e3 * one.rms_rad:.1f}{shaft}")
     true = " (in brackets the true shaft's)" if any(one.true_rms_rad is not None for one in tracking.values()) else ""
-    return f"tracking error, mrad RMS{true}: {', '.join(words)}"
+    parts = [f"tracking error, mrad RMS{true}: {', '.join(ran)}"] if ran else []
+    return "; ".join(parts + ([f"{'' if ran else 'tracking '}not run: {', '.join(others)}"] if others else []))
 
 
 def _show_loop(loop: LoopResult) -> None:
@@ -228,7 +232,7 @@ def show_tuned(found: TunedResult) -> None:
     click.echo(f"the sensor's noise shakes the drive by {found.drive_noise_V:.3g} V (standard deviation)")
     if found.beyond:
         click.echo(f"beyond what is known: {found.beyond}")
-    tried = any(one.says("inside") for one in found.prediction.values())
+    tried = any(one.inside is not None for one in found.prediction.values())
     rows = []
     for one in found.prediction.values():
         low, high = map(known, one.interval95)

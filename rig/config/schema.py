@@ -486,7 +486,7 @@ class GainSearchSection(_Section):
     h2_step_V: Positive = Field(0.15, description="by how much h2 is raised until a cycle appears")
     step_s: Positive = Field(0.6, description="time given to each h2 before it is raised")
     h_max_V: Positive = Field(3.0, description="largest h1 and largest h2")
-    timeout_s: Positive = Field(90.0, description="longest search")
+    timeout_s: Positive = Field(90.0, description="longest search, for each test")
 
 
 class UntilSection(_Section):

@@ -109,6 +109,8 @@ class RelayLaw(Generic[R]):
 class GainSearch(RelayLaw[DualChannelRelay]):
     """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (docs/theory.md 4.2).
 
+    After ``seek_second`` it goes on, run once more, to a cycle of another amplitude and the same period.
+
     relay, detector  shared with the relay tests that follow, so that the cycle goes on
     target           the wanted cycle
     search           where to start, and how far to go
@@ -118,7 +120,8 @@ class GainSearch(RelayLaw[DualChannelRelay]):
 
     The trim inverts the describing function. With x = h2 - f_c:  w = h1/(tau x),  A = 4 K tau x^2/(pi h1). So a
     settled (A, w) at known gains gives tau and K for the assumed f_c, and then the wanted (A, w) gives x and h1.
-    From two settled pairs, if they differ enough, the search also estimates f_c.
+    From two settled pairs, if they differ enough, the search also estimates f_c. The second cycle needs that: f_c is a
+    large part of h2, so with the breakaway level in its place x would hardly change, and A could grow where h1 falls.
     No step changes x or h1 by more than a factor ``_STRIDE``. Raises Fault NO_CYCLE at the time-out.
 
     unshown  raises SENSOR_STUCK where the reading stands still under the drives; None: nothing does
@@ -126,7 +129,10 @@ class GainSearch(RelayLaw[DualChannelRelay]):
 
     _STRIDE = 1.5
     _PATIENCE_CYCLES = 12
+    _OF_THE_GUESS = 0.85  # f_c, of a guess from strokes: these have to move the shaft visibly in their short time
+    _CYCLES_OF_SECOND = 5  # from the larger cycle it shrinks by a few per cent a period, which counts as settled
     unshown: UnshownMotion | None = None
+    first: SettledCycle | None = None  # once the second is searched
 
     def __init__(
         self,
@@ -142,10 +148,11 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         self.top_speed_rad_s = top_speed_rad_s
         self.target = target
         self.search = search
-        self.friction_V = friction_V
+        self.friction_V = self._guess_V = friction_V
         self.reach_rad = reach_rad
         self.steps: list[SearchStep] = []
         self._settled: list[tuple[float, float, float, float]] = []  # h1, h2, w, A
+        self._before = 0  # steps of the first cycle's search, once the second is searched
         self._step_start_s = math.nan
         self._was_within = False
         self._y_range = (math.inf, -math.inf)  # since the last change of gains
@@ -172,7 +179,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
             self._retreat(sample.t_s, f"|y| above {self.reach_rad:.2f} rad")
         elif speed > self.top_speed_rad_s:
             self._retreat(sample.t_s, f"speed above {self.top_speed_rad_s:.1f} rad/s")
-        elif completed and self.detector.settled:
+        elif completed and self.detector.settled and len(self.detector.cycles) >= self._cycles:
             self._trim(sample.t_s)
         elif self._step_is_over(sample.t_s):
             self._raise_h2(sample.t_s)
@@ -185,7 +192,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
             last = cycles[-1]
             return t_s > last.start_s + 3.5 * last.period_s  # the shaft sticks meanwhile
-        if self._sticks:
+        if self._sticks and self.first is None:
             wait_s = self.search.step_s  # there is nothing to wait for
         else:
             # a first whole period after a change of gains may take two
@@ -194,18 +201,25 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         return t_s - self._step_start_s > wait_s
 
     @property
+    def _cycles(self) -> int:
+        """Periods at one pair of gains, at least, until it is judged by them."""
+        return 3 if self.first is None else self._CYCLES_OF_SECOND
+
+    @property
     def _sticks(self) -> bool:
         """Whether the shaft has hardly moved since the last change of gains."""
         return self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad
 
     def _raise_h2(self, t_s: float) -> None:
         self._note(t_s, math.nan, math.nan, self._last_reason())
-        h2 = self.relay.h2_V + self.search.h2_step_V
-        if h2 > self.search.h_max_V or h2 + self.relay.h1_V > self.search.sum_max_V:
+        h1, h2 = self.relay.h1_V, self.relay.h2_V + self.search.h2_step_V
+        if self.first is not None:  # half the way back to gains that are known to give a cycle
+            h1, h2 = 0.5 * (h1 + self.first.h1_V), 0.5 * (self.relay.h2_V + self.first.h2_V)
+        if h2 > self.search.h_max_V or h2 + h1 > self.search.sum_max_V:
             raise Fault("NO_CYCLE", f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
         if self._sticks:
             self.relay.restart()  # the shaft sticks: the integral meanwhile means nothing
-        self._set_gains(self.relay.h1_V, h2)
+        self._set_gains(h1, h2)
         self._step_start_s = t_s
 
     def _retreat(self, t_s: float, why: str) -> None:
@@ -248,11 +262,17 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         self._step_start_s = t_s
 
     def _refine_friction(self) -> None:
-        """f_c from two settled pairs: pi A w / 4 = K h2 - K f_c is a line in h2 (docs/theory.md 4.2)."""
+        """f_c from two settled pairs: pi A w / 4 = K h2 - K f_c is a line in h2 (docs/theory.md 4.2).
+
+        The second cycle has the first's shape, and there the line is exact: the first pair stands for one of the two,
+        and the motion alone has to differ.
+        """
         if len(self._settled) < 2:
             return
-        (_, h2a, wa, Aa), (_, h2b, wb, Ab) = self._settled[-2:]
-        if abs(h2a - h2b) < 0.08 * max(h2a, h2b):
+        (_, h2a, wa, Aa), (_, h2b, wb, Ab) = self._settled[0 if self.first is not None else -2], self._settled[-1]
+        if self.first is None and abs(h2a - h2b) < 0.08 * max(h2a, h2b):
+            return
+        if h2a == h2b or abs(Aa * wa - Ab * wb) < 0.05 * Aa * wa:
             return
         slope = (Aa * wa - Ab * wb) / (h2a - h2b)
         if slope <= 0.0:
@@ -277,28 +297,56 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         return cycles[-1].reason or "not settled"
 
     def _story(self) -> str:
-        found = [s for s in self.steps if s.outcome == "settled"]
+        tried = self.steps[self._before :]
+        found = [s for s in tried if s.outcome == "settled"]
+        which = "" if self.first is None else "of the second test "
         if not found:
-            return f"{len(self.steps)} pairs of gains tried, none gave a settled cycle; last: {self._last_reason()}"
+            return f"{len(tried)} pairs of gains {which}tried, none gave a settled cycle; last: {self._last_reason()}"
         best = min(found, key=lambda s: abs(math.log(s.amplitude_rad / self.target.amplitude_rad)))
         return (
-            f"nearest: h1 {best.h1_V:.2f} V, h2 {best.h2_V:.2f} V gave {best.amplitude_rad:.2f} rad, "
+            f"nearest{which and ', of the second test'}: h1 {best.h1_V:.2f} V, h2 {best.h2_V:.2f} V gave "
+            f"{best.amplitude_rad:.2f} rad, "
             f"{best.period_s:.2f} s; wanted {self.target.amplitude_rad:.2f} rad, {self.target.period_s:.2f} s"
         )
 
-    def second_gains(self, ratio: float) -> tuple[float, float]:
-        """Gains (h1, h2), V, for a test of the same period whose amplitude is larger by the factor ``ratio``.
+    def seek_second(self, ratio: float) -> None:
+        """Go on from the cycle found to one of the same period whose amplitude is larger by the factor ``ratio``.
 
-        If h1 and x = h2 - f_c are both scaled, w = h1/(tau x) stays and A = 4 K tau x^2/(pi h1) changes by the ratio.
-        If the larger amplitude would exceed the reach or the drive, the amplitude is smaller by that factor instead.
+        It is nearer to that than to the first. Where there is no room for more, it is smaller by that factor instead.
         """
-        _, amplitude = self.detector.mean()
-        x = max(self.relay.h2_V - self.friction_V, 0.05)
-        h1, h2 = self.relay.h1_V * ratio, self.friction_V + x * ratio
+        period, amplitude = self.detector.mean()
+        self.first = SettledCycle(self.relay.h1_V, self.relay.h2_V, period, amplitude)
+        self._settled = [(self.first.h1_V, self.first.h2_V, 2.0 * math.pi / period, amplitude)]
+        if self.friction_V == self._guess_V:
+            self.friction_V *= self._OF_THE_GUESS
+        ratio = self._with_room(ratio)
+        tolerance = min(self.target.tolerance, max(0.5 * abs(1.0 - ratio), 0.05))
+        self.target = CycleTarget(amplitude * ratio, period, tolerance)
+        self._set_gains(*self._scaled(self.first, ratio))
+        self.finished, self._before = False, len(self.steps)
+        self._start_s = self._step_start_s = math.nan
+
+    def further_gains(self, ratio: float) -> tuple[float, float]:
+        """Gains (h1, h2), V, for the first cycle's period and ``ratio`` times its amplitude; as ``seek_second``.
+
+        Raises ValueError before that.
+        """
+        if self.first is None:
+            raise ValueError("the second cycle has not been searched")
+        return self._scaled(self.first, self._with_room(ratio))
+
+    def _scaled(self, first: SettledCycle, ratio: float) -> tuple[float, float]:
+        """If h1 and x = h2 - f_c are both scaled, w = h1/(tau x) stays and A = 4 K tau x^2/(pi h1) is scaled, too."""
+        x = max(first.h2_V - self.friction_V, 0.05)
+        return first.h1_V * ratio, self.friction_V + x * ratio
+
+    def _with_room(self, ratio: float) -> float:
+        """The ratio, or if the larger amplitude would exceed the reach or the drive, its inverse."""
+        if self.first is None or ratio <= 1.0:
+            return ratio
+        h1, h2 = self._scaled(self.first, ratio)
         too_much = max(h1, h2) > self.search.h_max_V or h1 + h2 > self.search.sum_max_V
-        if ratio > 1.0 and (too_much or 1.1 * amplitude * ratio > self.reach_rad):
-            return self.second_gains(1.0 / ratio)
-        return h1, h2
+        return 1.0 / ratio if too_much or 1.1 * self.first.amplitude_rad * ratio > self.reach_rad else ratio
 
 
 class RelayTest(RelayLaw[Relay]):

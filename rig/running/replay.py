@@ -57,7 +57,7 @@ from rig.run_folder.results import (
     ScriptCall,
 )
 from rig.run_folder.results.reading import DamagedError, parsed
-from rig.running.experiment import BREAKAWAY_LAW, configured_law, stages
+from rig.running.experiment import BREAKAWAY_LAW, SEARCH_LAW, configured_law, stages
 from rig.running.experiment.survey import survey, sweep
 from rig.running.experiment.thorough import test_once_more
 from rig.running.experiment.until import drive_until
@@ -70,6 +70,7 @@ Ending = Literal["its end", "a fault", "no end"]
 _P = TypeVar("_P", bound=Part)
 
 _KNOWS_OLDER_LAWS = "599afeb2"  # the last commit of rig that replays breakaway laws of older versions
+_KNOWS_OLDER_SEARCH = "0d61cc00"  # and of the gain search that tried the gains of the first test alone
 _RECORD_AGAIN = "record the run again with this version"
 
 
@@ -280,6 +281,12 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
             recording.source / META,
             f"its breakaway check is that of an older version: {what.breakaway or 'ramps one way'}",
             f"to replay it take that version: git checkout {_KNOWS_OLDER_LAWS} in a clone of rig",
+        )
+    if what.name in ("run", "relay") and e.relay.target is not None and what.search != SEARCH_LAW:
+        raise RecordingError(
+            recording.source / META,
+            "its gain search is that of an older version, which tried the gains of the first test alone",
+            f"to replay it take that version: git checkout {_KNOWS_OLDER_SEARCH} in a clone of rig",
         )
 
     def script(session: Session) -> None:

@@ -218,7 +218,11 @@ def _begin(
     recorder = Recorder(folder, _stages(experiment), waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
     _tell_time(stop, loop, bench.clock)
-    first_notes = [*no_flag, *bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]
+    first_notes = [
+        *no_flag,
+        *bench.info.remarks,
+        *(_latched(code, bench.info.emulated) for code in bench.info.acknowledged),
+    ]
     supply = _supply(experiment, bench).objection
     first_notes += [] if supply is None else [supply]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
@@ -466,3 +470,10 @@ def _stages(experiment: Experiment) -> list[str]:
     relays.append(str(StageKind.SURVEY))
     tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
     return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]
+
+
+def _latched(code: str, emulated: bool) -> str:
+    """What a device had latched before the run, in words."""
+    if emulated and code == "DEVICE_ESTOP":
+        return "the emulated bench's e-stop was tried before the run, as a bench without travel limits needs"
+    return since_the_last_run(code)

@@ -28,7 +28,7 @@ from rig.run_folder.results import (
 )
 from rig.run_folder.results.result import Quantiles
 from rig.running.session import Outcome
-from rig.terminal import plain_table, show_details, show_estimates, show_run
+from rig.terminal import plain_table, show_details, show_estimates, show_run, tracking_words
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATED = ROOT / "config/quick.yaml"
@@ -95,6 +95,15 @@ def test_a_run_is_summed_up_in_fewer_than_ten_lines_and_verbose_tells_the_rest(
     whole = capsys.readouterr().out
     for word in ("relay-1: h1", "the plain motor by each method", "loop: ", "note 3"):
         assert word in whole and word not in short
+
+
+def test_what_did_not_track_stands_after_what_did_with_its_reason() -> None:
+    ran, left = TrackingResult(rms_rad=0.0036, true_rms_rad=0.0017), TrackingResult(not_run="no estimate")
+    assert tracking_words({"triple-relay": left, "sampled-data": ran}) == (
+        "tracking error, mrad RMS (in brackets the true shaft's): sampled-data 3.6 (1.7); "
+        "not run: triple-relay (no estimate)"
+    )
+    assert tracking_words({"triple-relay": left}) == "tracking not run: triple-relay (no estimate)"
 
 
 def test_a_doubt_to_record_anew_is_followed_by_what_to_type(capsys: pytest.CaptureFixture[str]) -> None:

@@ -75,6 +75,7 @@ def test_the_words_of_a_velocity_loop(run: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "velocity loop, 15 rad/s" in done.stdout and "on 39 motors" in done.stdout
     assert "Kp" in done.stdout and "Kd" not in done.stdout and "RMS error of the tracking, rad/s" in done.stdout
+    assert "OUTSIDE" not in done.stdout and "bench" not in done.stdout  # none was driven
 
 
 def test_the_noise_of_the_runs_sensor_is_not_another_sensors(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -264,7 +264,7 @@ def test_a_reading_that_fails_in_the_gain_search_ends_the_run_before_the_shaft_i
         with prepared(session):
             armed_check(session)
             with session.loop.armed(e.device.arming):
-                stages.search_gains(session, *stages.relay_and_detector(e))
+                stages.search_gains(session, *stages.relay_and_detector(e), both=False)
 
     session, fault = driven(e, bench, script)
     assert fault is not None and fault.code == "SENSOR_STUCK"

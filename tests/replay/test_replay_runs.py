@@ -197,6 +197,14 @@ def test_a_run_whose_breakaway_law_is_no_more_says_which_commit_replays_it(law: 
     assert "git checkout 599afeb2" in result.stderr
 
 
+def test_a_run_whose_search_tried_the_first_gains_alone_says_which_commit_replays_it(tmp_path: Path) -> None:
+    run = RunCopy(GOLDEN / "simulated", tmp_path / "old")
+    del run.meta["script"]["search"]
+    result = rig("replay", run.write())
+    assert result.exit_code == 2
+    assert "its gain search is that of an older version" in result.stderr and "git checkout 0d61cc00" in result.stderr
+
+
 def test_a_run_of_now_says_which_breakaway_law_ran(tmp_path: Path) -> None:
     outcome = experiment.run_breakaway(short(), tmp_path)
     run = RunCopy(outcome.folder, tmp_path / "copy")

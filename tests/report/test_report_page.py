@@ -405,7 +405,8 @@ def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path)
     words = " ".join(page_of(run).words.split("The law of the motor")[1].split())
     assert "Stribeck effect 0.0520 V 95 %: 0.0480 to 0.0560 0.0512 V a bearing" in words
     assert "dead band of the drive 0.0520 V 95 %: 0.0480 to 0.0560 none a bridge" in words
-    assert "lag of the drive not found 0.0512 V an inductance" in words
+    missed = words[words.index("lag of the drive not found 0.0512 V") :]
+    assert "an inductance" not in missed and "or, as likely" not in words
 
 
 @pytest.mark.usefixtures("figureless")

@@ -30,6 +30,7 @@ from rig.run_folder.results import (
     HoldsResult,
     PredictsResult,
     RunResult,
+    TrueMotor,
     answer_of,
 )
 from rig.run_folder.results.answer_words import answer_lines, graded_words, validity
@@ -188,7 +189,7 @@ def test_the_answer_is_a_few_lines() -> None:
     lines = shown(answer_of({"sampled-data": one(0.17, half=1e-4)}, one(0.17, half=1e-4), (LAW,), None, u95))
     assert lines[0].split() == ["tau", "0.17000", "s", "±", "0.35", "%"]
     assert lines[1].split() == ["K", "6.460", "(rad/s)/V", "±", "0.33", "%"]
-    assert re.fullmatch(r"f_c  0\.5100 V +± 0\.82 % +ok: at most 5 % off", lines[2])
+    assert re.fullmatch(r"f_c  0\.5100 V +± 0\.82 % +ok: rig promises 5 %", lines[2])
     assert lines[3] == "also: sagging supply 0.020 ± 0.010 1/V (thin wires?)"
 
 
@@ -206,10 +207,11 @@ def test_each_number_has_its_grade_and_the_answer_says_where_it_holds_and_what_i
     lines = shown(answer)
     assert re.fullmatch(r"tau  0\.170 s +± 5\.9 % +good", lines[0])
     assert lines[1] == "K    not known: at 95 % it may be 46 % off"
-    assert lines[2] == "f_c  not known: the shaft turned one way only; f_c - a = 1.210 V ± 4.1 % good  doubtful"
-    assert lines[3:5] == [
+    assert lines[2] == "f_c  not known: the shaft turned one way only; f_c - a = 1.210 V ± 4.1 % good"
+    assert lines[3:6] == [
         "holds between 1.2 and 5 V, 10 and 120 rad/s, one way",
         "predicts 83 % of motion that it has not seen (a linear model: 76 %)",
+        "doubtful: why",  # on a line of its own
     ]
     assert answer is not None and graded_words(answer) == "tau is good, K is not known, f_c is not known"
 
@@ -229,6 +231,12 @@ def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:
     )
     assert all("unknown" in line and not re.search(r"\d", line.partition("at 95 %")[0]) for line in lines[:2])
     assert "± 98 %" in lines[2] and not any("e+" in line for line in lines)
+
+
+@pytest.mark.parametrize(("true", "words"), [(0.17, "(0 % off"), (0.1699, "(+0.06 % off"), (0.2, "(-15 % off")])
+def test_how_far_off_the_truth_has_two_digits_and_zero_no_sign(true: float, words: str) -> None:
+    answer = answer_of({"sampled-data": one(0.17)})
+    assert words in next(iter(answer_lines(answer, {}, TrueMotor(tau_s=true, K_rad_s_V=6.5, fc_V=0.5))))
 
 
 def test_of_many_reasons_the_first_two_are_shown_and_of_a_refused_answer_the_first_and_no_number() -> None:

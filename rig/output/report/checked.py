@@ -59,7 +59,7 @@ def tracking(run: ReportedRun) -> Picture:
     panels[0, 0].set_ylim(low, high + 0.2 * (high - low))  # room for the legend
     panels[0, 0].legend(loc="upper right", ncols=2, borderaxespad=0.1)
     return render(
-        figure, run.backend, "Tracking with each model side by side: wanted and measured position, and the error.",
+        figure, run.foot, "Tracking with each model side by side: wanted and measured position, and the error.",
         "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error includes "
         "the sensor's noise, but no curvature of the sensor that the model knows. The table counts it only after the "
         "trajectory has faded in.",
@@ -97,7 +97,7 @@ def decay(run: ReportedRun) -> Picture:
     panels[0].legend(loc="upper right")
     words = ", ".join(f"{1e3 * value:.2g} mrad with {method.replace('-', ' ')}" for method, value in off.items())
     return render(
-        figure, run.backend, "The error from an offset with each model: measured, and as designed.",
+        figure, run.foot, "The error from an offset with each model: measured, and as designed.",
         f"Each check begins {run.config.decay[0]:g} rad beside the shaft. With the true model the error dies away as "
         f"e'' + k1 e' + k2 e = 0 has it, (35). Farthest from that: {words}.",
     )  # fmt: skip
@@ -138,7 +138,7 @@ def loop_timing(run: ReportedRun) -> Picture:
     period = run.period_s
     grid = f" The period is {1e6 * period:.0f} µs." if math.isfinite(period) else ""
     return render(
-        figure, run.backend, "Histograms of loop lateness and link time.",
+        figure, run.foot, "Histograms of loop lateness and link time.",
         "Timing of the loop, counts on a logarithmic scale; vertical lines are the median, 99 %, 99.9 % and the "
         f"largest value.{grid}{words}",
     )  # fmt: skip

@@ -69,19 +69,18 @@ class Predicted:
         return self.measured_rad - self.y_rad
 
 
-def central_difference(t: Array, y: Array) -> Array:
+def central_difference(t: Array, y: Array, rows: int = 1) -> Array:
     """Velocity, rad/s, by central differences; one-sided at the ends; nan where times repeat.
 
-    t  times, s
-    y  positions, rad
+    t     times, s
+    y     positions, rad
+    rows  so many before and after
     """
     if t.size < 3:
         return np.full(t.size, np.nan)
+    first, last = np.maximum(np.arange(t.size) - rows, 0), np.minimum(np.arange(t.size) + rows, t.size - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        v = np.empty(t.size)
-        v[1:-1] = (y[2:] - y[:-2]) / (t[2:] - t[:-2])
-        v[0] = (y[1] - y[0]) / (t[1] - t[0])
-        v[-1] = (y[-1] - y[-2]) / (t[-1] - t[-2])
+        v = (y[last] - y[first]) / (t[last] - t[first])
     return np.where(np.isfinite(v), v, np.nan)
 
 
@@ -212,14 +211,14 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 
 
 def curves_of(run: ReportedRun, identification: Identification | None = None) -> tuple[Curves | None, str]:
-    """The curves behind the run's answer; or None, and a sentence that says why.
+    """The curves behind the run's answer; or None, and a sentence that says why, empty where no test would have any.
 
     identification  of this recording; None: as kept with the run, else fitted anew, which a note of the run says
     """
     if run.recording is None:
         return None, "There are no samples, so there is no residual to show."
     if not (run.spans("relay") or run.spans("hysteretic")):
-        return None, "There was no relay test, so there is no residual to show."
+        return None, ""
     if identification is not None:
         return identification.curves, ""
     try:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rig.model.real_motor import FramedMotor
@@ -30,11 +32,15 @@ from rig.output.report.style import (
     stage_label,
 )
 from rig.run_folder.recording.curves import Curves
-from rig.run_folder.results import known
+from rig.run_folder.results import EstimateResult, known
 
 LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": "f_c, V"}
 LONGEST_LAG = 60
 FEWEST_RESIDUALS = 20
+BAND = 1.96  # of the standard deviation of white noise's autocorrelation
+MANY_OUTSIDE = 0.1  # of the lags: more than chance puts outside the band
+SMALL_RESIDUAL = 0.05  # of the motion
+ROOM_BESIDE = 0.6  # of the width of what is ok, on each side
 GROUP_GAP = 0.6  # of a bar, between the two sums
 
 
@@ -82,27 +88,48 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
     panels[1, 0].set_ylabel("residual, mrad")
     stage = stage_label(span.stage)
     return render(
-        figure, run.backend, f"Averaged cycle of {stage} with each model over it and the residual below.",
+        figure, run.foot, f"Averaged cycle of {stage} with each model over it and the residual below.",
         f"{stage.capitalize()}: average of {len(cycles)} cycles, and each model's prediction under the recorded drive; "
         "each cycle begins at the start that fits it best. Below: recorded minus predicted position. A point is a "
         "sample, the line is their average. Each residual has its own scale.",
     )  # fmt: skip
 
 
-def residuals(run: ReportedRun, curves: Curves | None) -> Picture:
-    """Residual of the answer, as ``residual_figure`` draws it. Raises AbsentError without a residual."""
+def residuals(run: ReportedRun, curves: Curves | None, spread_rad: float) -> Picture:
+    """Residual of the answer, as ``residual_figure`` draws it. Raises AbsentError without a residual.
+
+    spread_rad  standard deviation of the positions that it belongs to, rad
+    """
     method = "" if run.result.answer is None else run.result.answer.method
     if curves is None or curves.answer.method != method or curves.residual_rad.size < FEWEST_RESIDUALS:
         raise AbsentError("The residual series could not be computed from this recording.")
     spread = float(np.std(1e3 * curves.residual_rad))
     rms = f"{spread:.3g}" if spread < 100.0 else f"{spread:.0f}"
     return render(
-        residual_figure(method, curves.residual_t_s, curves.residual_rad), run.backend,
+        residual_figure(method, curves.residual_t_s, curves.residual_rad), run.foot,
         f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
         f"Residual of the {method.replace('-', ' ')} estimate (RMS {rms} mrad about its mean, "
         f"{curves.residual_rad.size} samples). If the model explains the data, the residual is white noise: a "
-        "bell-shaped histogram, and about 5 % of lags outside the band.",
+        "bell-shaped histogram, and about 5 % of lags outside the band."
+        + _lacking(outside_band(curves.residual_t_s, curves.residual_rad)[2], spread / (1e3 * spread_rad)),
     )  # fmt: skip
+
+
+def _lacking(outside: float, of_motion: float) -> str:
+    """What more lags outside the band mean than white noise has; ``of_motion``: the residual over the motion."""
+    if not (outside > MANY_OUTSIDE and math.isfinite(of_motion)):
+        return ""
+    small = "something small" if of_motion < SMALL_RESIDUAL else "something"
+    return (
+        f" Here {100 * outside:.0f} %: the model lacks {small}. The residual is {100 * of_motion:.2g} % of the motion "
+        "(standard deviations)."
+    )
+
+
+def outside_band(t: Array, residual_rad: Array) -> tuple[Array, Array, float]:
+    """Lags, autocorrelation, and the share of lags outside the 95 % band of white noise. t: times, s."""
+    lags, values = autocorrelation([residual_rad[piece] for piece in _pieces(t)], LONGEST_LAG)
+    return lags, values, float(np.mean(np.abs(values) > BAND / math.sqrt(residual_rad.size))) if values.size else 0.0
 
 
 def residual_figure(method: str, t: Array, residual_rad: Array) -> Figure:
@@ -135,9 +162,8 @@ def residual_figure(method: str, t: Array, residual_rad: Array) -> Figure:
     histogram.tick_params(labelleft=False)
     histogram.set_xlabel("density, 1/mrad")
     histogram.set_title("histogram, normal")
-    lags, values = autocorrelation([r[piece] for piece in pieces], LONGEST_LAG)
-    band = 1.96 / math.sqrt(r.size)
-    outside = float(np.mean(np.abs(values) > band)) if values.size else 0.0
+    lags, values, outside = outside_band(t, residual_rad)
+    band = BAND / math.sqrt(r.size)
     correlation.axhspan(-band, band, color="#e4e7eb", lw=0)
     correlation.axhline(0.0, color=MUTED, lw=0.7)
     correlation.vlines(lags, 0.0, values, color=colour(method), lw=1.4)
@@ -196,7 +222,7 @@ def budget(run: ReportedRun) -> Picture:
     for row, label in zip(lines, panels[0].get_yticklabels(), strict=True):
         label.set_fontweight("bold" if row.is_sum else "normal")
     return render(
-        figure, run.backend, "Uncertainty budget of tau, K and friction.",
+        figure, run.foot, "Uncertainty budget of tau, K and friction.",
         "How far tau, K and friction may be off, with 95 % confidence, and what that comes from. First bar: all that "
         "counts in the bench's own volts and radians (u95). Below it its parts: the noise, and each law that the tests "
         "do not exclude, with as much as it is likely. Second bold line: the same in true volts and radians "
@@ -211,8 +237,9 @@ def forest(run: ReportedRun) -> Picture:
     Raises AbsentError without an estimate.
     """
     truth = " The dotted line is the emulated motor's true value." if run.truth else ""
+    truth += " An arrow at the edge: the estimate lies so far beyond." if _scale_is_of_ok(run) else ""
     return render(
-        forest_figure(run), run.backend, "Estimates side by side with their 95 % intervals.",
+        forest_figure(run), run.foot, "Estimates side by side with their 95 % intervals.",
         "Estimates and 95 % intervals side by side. Hollow mark: the verdict is not ok. Mark without a bar: no "
         "interval." + truth,
     )  # fmt: skip
@@ -242,7 +269,42 @@ def forest_figure(run: ReportedRun) -> Figure:
             axes.axvline(run.truth[key], color=INK, lw=1.0, ls=":", zorder=1)
         axes.set_title(LABELS[key])
         axes.margins(x=0.12)
+        _scale_of_ok(axes, run, key, estimates)
         axes.locator_params(axis="x", nbins=4)  # a third of the page has room for five labels of six digits
     panels[0].set_yticks(range(len(names)), [n.replace("-", " ") for n in names])
     panels[0].set_ylim(len(names) - 0.4, -0.6)
     return figure
+
+
+def _scale_is_of_ok(run: ReportedRun) -> bool:
+    """Whether some estimates are ok and others are not: then the scale is of those that are."""
+    return {estimate.verdict == "ok" for estimate in run.compared.values()} == {True, False}
+
+
+def _scale_of_ok(axes: Axes, run: ReportedRun, key: str, estimates: Mapping[str, EstimateResult]) -> None:
+    """Scale an axis to the estimates that are ok and the truth; an arrow at the edge, with its value, for each other.
+
+    Else an estimate that is far off would make their intervals a dot.
+    """
+    if not _scale_is_of_ok(run):
+        return
+    ends = [run.truth[key]] if key in run.truth else []
+    for estimate in estimates.values():
+        if estimate.verdict == "ok" and math.isfinite(known(estimate.value(key))):
+            ends += [known(estimate.value(key)), *(estimate.at_95(key) or ())]
+    low, high = min(ends, default=math.nan), max(ends, default=math.nan)
+    if not high > low:
+        return
+    room = ROOM_BESIDE * (high - low)
+    low, high = low - room, high + room
+    for row, (name, estimate) in enumerate(estimates.items()):
+        value = known(estimate.value(key))
+        if math.isfinite(value) and not low <= value <= high:
+            right = value > high
+            axes.annotate(
+                f"{value:.4g} {chr(0x25B8)}" if right else f"{chr(0x25C2)} {value:.4g}",
+                (1.0 if right else 0.0, row), xycoords=("axes fraction", "data"), fontsize=8,
+                ha="right" if right else "left", va="center", color=colour(run.method_of(name)),
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+            )  # fmt: skip
+    axes.set_xlim(low, high)

@@ -51,7 +51,7 @@ def over_speed(run: ReportedRun) -> Picture:
         right.legend(loc="best")
     stuck = " Hollow: the shaft stuck and slipped." if any(one.sticks for one in result.speeds) else ""
     return render(
-        figure, run.backend, "Friction map: drive over speed.",
+        figure, run.foot, "Friction map: drive over speed.",
         f"Mean drive of each slow sweep, less what acceleration took; bars: two standard errors.{stuck} "
         f"Lines: {_law_words(result)}.",
     )  # fmt: skip
@@ -90,7 +90,7 @@ def over_position(run: ReportedRun) -> Picture:
     for axes in panels[1]:
         axes.set_xlabel("position, rad")
     return render(
-        figure, run.backend, "Friction map: drive over position, force and friction.",
+        figure, run.foot, "Friction map: drive over position, force and friction.",
         "Drive at each position less v/K and what acceleration took, mean over the sweeps; bars: two standard errors. "
         "What both directions share is a force, as of an unbalanced load; what turns with the motion is friction. All "
         f"panels have one scale. Lines: {_law_words(result)}.",

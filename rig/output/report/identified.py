@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from rig.core.package import VERSION
 from rig.identification.identification import Identification
@@ -26,11 +29,12 @@ def write_identified(found: Identification, records: Sequence[str], path: Path) 
     """
     result = RunResult(answer=found.answer, estimates=found.as_result().estimates, **found.evidence)
     about = RunMeta(backend=", ".join(records), rehearsal=found.rehearsal or None)
-    run = ReportedRun(Path(records[0]), None, about, result)
+    run = ReportedRun(Path(records[0]), None, about, result, of_recordings=True)
+    spread_rad = float(np.std(np.concatenate([test.y_rad for test in found.tests]))) if found.tests else math.nan
     with style():
         figures = {
-            "simulated": drawn(lambda: picture_of(found, run.backend)),
-            "residual": drawn(lambda: fitted.residuals(run, found.curves)),
+            "simulated": drawn(lambda: picture_of(found, run.foot)),
+            "residual": drawn(lambda: fitted.residuals(run, found.curves, spread_rad)),
         }
     page = (
         environment()

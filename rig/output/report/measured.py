@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
+from rig.core.estimators import ESTIMATORS
 from rig.output.report.fit import central_difference, cycles_of, models, predict_cycles
 from rig.output.report.source import Array, ReportedRun, Span
 from rig.output.report.style import (
@@ -34,14 +36,19 @@ from rig.output.report.style import (
 )
 from rig.run_folder.results import BreakawayResult, SearchStepResult, known
 
+PORTRAIT_ROWS = 3  # before and after: over one, a coarse sensor makes stripes of the velocity
+
 
 def whole_run(run: ReportedRun) -> Picture:
     """Position and drive over time: stages, limits, cycles, faults."""
     figure, count = whole_run_figure(run)
-    cycles_words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
+    words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
+    tracked = {span.stage.partition(":")[2] for span in run.spans("track")}
+    models = [f"{entry.short} {entry.name.replace('-', ' ')}" for entry in ESTIMATORS if entry.name in tracked]
+    words += f" Tracking with the models of {', '.join(models)}." if models else ""
     return render(
-        figure, run.backend, "Position and drive over the whole run, stages shaded.",
-        f"Position and drive over the whole run ({len(run.rows)} samples). Stages are shaded and named." + cycles_words,
+        figure, run.foot, "Position and drive over the whole run, stages shaded.",
+        f"Position and drive over the whole run ({len(run.rows)} samples). Stages are shaded and named." + words,
     )  # fmt: skip
 
 
@@ -149,7 +156,7 @@ def relay_tests(run: ReportedRun) -> Picture:
     for axes in panels[:2, -1]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderaxespad=0.0, handletextpad=0.2)
     return render(
-        figure, run.backend, "The last four periods of each relay test: position, its integral and drive.",
+        figure, run.foot, "The last four periods of each relay test: position, its integral and drive.",
         "The last four periods of each relay test: position y, its integral z, and the drive that the device reported. "
         "In theory, the edges of the limit cycle come in the order RA (velocity), RB (position), RC (integral).",
     )  # fmt: skip
@@ -178,11 +185,11 @@ def _extrema(t: Array, y: Array, v: Array) -> Array:
     return np.array([t[a + int(np.argmax(np.abs(level[a:b])))] for a, b in pairwise(edges.tolist())])
 
 
-def velocity(run: ReportedRun) -> Array:
-    """Velocity of the shaft, rad/s: the tachometer's, or without one the central difference of the position."""
+def velocity(run: ReportedRun, rows: int = 1) -> Array:
+    """Velocity of the shaft, rad/s: the tachometer's, or without one the central difference over so many ``rows``."""
     if has_tachometer(run):
         return run.rows.v_rad_per_s
-    return central_difference(run.rows.t_s, run.rows.y_rad)
+    return central_difference(run.rows.t_s, run.rows.y_rad, rows)
 
 
 def has_tachometer(run: ReportedRun) -> bool:
@@ -196,7 +203,7 @@ def portraits(run: ReportedRun) -> Picture:
     Raises AbsentError without a relay test.
     """
     spans = run.spans_of("relay", "There was no relay test, so there is no phase portrait.")
-    y, z, v = run.rows.y_rad, run.rows.z_rad_s, velocity(run)
+    y, z, v = run.rows.y_rad, run.rows.z_rad_s, velocity(run, PORTRAIT_ROWS)
     figure = new_figure(4.5)
     left, right = figure.subplots(1, 2, sharex=True)
     best = next(iter(models(run).values()), None)
@@ -241,9 +248,9 @@ def portraits(run: ReportedRun) -> Picture:
             edgecolor="none",
             framealpha=0.9,
         )
-    source = "the tachometer" if has_tachometer(run) else "the central difference of the position"
+    source = "the tachometer's" if has_tachometer(run) else f"the difference over {PORTRAIT_ROWS} rows before and after"
     return render(
-        figure, run.backend, "Phase portraits of the relay tests with the switching planes.",
+        figure, run.foot, "Phase portraits of the relay tests with the switching planes.",
         f"Phase portraits of the settled cycles with the three switching planes. Each point is a sample; velocity is "
         f"{source}.",
     )  # fmt: skip
@@ -266,23 +273,24 @@ def breakaway(run: ReportedRun) -> Picture:
     spans = run.spans_of("breakaway", "There was no breakaway check in this run.")
     rows = slice(spans[0].first, spans[-1].last + 1)
     t, y, u = run.rows.t_s[rows], run.rows.y_rad[rows], run.rows.u_V[rows]
-    figure = new_figure(3.0)
-    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    left.plot(t, 1e3 * y, color=MEASURED, lw=0.8)
-    left.set_xlabel("time since the start, s")
-    left.set_ylabel("position, mrad", color=MEASURED)
-    left.set_title("slowly stronger strokes, until the shaft moves each way")
-    drive = left.twinx()
-    drive.fill_between(t, u, step="post", color=DRIVE, alpha=0.35, lw=0)
-    drive.set_ylabel("drive, V (shaded)", color=DRIVE)
-    drive.grid(visible=False)
-    drive.spines["right"].set_visible(True)
+    figure = new_figure(4.2)
+    panels = figure.subplot_mosaic([["position", "over"], ["drive", "over"]], width_ratios=(1.25, 1.0))
+    position, drive, right = panels["position"], panels["drive"], panels["over"]
+    position.plot(t, 1e3 * y, ".", color=FAINT, ms=1.6, rasterized=True, label="a reading")
+    position.set_ylabel("position, mrad")
+    position.set_title("slowly stronger strokes, until the shaft moves each way")
+    position.sharex(drive)
+    position.tick_params(labelbottom=False)
+    drive.fill_between(t, u, step="post", color=DRIVE, lw=0)
+    drive.set_ylabel("drive, V")
+    drive.set_xlabel("time since the start, s")
     found = run.result.breakaway or BreakawayResult()
     plus = ("plus", 1.0, "#0072B2", found.static_plus_V, found.static_plus_range_V)
     minus = ("minus", -1.0, "#D55E00", found.static_minus_V, found.static_minus_range_V)
     for name, sign, ink, static, reach in (plus, minus):
-        level, moved = _strokes(y, u, sign)
+        level, moved, stood_s, stood_rad = _strokes(t, y, u, sign)
         if level.size:
+            position.plot(stood_s, 1e3 * stood_rad, "o", ms=2.6, color=ink, mew=0, label=f"mean after a {name} stroke")
             right.plot(level, 1e3 * np.cumsum(moved), ".-", ms=3.0, lw=0.6, color=ink,
                        label=f"{name}: towards {'rising' if sign > 0 else 'falling'} positions")  # fmt: skip
         static_V = known(static)
@@ -295,8 +303,11 @@ def breakaway(run: ReportedRun) -> Picture:
     right.set_ylabel("moved so far in this direction, mrad")
     right.set_title("displacement over drive")
     if right.get_legend_handles_labels()[0]:
-        # the dashed lines and their intervals run through it
-        right.legend(loc="upper left", frameon=True, facecolor="white", edgecolor="none", framealpha=0.85)
+        # below, since bands and dashed lines fill the axes
+        right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+        position.legend(loc="lower left", ncols=3, markerscale=2.0, handletextpad=0.1, columnspacing=1.0)
+        low, high = position.get_ylim()
+        position.set_ylim(low - 0.2 * (high - low), high)  # room for the legend
     else:
         note(right, "the run ended before a stroke")
     noise = 1e3 * known(found.noise_rad)
@@ -308,25 +319,30 @@ def breakaway(run: ReportedRun) -> Picture:
             "friction plus bias."
         )
     return render(
-        figure, run.backend, "Breakaway strokes: drive and position, with static friction.",
+        figure, run.foot, "Breakaway strokes: drive and position, with static friction.",
         "Breakaway check: short strokes, slowly stronger. They prove sensor, drive and sign before any relay runs, and "
         "show static friction." + words,
     )  # fmt: skip
 
 
-def _strokes(y_rad: Array, u_V: Array, sign: float) -> tuple[Array, Array]:
-    """The strokes in one direction: the largest |drive| of each, V, and how far it moved the shaft along, rad."""
+def _strokes(t_s: Array, y_rad: Array, u_V: Array, sign: float) -> tuple[Array, Array, Array, Array]:
+    """The strokes in one direction: the largest |drive| of each, V, and how far it moved the shaft along, rad.
+
+    Then when the shaft stood after it, s, and where, rad: means over the second half of its pause.
+    """
     way = np.concatenate(([0.0], np.sign(u_V), [0.0]))
     begins = np.flatnonzero((way[1:-1] != 0.0) & (way[1:-1] != way[:-2]))
-    level, moved = [], []
+    found = []
     for begin, until in zip(begins, np.append(begins, y_rad.size)[1:], strict=True):
         if sign * u_V[begin] > 0.0:
             pause = begin + int(np.count_nonzero(u_V[begin:until]))
-            stood = y_rad[(pause + until) // 2 : until] if until > pause else y_rad[until - 1 : until]
-            before = y_rad[max(begin - stood.size + 1, 0) : begin + 1]
-            level.append(float(np.abs(u_V[begin:until]).max()))
-            moved.append(sign * float(stood.mean() - before.mean()))
-    return np.array(level), np.array(moved)
+            stands = slice((pause + until) // 2, until) if until > pause else slice(until - 1, until)
+            stood, count = float(y_rad[stands].mean()), stands.stop - stands.start
+            before = float(y_rad[max(begin - count + 1, 0) : begin + 1].mean())
+            level = float(np.abs(u_V[begin:until]).max())
+            found.append((level, sign * (stood - before), float(t_s[stands].mean()), stood))
+    level_V, moved_rad, stood_s, stood_rad = np.array(found).reshape(-1, 4).T
+    return level_V, moved_rad, stood_s, stood_rad
 
 
 def gain_search(run: ReportedRun) -> Picture:
@@ -346,7 +362,7 @@ def gain_search(run: ReportedRun) -> Picture:
     figure = new_figure(4.3)
     gains, size, length = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1, 1))
     begin = _draw_gains(run, steps, gains)
-    tolerance = known(run.config.tolerance)
+    tolerance, ratio = known(run.config.tolerance), known(run.config.second_ratio)
     for axes, values, aim, words in (
         (size, amplitude, run.config.wanted_amplitude_rad, "amplitude A, rad"),
         (length, period, run.config.wanted_period_s, "period T, s"),
@@ -358,6 +374,8 @@ def gain_search(run: ReportedRun) -> Picture:
             if math.isfinite(tolerance):
                 axes.axhspan(wanted * (1 - tolerance), wanted * (1 + tolerance), color="#e2f1ea", lw=0)
             note(axes, f"wanted {wanted:g}", loc="lower left", colour="#00684b")
+            if axes is size and math.isfinite(ratio):
+                axes.axhline(ratio * wanted, color="#009E73", lw=1.0, ls=":")
         if not np.isfinite(values).any():
             note(axes, "no cycle settled")
             axes.set_yticks([])
@@ -365,14 +383,23 @@ def gain_search(run: ReportedRun) -> Picture:
     length.set_xlabel("time since the start, s")
     gains.set_xlim(begin, t[-1] + 0.02 * (t[-1] - begin))
     settled = int(np.isfinite(amplitude).sum())
-    why = {s.outcome for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a)} - {""}
-    others = f" Why the others did not: {'; '.join(sorted(why))}." if why else ""
+    why = Counter(_in_words(s.outcome) for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a))
+    others = "; ".join(f"{words} ({count})" for words, count in sorted(why.items()) if words)
+    others = f" Why the others did not, and how many: {others}." if others else ""
+    second = " Dotted: the second test's, where the first has the wanted one." if math.isfinite(ratio) else ""
     return render(
-        figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
+        figure, run.foot, "Path of the gain search: gains, amplitude and period over time.",
         f"Gain search: it raises h2 until a cycle settles, then trims both gains towards the wanted amplitude and "
-        f"period (green). It tried {len(steps)} pairs of gains; a dot marks each of the {settled} that settled."
+        f"period (green).{second} It tried {len(steps)} pairs of gains; a dot marks each of the {settled} that settled."
         + others,
     )  # fmt: skip
+
+
+def _in_words(outcome: str) -> str:
+    """Why a pair of gains gave no cycle, for people."""
+    if outcome.endswith("delay hunting"):
+        return "too small or too quick: the shaft only hunts about zero, since each switch acts late"
+    return outcome
 
 
 def _rising_gains(run: ReportedRun, steps: list[SearchStepResult]) -> Picture:
@@ -382,7 +409,7 @@ def _rising_gains(run: ReportedRun, steps: list[SearchStepResult]) -> Picture:
     _draw_gains(run, steps, gains)
     gains.set_xlabel("time since the start, s")
     return render(
-        figure, run.backend, "Path of the start without a target: gains over time.",
+        figure, run.foot, "Path of the start without a target: gains over time.",
         f"The start needs no model and no target: both gains grow from the breakaway level until the shaft swings "
         f"widely, in {len(steps)} steps. What it drove is identified, too.",
     )  # fmt: skip

@@ -64,7 +64,7 @@ def narrowing(run: ReportedRun) -> Picture:
     widths.legend(loc="upper right", ncols=3)
     dotted = " Dotted: the emulated motor's values." if run.truth else ""
     return render(
-        figure, run.backend, "How the intervals of tau, K and friction narrowed while the tests ran.",
+        figure, run.foot, "How the intervals of tau, K and friction narrowed while the tests ran.",
         f"Live estimates while the tests ran, about one a second: the half width of each 95 % interval, and each value "
         f"over the last one with its interval. Bands: the stages. Upright line: the tests ended.{dotted} The estimate "
         "at the top of the page comes from the same rows, with laws and verdict.",

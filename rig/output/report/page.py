@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import jinja2
+import numpy as np
 
 from rig.core.estimators import ESTIMATORS
 from rig.core.package import VERSION
@@ -170,6 +172,14 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             pictures = [drawn(lambda: checked.tracking(run))]
             return pictures if run.config.decay is None else [*pictures, drawn(lambda: checked.decay(run))]
 
+        def residual() -> list[Figure]:
+            spans = [*run.spans("relay"), *run.spans("hysteretic")]
+            positions = [] if run.recording is None else [run.rows.y_rad[s.first : s.last + 1] for s in spans]
+            spread_rad = float(np.std(np.concatenate(positions))) if positions else math.nan
+            if trouble or curves is None:
+                return [Figure(None, trouble)] if trouble else []
+            return [drawn(lambda: fitted.residuals(run, curves, spread_rad))]
+
         cycles = [drawn(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
             "whole": [drawn(lambda: measured.whole_run(run))],
@@ -182,7 +192,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             "map": surveyed(),
             "transients": transients(),
             "cycles": cycles,
-            "evidence": [Figure(None, trouble) if trouble else drawn(lambda: fitted.residuals(run, curves))],
+            "evidence": residual(),
             "tracking": tracked(),
             "tuned": [] if run.result.tuned is None else [drawn(lambda: tuned_loop.loop(run))],
             "loop": [drawn(lambda: checked.loop_timing(run))],

@@ -164,7 +164,7 @@ def write_drawn(tests: Sequence[Simulated], method: str, path: Path) -> None:
 
 
 def picture_of(found: Identification, source: str) -> Picture:
-    """``figure_of`` for a page; ``source``: the backend in words. Raises AbsentError as ``simulated``."""
+    """``figure_of`` for a page; ``source``: what it was recorded from. Raises AbsentError as ``simulated``."""
     tests = simulated(found)
     left_out = f" The other {len(tests) - MOST} tests: {fit_in_words(tests[MOST:])}." if len(tests) > MOST else ""
     return render(

@@ -61,6 +61,7 @@ class Settings:
 
     soft_rad, hard_rad   travel limits
     wanted_amplitude_rad, wanted_period_s, tolerance   the cycle that the gain search looks for
+    second_ratio         amplitude of the second test over the first's
     tracks               whether there is a trajectory to track
     decay                offset from which each check begins, rad, and k1, 1/s, and k2, 1/s^2, of (34); None without one
     text                 the file as it is; "" if there is none
@@ -72,6 +73,7 @@ class Settings:
     wanted_amplitude_rad: float | None = None
     wanted_period_s: float | None = None
     tolerance: float | None = None
+    second_ratio: float | None = None
     tracks: bool = False
     decay: tuple[float, float, float] | None = None
     is_there: bool = False
@@ -86,6 +88,7 @@ class ReportedRun:
     meta, result   empty if there is no such file, or nothing in it can be used
     missing    one sentence for each part that is missing or unreadable
     notes      what was wrong and was tolerated, such as a torn last line
+    of_recordings   it is no run: the backend names the recordings of a page
     """
 
     folder: Path
@@ -96,6 +99,7 @@ class ReportedRun:
     events: tuple[RunEvent, ...] = ()
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    of_recordings: bool = False
 
     @property
     def name(self) -> str:
@@ -106,6 +110,11 @@ class ReportedRun:
     def backend(self) -> str:
         """The backend in words, as recorded."""
         return self.meta.backend or self.result.backend or "not recorded (meta.json is missing)"
+
+    @property
+    def foot(self) -> str:
+        """What a figure was recorded from, for its foot: the backend, or without a run the recordings."""
+        return f"{'recording' if self.of_recordings else 'backend'}: {self.backend}"
 
     @property
     def rehearsal(self) -> str:
@@ -294,6 +303,7 @@ def _settings(text: str, missing: list[str]) -> Settings:
         wanted_amplitude_rad=_number(at("relay", "target", "amplitude_rad")),
         wanted_period_s=_number(at("relay", "target", "period_s")),
         tolerance=_number(at("relay", "target", "tolerance")),
+        second_ratio=_number(at("relay", "second_ratio")),
         tracks=bool(at("tracking")),
         decay=_decay(at("tracking")),
         is_there=bool(value),

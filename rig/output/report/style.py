@@ -177,9 +177,9 @@ def note(axes: Axes, text: str, *, loc: str = "upper left", colour: str = INK) -
     )  # fmt: skip
 
 
-def render(figure: Figure, backend: str, alt: str, caption: str) -> Picture:
-    """The figure as a data URI, with the name of the backend at its foot."""
-    words = textwrap.wrap(f"backend: {backend}", 150) or ["backend: not recorded"]
+def render(figure: Figure, foot: str, alt: str, caption: str) -> Picture:
+    """The figure as a data URI, with what it was recorded from at its foot, as ``ReportedRun.foot``."""
+    words = textwrap.wrap(foot, 150)
     foot_in = 0.13 * len(words) + 0.05
     height = figure.get_figheight()
     figure.text(
@@ -195,4 +195,4 @@ def render(figure: Figure, backend: str, alt: str, caption: str) -> Picture:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None, "Creator": None})
     encoded = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return Picture(f"data:image/svg+xml;base64,{encoded}", f"{alt} Backend: {backend}.", caption)
+    return Picture(f"data:image/svg+xml;base64,{encoded}", f"{alt} {foot[:1].upper()}{foot[1:]}.", caption)

@@ -17,6 +17,8 @@ from rig.run_folder.results import Quantiles, TrackingResult, TrueLaw, known
 
 Cell = tuple[float | None, str]
 
+NO_ESTIMATE = "no estimate"  # why a check did not run, where there is nothing else to say of its method
+
 
 @dataclass(frozen=True)
 class EstimateRow:
@@ -45,7 +47,7 @@ class StageRow:
 class MotorLawRow:
     """One law that the motor has beyond the plain one: its size, what it may come from, and what looks alike.
 
-    ``true`` is its size in the emulated motor; "" where nobody knows.
+    ``true`` is its size in the emulated motor; "" where nobody knows. Not ``found``: the emulated motor alone has it.
     """
 
     law: str
@@ -55,6 +57,7 @@ class MotorLawRow:
     cause: str
     alike: str
     true: str
+    found: bool = True
 
 
 @dataclass(frozen=True)
@@ -127,8 +130,8 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
         rows.append(MotorLawRow(title, size, interval, "" if law.unit == "1" else law.unit, cause, alike, true))
     if run.result.answer is not None and run.result.answer.law is not None:
         for missed in truth.values():
-            title, cause = causes.get(missed.name, (missed.name.replace("_", " "), ""))
-            rows.append(MotorLawRow(title, (None, "not found"), "", "", cause, "", _true_size(missed)))
+            title, _ = causes.get(missed.name, (missed.name.replace("_", " "), ""))
+            rows.append(MotorLawRow(title, (None, "not found"), "", "", "", "", _true_size(missed), found=False))
     return rows
 
 
@@ -175,9 +178,13 @@ def hysteretic(run: ReportedRun) -> list[StageRow]:
 
 
 def tracking(run: ReportedRun) -> list[TrackingRow]:
-    """The tracking checks, the preferred model first; errors in mrad."""
+    """The tracking checks, the preferred model first; errors in mrad. A method without an estimate has none."""
     table = []
-    outcomes = run.result.tracking
+    outcomes = {
+        method: one
+        for method, one in run.result.tracking.items()
+        if one.not_run != NO_ESTIMATE or one.rms_rad is not None
+    }
     for method in sorted(outcomes, key=lambda m: (*PREFERRED, m).index(m)):
         outcome = outcomes[method]
         is_known = math.isfinite(known(outcome.rms_rad))

@@ -89,7 +89,7 @@ def first_transients(run: ReportedRun) -> Picture:
     if not math.isfinite(fc):
         note(right, "no friction was estimated")
     return render(
-        figure, run.backend, "Hysteretic runs up to the first switching, and divided by drive minus friction.",
+        figure, run.foot, "Hysteretic runs up to the first switching, and divided by drive minus friction.",
         "Runs of the hysteretic relay from rest at zero. Least squares reads the marked samples: up to the first "
         "switching of the shorter run in each direction (dashed: the edge of the hysteresis). Until then the motion is "
         "linear. So divided by drive minus estimated friction, all runs must fall on one curve.",
@@ -130,7 +130,7 @@ def recursion(run: ReportedRun, curves: Curves | None) -> Picture:
     axes.set_ylabel("friction, V")
     axes.legend(loc="upper right", ncols=4)
     return render(
-        figure, run.backend, "Recursive least squares: estimated friction after each sample.",
+        figure, run.foot, "Recursive least squares: estimated friction after each sample.",
         "Recursive least squares: the friction after each sample of the runs. The band is the 95 % interval. It allows "
         "for noise on both sides of the equation and in the measured starts; the recursion does not. If the last value "
         "lies outside the band, this noise has biased it.",

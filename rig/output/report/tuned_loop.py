@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -18,6 +19,7 @@ from rig.run_folder.results.tuned import TunedCurve, TunedMargins, TunedResult
 
 FORMATS: Final = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}  # with what each says of its making
 HEIGHT_IN = 6.4
+SMOOTH_S = 0.2
 BAND = "#0072B2"
 BENCH = "#D55E00"
 
@@ -43,7 +45,7 @@ def loop(run: ReportedRun) -> Picture:
     figure = new_figure(HEIGHT_IN)
     _draw(figure, found)
     return render(
-        figure, run.backend, "A tuned loop: step, drive and tracking error, predicted and on the bench.",
+        figure, run.foot, "A tuned loop: step, drive and tracking error, predicted and on the bench.",
         f"The {found.loop} loop that `rig tune` made for the motor of {found.run}. Blue: 95 % of {found.draws} motors "
         "that the tests of that run allow, simulated. Orange: this bench.",
     )  # fmt: skip
@@ -79,13 +81,30 @@ def _draw(figure: Figure, found: TunedResult) -> None:
     axes["step"].set(title="the step", ylabel=f"{'position' if found.loop == 'position' else 'speed'}, {_unit(found)}")
     axes["step"].legend(loc="lower right" if found.loop == "position" else "best")
     _curve(axes["drive"], found.curves["drive"])
-    axes["drive"].set(ylabel="drive, V", xlabel="s from the step")
+    axes["drive"].set(ylabel="drive, V", xlabel="time from the step, s")
     if "tracking" in found.curves:
-        _curve(axes["tracking"], found.curves["tracking"])
+        _curve(axes["tracking"], _smooth(found.curves["tracking"]))
     axes["tracking"].set(
-        title="tracking: reference less measured, the sensor's noise included", ylabel=_unit(found), xlabel="s"
+        title=f"tracking: reference less measured, means over {SMOOTH_S:g} s", ylabel=_unit(found), xlabel="time, s"
     )
     _nyquist(axes["nyquist"], found)
+
+
+def _smooth(curve: TunedCurve) -> TunedCurve:
+    """A curve's running means over ``SMOOTH_S``: the sensor's noise of single readings would hide it."""
+    bench = None
+    if curve.bench is not None and curve.bench_t_s is not None:
+        bench = _means(curve.bench_t_s, curve.bench)
+    low, median, high = (_means(curve.t_s, values) for values in (curve.low, curve.median, curve.high))
+    return curve.model_copy(update={"low": low, "median": median, "high": high, "bench": bench})
+
+
+def _means(t_s: Sequence[float], values: Sequence[float]) -> tuple[float, ...]:
+    """Means of ``values`` over ``SMOOTH_S`` about each time, s; at the ends over what is there."""
+    t, sums = np.asarray(t_s), np.concatenate(([0.0], np.cumsum(values)))
+    first, end = (np.searchsorted(t, t + shift) for shift in (-0.5 * SMOOTH_S, 0.5 * SMOOTH_S))
+    end = np.maximum(end, first + 1)
+    return tuple(((sums[end] - sums[first]) / (end - first)).tolist())
 
 
 def _curve(axes: Axes, curve: TunedCurve, words: str | None = None) -> None:

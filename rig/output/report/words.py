@@ -14,8 +14,10 @@ from rig.output.report.source import ReportedRun
 from rig.output.report.style import stage_kind
 from rig.run_folder.results import BreakawayResult, EstimateResult, known
 from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY, graded_words, share, validity
+from rig.run_folder.results.answer_words import percent as in_percent
 from rig.run_folder.results.answer_words import rounded as as_digits
 
+TRIPLE = "triple-relay"
 HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
 
 STATED = 1e-6  # width of an interval over its number: narrower ones are of what a recording states, not of an estimate
@@ -107,12 +109,8 @@ def rounded(value: float, half_width: float = math.nan) -> str:
 
 
 def percent(ratio: float) -> str:
-    """A ratio in per cent, with two significant digits and its sign."""
-    if not math.isfinite(ratio):
-        return "–"
-    value = 100.0 * ratio
-    digits = 0 if abs(value) >= 9.95 else (1 if abs(value) >= 0.995 else 2)
-    return f"{value:+.{digits}f} %".replace("-", "−")
+    """A ratio in per cent, as ``answer_words`` has it; with the minus of print."""
+    return in_percent(ratio).replace("-", "−")
 
 
 def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, float]) -> Quantity:
@@ -207,12 +205,23 @@ def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun) -> list[str
         f"friction adds {gain:.3g} rad/s. Coulomb friction takes {friction:.3g} V of the drive."
     )
     found = run.result.breakaway or BreakawayResult()
-    plus, minus = known(found.static_plus_V), known(found.static_minus_V)
-    if math.isfinite(plus) and math.isfinite(minus):
+    plus = _some_V(found.static_plus_V, found.static_plus_range_V)
+    minus = _some_V(found.static_minus_V, found.static_minus_range_V)
+    if plus and minus:
         words += (
-            f" To move it from rest takes {plus:.3g} V towards rising positions and {minus:.3g} V towards falling ones."
+            f" To move it from rest takes some {plus} towards rising positions and some {minus} towards falling ones."
         )
     return [words]
+
+
+def _some_V(value: float | None, reach: tuple[float | None, float | None] | None) -> str:
+    """A drive with two digits and its interval; empty where it is not known."""
+    level, low, high = map(known, (value, *(reach or (None, None))))
+    if not level > 0.0:
+        return ""
+    digits = max(1 - math.floor(math.log10(level)), 0)
+    between = f" ({low:.{digits}f} to {high:.{digits}f})" if math.isfinite(low + high) else ""
+    return f"{level:.{digits}f} V{between}"
 
 
 def _command(*parts: str | Path) -> str:
@@ -222,6 +231,16 @@ def _command(*parts: str | Path) -> str:
 
 def _drive_with(run: ReportedRun) -> Step:
     if run.rehearsal:
+        triple = run.estimates.get(TRIPLE)
+        if (
+            run.spans("relay")
+            and run.config.wanted_amplitude_rad is not None
+            and (triple is None or triple.verdict != "ok")
+        ):
+            return Step(
+                "The answer is good, but the limit cycles are not: the triple relay's estimate "
+                f"is {'missing' if triple is None else triple.verdict}. Change relay.target, and rehearse again."
+            )
         return Step(
             "The config fits this motor. Wire the bench, then: rig flash, rig calibrate, rig run (docs/real-bench.md)."
         )

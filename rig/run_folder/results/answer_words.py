@@ -10,7 +10,7 @@ from rig.run_folder.results.estimates import FoundLawResult, known
 from rig.run_folder.results.meta import TrueMotor
 
 PARAMETERS = (("tau_s", "tau", "s"), ("K_rad_s_V", "K", "(rad/s)/V"), ("fc_V", "f_c", "V"))
-VERDICTS = {"ok": "ok: at most 5 % off"}
+VERDICTS = {"ok": "ok: rig promises 5 %"}
 NOT_KNOWN = "not known"
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 BEYOND = 1.05  # of the largest drive that the motor was measured with: so much more is no other range
@@ -39,6 +39,15 @@ def share(value: float, half_width: float) -> str:
     return f"± {100.0 * half_width / abs(value):.2g} %" if value else ""
 
 
+def percent(ratio: float) -> str:
+    """A ratio in per cent, with two significant digits and its sign; zero has none."""
+    if not math.isfinite(ratio):
+        return "–"
+    value = 100.0 * ratio
+    digits = 0 if abs(value) >= 9.95 else (1 if abs(value) >= 0.995 else 2)
+    return f"{value:+.{digits}f} %" if round(value, digits) else "0 %"
+
+
 def answer_lines(
     answer: Answer | None, causes: Mapping[str, tuple[str, str]], truth: TrueMotor | None = None
 ) -> Iterator[str]:
@@ -54,8 +63,11 @@ def answer_lines(
     verdict = VERDICTS.get(answer.verdict, answer.verdict)
     if not answer.is_refused:
         numbers = list(_numbers(answer, truth))
-        yield from numbers[:-1]
-        yield f"{numbers[-1]:<42}  {verdict}" if numbers else verdict
+        if numbers and answer.verdict == "ok":
+            numbers[-1] = f"{numbers[-1]:<42}  {verdict}"
+        yield from numbers
+        if answer.verdict != "ok" and not answer.reasons:  # each reason begins with it
+            yield verdict
         laws = [_law(law, *causes.get(law.name, (law.name.replace("_", " "), ""))) for law in answer.law or ()]
         if laws:
             yield f"also: {'; '.join(laws)}"
@@ -73,10 +85,10 @@ def answer_lines(
 def graded_words(answer: Answer) -> str:
     """How good each number is, as ``tau is good, K is rough, f_c is not known``; empty where nobody looked.
 
-    Of an answer that is ok: how far off they are at most.
+    Of an answer that is ok: what rig promises of them.
     """
     if answer.verdict == "ok":
-        return "tau, K and f_c are at most 5 % off"
+        return "the verdict is ok: rig promises that tau, K and f_c are within 5 %"
     grade = answer.grade or {}
     return ", ".join(f"{name} is {grade[key].grade}" for key, name, _ in PARAMETERS if key in grade)
 
@@ -126,7 +138,7 @@ def _numbers(answer: Answer, truth: TrueMotor | None) -> Iterator[str]:
             yield f"{name:<4} unknown: at 95 % it may be off by more than its own size"
             continue
         true = None if truth is None else truth.value(key)
-        off = f"  ({100.0 * (value / true - 1.0):+.1f} % off the emulated motor)" if true else ""
+        off = f"  ({percent(value / true - 1.0)} off the emulated motor)" if true else ""
         grade = "" if graded is None or answer.verdict == "ok" else f"{graded.grade:<5}"  # ok: each is exact
         yield f"{name:<4} {rounded(value, half) + ' ' + unit:<18} {width + ' ' * bool(grade):<10}{grade}{off}".rstrip()
 

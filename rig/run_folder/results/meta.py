@@ -47,6 +47,7 @@ class ScriptCall(Part):
 
     name: Text = Field(description="run, relay, survey, breakaway, track, jog or law")
     breakaway: Sometimes[Text] = Field(None, description="law of the breakaway check; older versions write none")
+    search: Sometimes[Text] = Field(None, description="law of a gain search; older versions write none")
     u_V: Sometimes[Number] = Field(None, description="drive of a jog, V")
     duration_s: Sometimes[Number] = Field(None, description="duration of a jog or of a user's law, s")
     leased: Sometimes[Flag] = Field(

@@ -8,6 +8,7 @@ thorough what a thorough run adds where the relay tests leave the motor's law op
 
 from rig.running.experiment.script import (
     BREAKAWAY_LAW,
+    SEARCH_LAW,
     configured_law,
     jog,
     jog_leased,
@@ -22,6 +23,7 @@ from rig.running.experiment.script import (
 
 __all__ = [
     "BREAKAWAY_LAW",
+    "SEARCH_LAW",
     "configured_law",
     "jog",
     "jog_leased",

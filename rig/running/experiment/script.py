@@ -36,6 +36,7 @@ from rig.running.preflight.survey_room import expected_sweeps
 from rig.running.session import OnStart, Outcome, Session, record
 
 BREAKAWAY_LAW = "balanced pairs, in the device's steps"  # in meta.json, so that a replay knows which law ran
+SEARCH_LAW = "gains of both tests"  # the same of the gain search
 
 
 def run(
@@ -225,4 +226,6 @@ def _drive_tests(session: Session, known: FramedMotor | None = None) -> None:
 
 def _named(script: str) -> ScriptCall:
     """What meta.json says of a script with a breakaway check."""
+    if script in ("run", "relay"):
+        return ScriptCall(name=script, breakaway=BREAKAWAY_LAW, search=SEARCH_LAW)
     return ScriptCall(name=script, breakaway=BREAKAWAY_LAW)

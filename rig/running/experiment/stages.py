@@ -391,11 +391,9 @@ def test_relays(session: Session, most: int | None = None) -> None:
         return
     relay, detector = relay_and_detector(e)
     if e.relay.gains is not None:
-        gains_V = [(g.h1_V, g.h2_V) for g in e.relay.gains]
-        expected_period_s = None
+        gains_V, expected_period_s = [(g.h1_V, g.h2_V) for g in e.relay.gains], None
     else:
-        gains_V = search_gains(session, relay, detector)
-        expected_period_s = detector.mean()[0]
+        gains_V, expected_period_s = search_gains(session, relay, detector, both=most != 1)
     session.found.gains_V = tuple(gains_V[:most])
     for number, pair_V in enumerate(session.found.gains_V, start=1):
         _test_relay(session, relay, detector, (number, pair_V), expected_period_s)
@@ -513,9 +511,12 @@ def bring_home(session: Session) -> None:
     session.note("home", rest_rad=homing.rest_rad, strokes=homing.strokes)
 
 
-def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
-    """Search gains for the wanted cycle. Returns (h1, h2) of each of the two relay tests, V.
+def search_gains(
+    session: Session, relay: DualChannelRelay, detector: CycleDetector, both: bool
+) -> tuple[list[tuple[float, float]], float]:
+    """Search gains for the wanted cycle, and for the second test's. Returns (h1, h2) of each, V, and their period, s.
 
+    both  False: the second test is left out
     Raises Fault NO_CYCLE; ValueError without relay.target or a breakaway check.
     """
     e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
@@ -544,8 +545,13 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         noted = len(search.steps)
 
     session.loop.run(search, "search", watch)
-    session.found.further_gains_V = search.second_gains(e.relay.second_ratio**2)
-    return [(relay.h1_V, relay.h2_V), search.second_gains(e.relay.second_ratio)]
+    gains_V, period_s = [(relay.h1_V, relay.h2_V)], detector.mean()[0]
+    if both:
+        search.seek_second(e.relay.second_ratio)
+        session.loop.run(search, "search", watch)
+        gains_V.append((relay.h1_V, relay.h2_V))
+        session.found.further_gains_V = search.further_gains(e.relay.second_ratio**2)
+    return gains_V, period_s
 
 
 def identify_recorded(session: Session) -> None:

@@ -173,12 +173,12 @@ def _relay_tests(e: Experiment) -> _Stage:
         tests_s = 2.0 * r.cycles * r.target.period_s
         speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
         lines = (
-            f"stage search: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
-            f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s",
-            f"stage relay: {r.cycles} settled cycles at {amplitudes[0]:.3g} and at {amplitudes[1]:.3g} rad, "
-            f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling",
+            f"stage search: searches gains for {amplitudes[0]:.3g} rad every {r.target.period_s:g} s, "
+            f"+-{r.target.tolerance:.0%}, and for {amplitudes[1]:.3g} rad; at most {r.search.timeout_s:g} s each",
+            f"stage relay: {r.cycles} settled cycles with each, up to about {speed:.2g} rad/s; about {tests_s:.0f} s "
+            "and the settling",
         )
-        return _Stage(lines, r.search.timeout_s + tests_s)
+        return _Stage(lines, 2.0 * r.search.timeout_s + tests_s)
     if r.gains is not None:
         pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains)
         return _Stage(
@@ -234,7 +234,8 @@ def _verify(e: Experiment) -> _Stage:
         return _Stage(("stage verify: left out, since the config has no section `tracking`",))
     longest_s = len(e.tracking.methods) * e.tracking.duration_s
     line = (
-        f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
-        f"{e.tracking.duration_s:g} s each; {longest_s:.0f} s"
+        f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}"
+        + ("" if e.relay.until is None else ", as far as the tests give each")
+        + f"; {e.tracking.duration_s:g} s each, {'' if e.relay.until is None else 'at most '}{longest_s:.0f} s"
     )
     return _Stage((line,), longest_s)
