@@ -218,10 +218,11 @@ def _begin(
     recorder = Recorder(folder, _stages(experiment), waits=not isinstance(bench.clock, MonotonicClock))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
     _tell_time(stop, loop, bench.clock)
+    tried = bench.info.emulated and experiment.limits.is_endless
     first_notes = [
         *no_flag,
         *bench.info.remarks,
-        *(_latched(code, bench.info.emulated) for code in bench.info.acknowledged),
+        *(_latched(code, tried) for code in bench.info.acknowledged),
     ]
     supply = _supply(experiment, bench).objection
     first_notes += [] if supply is None else [supply]
@@ -472,8 +473,8 @@ def _stages(experiment: Experiment) -> list[str]:
     return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]
 
 
-def _latched(code: str, emulated: bool) -> str:
-    """What a device had latched before the run, in words."""
-    if emulated and code == "DEVICE_ESTOP":
+def _latched(code: str, tried: bool) -> str:
+    """What a device had latched before the run, in words; ``tried``: an emulated bench tries its e-stop by itself."""
+    if tried and code == "DEVICE_ESTOP":
         return "the emulated bench's e-stop was tried before the run, as a bench without travel limits needs"
     return since_the_last_run(code)

@@ -26,6 +26,7 @@ LARGEST_STEP = 1.0  # of a logarithm, in one iteration
 ITERATIONS = 40
 VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
+SINGULAR = 1e-12  # of a correlation: no variance is smaller
 
 
 class Enough(NamedTuple):
@@ -54,8 +55,12 @@ class Known:
 
     @classmethod
     def of(cls, names: Sequence[str], mean: Sequence[float], covariance: Array) -> Known:
-        """From a covariance, (k, k), that has an inverse."""
-        return cls(tuple(names), np.array(mean), np.linalg.inv(np.linalg.cholesky(covariance)))
+        """From a covariance, (k, k); of a combination of numbers without a variance nothing is known."""
+        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        variances, ways = np.linalg.eigh(covariance / np.outer(size, size))
+        known = variances > SINGULAR  # a shaft that turned one way tells nothing of one of them
+        root = np.where(known, 1.0 / np.sqrt(np.where(known, variances, 1.0)), 0.0)[:, None] * ways.T / size
+        return cls(tuple(names), np.array(mean), root)
 
     @classmethod
     def of_sum(cls, names: Sequence[str], value_V: float, error_V: float) -> Known:
