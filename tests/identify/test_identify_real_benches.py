@@ -277,13 +277,14 @@ def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_mov
 @pytest.mark.evidence
 def test_where_a_law_of_another_kind_leaves_hardly_more_the_number_is_as_wide_as_both() -> None:
     """Friction that falls with the square of the speed, in a slow loop: a drag and K 80 % too large fit it, too."""
-    step_s, y_rad, speed, u_V, rows = 1e-4, 0.0, 0.0, 0.0, []
+    step_s, fine_rad = 1e-4, 2.0 * math.pi / 16384.0
+    y_rad, speed, u_V, rows = 0.0, 0.0, 0.0, []
     for k in range(300_000):
         t_s = k * step_s
         if k % 20 == 0:
             goal_rad = 2.0 * math.sin(math.pi * t_s) + math.sin(2.6 * math.pi * t_s)
             u_V = float(np.clip(25.0 * (goal_rad - y_rad), -12.0, 12.0))
-            rows.append((t_s, u_V, round(y_rad / STEP_RAD) * STEP_RAD))
+            rows.append((t_s, u_V, round(y_rad / fine_rad) * fine_rad))
         way = math.copysign(1.0, speed or u_V)
         friction_V = 0.9 + 0.4 * math.exp(-((speed / 6.0) ** 2))
         if speed == 0.0 and abs(u_V) <= friction_V:

@@ -24,7 +24,7 @@ from rig.identification.side_by_side import side_by_side
 Array = NDArray[np.float64]
 
 FAR = 0.1  # of tau, K or friction: what the linear model would move it by, beyond which a fit is asked
-FAR_WORSE = 2.5  # what another law leaves beyond the sensor's noise over what the fit leaves: then it counts no more
+FAR_WORSE = 2.0  # what another law leaves beyond the sensor's noise over what the fit leaves: then it counts no more
 RIVAL = 20.0  # rise of Schwarz's criterion up to which a law in place of another counts at all
 
 
@@ -83,7 +83,7 @@ def nearly_as_good(
 
     What both leave beyond the sensor's noise is no noise but the motor, so likelihood says nothing of the two. A law
     enters where it takes away a share of what is left, ``asked.cuts``; so one that leaves no more than that share more
-    counts in full, and one that leaves 2.5 times as much not at all. Of
+    counts in full, and one that leaves twice as much not at all. Of
     those that hardly move a number likelihood says enough.
     """
     if fit.problem.noise.white:
