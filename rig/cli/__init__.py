@@ -13,7 +13,7 @@ import ast
 from collections.abc import Iterator, Mapping, MutableMapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import click
 
@@ -56,17 +56,29 @@ def _first_sentence(name: str) -> str:
     raise LookupError(f"{file} has no command")
 
 
+def _interrupted() -> NoReturn:
+    from rig.cli.failure import EXIT_FAILED
+
+    click.echo("rig: interrupted; no drive is on", err=True)
+    raise click.exceptions.Exit(EXIT_FAILED)
+
+
 class _Commands(click.Group):
     """Commands in groups. A Ctrl-C ends them with one line, not a traceback, while no run's loop is going."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        try:
+            return super().make_context(info_name, args, parent, **extra)
+        except KeyboardInterrupt:
+            _interrupted()
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            from rig.cli.failure import EXIT_FAILED
-
-            click.echo("rig: interrupted; no drive is on", err=True)
-            ctx.exit(EXIT_FAILED)
+            _interrupted()
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Each command with the whole first sentence of its help, group by group."""

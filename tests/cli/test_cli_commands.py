@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from threading import Thread
 
+import click
 import pytest
 from command_line import rig
 from evidence import evidence
@@ -168,6 +169,15 @@ def test_ctrl_c_while_starting_is_no_traceback(tmp_path: Path, after_s: float) -
     assert process.returncode != 0
     assert ", in run\n" not in error  # before `run` it is Python that is still starting
     assert "Aborted" not in error
+
+
+def test_ctrl_c_while_the_words_of_a_command_are_read_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(click.Group, "parse_args", interrupted)
+    result = rig("run", "any.yaml")
+    assert result.exit_code == 1 and result.stderr == "rig: interrupted; no drive is on\n"
 
 
 def test_a_ctrl_c_that_somebody_swallows_while_rig_loads_is_heeded_before_anything_moves() -> None:
