@@ -251,14 +251,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         wanted_x = _within(wished_h2 - (h2 - x), x, self._STRIDE)
         wanted_h1 = _within(wish.omega_rad_s * motor.tau_s * wanted_x, h1, self._STRIDE)
         wanted_h2 = self.friction_V + wanted_x
-        # scale both down together if the drive is too small for them
-        scale = min(
-            1.0,
-            self.search.h_max_V / wanted_h1,
-            self.search.h_max_V / wanted_h2,
-            self.search.sum_max_V / (wanted_h1 + wanted_h2),
-        )
-        self._set_gains(wanted_h1 * scale, wanted_h2 * scale)
+        self._set_gains(*self._drivable(wanted_h1, wanted_h2))
         self._step_start_s = t_s
 
     def _refine_friction(self) -> None:
@@ -280,6 +273,12 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         fc = h2b - Ab * wb / slope
         # the describing function is approximate: it may change the breakaway level by half at most
         self.friction_V = max(0.5 * self.friction_V, min(1.5 * self.friction_V, fc, h2b - 0.05))
+
+    def _drivable(self, h1_V: float, h2_V: float) -> tuple[float, float]:
+        """Both scaled down together where the search's drive is too small for them."""
+        most_V, sum_V = self.search.h_max_V, self.search.sum_max_V
+        scale = min(1.0, most_V / h1_V, most_V / h2_V, sum_V / (h1_V + h2_V))
+        return h1_V * scale, h2_V * scale
 
     def _set_gains(self, h1_V: float, h2_V: float) -> None:
         self.relay.h1_V = h1_V
@@ -322,7 +321,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         ratio = self._with_room(ratio)
         tolerance = min(self.target.tolerance, max(0.5 * abs(1.0 - ratio), 0.05))
         self.target = CycleTarget(amplitude * ratio, period, tolerance)
-        self._set_gains(*self._scaled(self.first, ratio))
+        self._set_gains(*self._drivable(*self._scaled(self.first, ratio)))
         self.finished, self._before = False, len(self.steps)
         self._start_s = self._step_start_s = math.nan
 
@@ -333,7 +332,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         """
         if self.first is None:
             raise ValueError("the second cycle has not been searched")
-        return self._scaled(self.first, self._with_room(ratio))
+        return self._drivable(*self._scaled(self.first, self._with_room(ratio)))
 
     def _scaled(self, first: SettledCycle, ratio: float) -> tuple[float, float]:
         """If h1 and x = h2 - f_c are both scaled, w = h1/(tau x) stays and A = 4 K tau x^2/(pi h1) is scaled, too."""

@@ -301,6 +301,15 @@ def test_where_there_is_no_room_for_more_the_second_test_is_smaller_by_as_much(s
     assert looking.target.amplitude_rad == pytest.approx(0.6 / ratio, rel=0.01)
 
 
+def test_the_second_tests_gains_stay_within_the_drive_though_friction_was_taken_for_more_than_h2() -> None:
+    looking = new_search(replace(SEARCH, h_max_V=1.6))
+    settle(looking, 0.6, 1.0, 0.0)
+    looking.friction_V = 2.0
+    looking.seek_second(0.7)
+    assert max(gains(looking)) <= 1.6
+    assert max(looking.further_gains(0.5)) <= 1.6
+
+
 @pytest.mark.parametrize("true_V", [0.32, 0.52])
 def test_the_second_cycle_has_its_amplitude_though_friction_was_taken_for_another(true_V: float) -> None:
     """Friction is taken for 0.43 V; at 0.52 V the first try has a third of the first amplitude."""
