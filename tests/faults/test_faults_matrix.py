@@ -307,6 +307,19 @@ def test_a_pause_of_any_length_neither_looks_like_lost_samples_nor_hides_them(
     assert realtime._lost(told, 1, keys, None, killed=False) - device.between == len(lost)
 
 
+@pytest.mark.parametrize(
+    ("told", "keys", "lost"),
+    [
+        ([1, 3, 5, 7, 8], [1, 3, 5], 0),  # a host that stood still asked again, and the second answer has the fault
+        ([1, 3, 5, 7, 8], [1, 3], 1),
+        ([1, 3, 5, 7], [1, 5, 7], 1),
+    ],
+)
+def test_a_reading_that_was_asked_for_again_is_counted_once(told: list[int], keys: list[int], lost: int) -> None:
+    fault = {"code": "DEVICE_WATCHDOG", "detail": "code 5 (watchdog) at 0.1 rad, 540 counts"}
+    assert realtime._lost(told, 2, keys, fault, killed=False) == lost
+
+
 @pytest.mark.evidence
 @pytest.mark.parametrize("stage", [REST, ARMING], ids=_id)
 def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.MonkeyPatch, stage: Stage) -> None:

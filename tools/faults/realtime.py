@@ -718,7 +718,8 @@ def _lost(told: list[int], apart: int, keys: list[int], fault: Mapping[str, Any]
     apart  least distance between the keys of two samples; what is nearer was asked for again, and answered twice
 
     The last one of a killed host may have been received and not yet looked at; of a run without a fault it is no row;
-    and after a time-out it came too late.
+    after a time-out it came too late; and the reading of a fault is no row. A host that stood still asks for the last
+    one again, since the first answer is old: then both are that one.
     """
     recorded = set(keys)
     # the first reading may have been asked for again, and be another of its answers
@@ -726,4 +727,4 @@ def _lost(told: list[int], apart: int, keys: list[int], fault: Mapping[str, Any]
     missing = [seq for seq in told if recorded.isdisjoint(range(seq - apart + 1, seq + apart))]
     too_late = fault is not None and fault["code"] in ("LINK_TIMEOUT", "LINK_REPLY")
     may_miss = killed or fault is None or too_late or "counts" in str(fault["detail"])
-    return len(missing) - (may_miss and missing[-1:] == told[-1:])
+    return sum(not may_miss or seq <= told[-1] - apart for seq in missing)
