@@ -493,8 +493,8 @@ def missing(injector: FaultInjector, run: Run) -> list[int]:
     """Keys of samples that the device has sent in time, and that the recording lacks.
 
     The sample that ended the run counts as recorded if the fault's event has its counts, or its reply; the last block
-    of a law in the device may come after it. Not counted: the last exchange before a stop without a fault, or before a
-    relay in the device. It only asks for the effect of the last drive.
+    of a law in the device may come after it. Not counted: the last exchange before a stop without a fault, before a
+    relay in the device, or before the loop waits for its recorder. It only asks for the effect of the last drive.
     """
     recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])
@@ -505,7 +505,7 @@ def missing(injector: FaultInjector, run: Run) -> list[int]:
         only_asks = reading.row == ASKED and (
             reading.key in injector.handing_over
             or reading.key in injector.closed
-            or (reading.key in injector.closing and run.fault is None)
+            or (reading.key in injector.closing and (run.fault is None or _waited_for_recorder(run)))
         )
         if (
             (reading.key, reading.row) not in recorded
@@ -514,6 +514,14 @@ def missing(injector: FaultInjector, run: Run) -> list[int]:
         ):
             lost.append(reading.key)
     return lost
+
+
+def _waited_for_recorder(run: Run) -> bool:
+    """Whether the fault came between two stages, from the recorder: each tick of the loop has its row."""
+    if run.fault is None or run.fault["code"] != "RECORDER_DEAD" or run.folder is None:
+        return False
+    result = json.loads((run.folder / "result.json").read_text(encoding="utf-8"))
+    return bool(result["loop"]["ticks"] == len(run.rows))
 
 
 def _restarted(found: Found, row: Row, backend: Backend, injector: FaultInjector, experiment: Experiment) -> Found:
