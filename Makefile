@@ -156,7 +156,7 @@ WHEELS := manylinux_2_17_x86_64 manylinux_2_17_aarch64 win_amd64 macosx_11_0_arm
 dist: .venv/.ready  ## source, and a wheel of each platform, as they would be published, checked: dist
 	rm -rf dist build/dist
 	.venv/bin/uv build --quiet --sdist -o dist
-	for platform in $(WHEELS); do RIG_WHEEL=$$platform RIG_FIRMWARE=required RIG_FIRMWARE_BUILD=$(CURDIR)/build/dist \
+	for platform in $(WHEELS); do RIG_WHEEL=$$platform RIG_FIRMWARE=required RIG_FIRMWARE_BUILD="$(CURDIR)/build/dist" \
 	    .venv/bin/uv build --quiet --wheel -o dist || exit 1; done
 	.venv/bin/twine check --strict dist/*
 	.venv/bin/python tools/try_wheels.py dist

@@ -34,6 +34,21 @@ def test_an_installed_rig_builds_in_the_users_cache(monkeypatch: pytest.MonkeyPa
     assert firmware_build.build().program != built.program  # other content, other folder
 
 
+def test_a_clone_may_lie_in_a_folder_with_blanks_and_umlauts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No name that make builds may hold a blank. The compiler here writes empty files: it is about names alone."""
+    clone = tmp_path / "Übung für alle"
+    shutil.copytree(firmware_build.source_folder(), clone / "firmware", ignore=shutil.ignore_patterns("node_modules"))
+    compiler = tmp_path / "cc"
+    compiler.write_text('#!/bin/sh\nwhile [ "$1" != -o ]; do shift; done\ntouch "$2"\n')
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
+    monkeypatch.setattr(firmware_build, "_PACKAGE", clone / "rig")
+    built = firmware_build.build()
+    assert built.program.is_relative_to(clone) and built.program.is_file() and built.library.is_file()
+    with pytest.raises(EmulationError, match="blank"):
+        firmware_build.build(tmp_path / "with a blank")
+
+
 def test_missing_sources_are_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(firmware_build, "_PACKAGE", tmp_path / "rig")
     with pytest.raises(EmulationError, match="no firmware sources"):

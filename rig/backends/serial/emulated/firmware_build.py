@@ -215,7 +215,7 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
             )
     # an outer make's job server and flags are none of this build's business
     environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
-    command = ["make", "-s", "-C", str(sources), *targets, f"BUILD={folder}", f"CC={compiler}"]
+    command = ["make", "-s", "-C", str(sources), *targets, f"BUILD={_for_make(folder, sources)}", f"CC={compiler}"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _said(_BUILT[targets[0]]), (folder / ".lock").open("wb") as lock:
@@ -260,6 +260,17 @@ def _say(words: str) -> None:
             sys.stderr.flush()
     except (OSError, ValueError):  # there is none
         return
+
+
+def _for_make(folder: Path, sources: Path) -> str:
+    """The folder as seen from the sources: no name that make builds may hold a blank, and what is above both may."""
+    name = os.path.relpath(folder.resolve(), sources.resolve())
+    if any(character in name for character in " \t:#$%;"):
+        raise EmulationError(
+            f"make cannot build in {folder}: there is a blank, or one of : # $ % ;, in its name\n"
+            "in a clone rename the folder; else set XDG_CACHE_HOME to a folder without"
+        )
+    return name
 
 
 def _default_build_folder(sources: Path) -> Path:
