@@ -13,7 +13,6 @@ import numpy as np
 from rig.core.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identification.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identification.breakaway import StaticFriction, breakaway
-from rig.identification.departures.blocks import HeldOut
 from rig.identification.departures.laws import LEVEL_EACH
 from rig.identification.drive_scale import by_own_loop
 from rig.identification.estimate import VERDICTS, Estimate
@@ -34,7 +33,7 @@ from rig.identification.sampled_data_verdict import judge_with_laws, late_s, sli
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.stroke_delay import strokes_delay
 from rig.identification.time_stamps import stamps_off_by
-from rig.identification.verdict import in_percent, largest_drive_V
+from rig.identification.verdict import by_prediction, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
 from rig.run_folder.recording.errors import IdentifyError
@@ -489,19 +488,6 @@ def _add_motor_law(
         found.estimates[LEADING] = found.estimates[LEADING].judged("doubtful", *law.bounded)
     if law.predicts is not None and law.estimate is None and LEADING in found.estimates:
         found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts)
-
-
-def by_prediction(estimate: Estimate, predicts: HeldOut) -> Estimate:
-    """The estimate refused if it does not predict; if it does, refused for nothing but what no fit mends."""
-    if not predicts.is_useful:
-        return estimate.judged(
-            "refused",
-            f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the "
-            f"motion, a linear model's {in_percent(predicts.linear_error)}; see that drive and position belong "
-            "together, and record larger motion without loads that change",
-            spoiled=False,
-        )
-    return replace(estimate, verdict="doubtful") if estimate.verdict == "refused" and not estimate.spoiled else estimate
 
 
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:

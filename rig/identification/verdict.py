@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rig.identification.departures.blocks import HeldOut
 from rig.identification.estimate import Estimate
 from rig.identification.mean_cycle import Cycle
 from rig.identification.measurements import Measurements
@@ -115,6 +116,22 @@ def sizes_of(estimate: Estimate, largest_V: float) -> dict[str, float]:
     sizes = {"tau_s": abs(estimate.tau_s), "K_rad_s_V": abs(estimate.K_rad_s_V)}
     sizes["fc_V"] = max(abs(estimate.fc_V), SMALL_FRICTION * largest_V)
     return sizes
+
+
+def by_prediction(estimate: Estimate, predicts: HeldOut) -> Estimate:
+    """The estimate refused if it does not predict: much worse than nothing, or worse than a linear model.
+
+    One that predicts is refused for nothing but what no fit mends. Bounds: ``HeldOut.is_useful``.
+    """
+    if not predicts.is_useful:
+        return estimate.judged(
+            "refused",
+            f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the "
+            f"motion, a linear model's {in_percent(predicts.linear_error)}; see that drive and position belong "
+            "together, and record larger motion without loads that change",
+            spoiled=False,
+        )
+    return replace(estimate, verdict="doubtful") if estimate.verdict == "refused" and not estimate.spoiled else estimate
 
 
 def beside(value: float, other: float) -> str:

@@ -34,10 +34,10 @@ from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.live.stop_flag import request_stop
 from rig.run_folder.recording.errors import RecordingError
 from rig.running.experiment import law_watch
-from rig.running.experiment.law_watch import WatchedLaw, law_times
+from rig.running.experiment.law_watch import WatchedLaw
 from rig.running.keeper import process as law_keeper
+from rig.running.keeper.law_times import LawTimes, asks, law_times
 from rig.running.keeper.process import LOOK_EVERY_S, Charge
-from rig.running.keeper.terms import LawTimes, asks
 
 ROOT = Path(__file__).resolve().parents[2]
 HUNG_S = 180.0  # far beyond what a loaded machine needs

@@ -28,7 +28,7 @@ from rig.control.bounded import Bounded, Bounds
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Constant, Law
-from rig.control.leased import LeasedDrive
+from rig.control.leased_jog import LeasedDrive
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import StopRequest
 from rig.control.relay import DualChannelRelay, RelayOnCounts

@@ -21,12 +21,13 @@ from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import Estimate
-from rig.identification.identification import Identification, by_prediction
+from rig.identification.identification import Identification
 from rig.identification.in_pieces import fit_in_pieces
 from rig.identification.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
 from rig.identification.thinning import COARSEST_PATH_RAD, showing_the_angle, thinned
+from rig.identification.verdict import by_prediction
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries

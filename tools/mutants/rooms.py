@@ -18,7 +18,7 @@ ROOMS = (
         ("tests/control", "tests/loop"),
         {
             "laws": ("tests/api/test_api_law.py",),
-            "leased": ("tests/control/test_control_leased.py",),
+            "leased_jog": ("tests/control/test_control_leased_jog.py",),
         },
     ),
     Room(

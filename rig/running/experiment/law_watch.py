@@ -23,7 +23,6 @@ from types import FrameType
 from typing import IO, Final, NoReturn
 
 from rig.backends.clock import MonotonicClock
-from rig.config import Experiment
 from rig.control.law import Stopped, Timed, is_of_own_law
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
@@ -31,30 +30,13 @@ from rig.core.halted import WORDS, Halts
 from rig.core.signals import Sample
 from rig.run_folder.live.law_lease import SIZE, LawLease
 from rig.run_folder.recording.layout import create_file
-from rig.running.keeper.terms import END, READY, LawTimes, asks, too_long_words
+from rig.running.keeper.law_times import END, READY, LawTimes, asks, law_times, too_long_words
 from rig.running.session import Session
 
 _STARTS_S: Final = 30.0
 _CLOSES_S: Final = 5.0
-_VIRTUAL_LEASE_S: Final = 2.0
-_LEAST_CPU_S: Final = 0.002  # page faults and interrupts have cost a good law up to 0.7 ms in one step
 _LOOK_EVERY_STEPS: Final = 50
-_STILL_S: Final = 1.0  # the loop's, besides its waits for replies: a busy machine
-_MOST_WAITS: Final = 12  # for a reply, one after the other: four requests that arm a device, three times each
 _NOBODY: Final = "no process watches the law: one that never returns cannot be ended but by `kill -9`"
-
-
-def law_times(e: Experiment, *, virtual: bool) -> LawTimes:
-    """The times of the config. The lease is as long as a device's watchdog waits, or twice the CPU time."""
-    bound_s, words = e.loop.law_cpu_s, "loop.law_cpu_s"
-    if bound_s is None:
-        bound_s = max(0.5 * e.period_s, _LEAST_CPU_S)
-        words += f", by default half a period, {1e3 * _LEAST_CPU_S:g} ms at least"
-    lease_s = max(e.daq.watchdog_s, 2.0 * bound_s)
-    still_s = lease_s + _STILL_S + _MOST_WAITS * e.daq.timeout_s
-    if virtual:
-        return LawTimes(math.inf, _VIRTUAL_LEASE_S, words, still_s, still_s)  # at a slow pace a tick may last seconds
-    return LawTimes(bound_s, lease_s, words, still_s, lease_s + e.period_s)  # a period is how long a good loop sleeps
 
 
 class WatchedLaw(Timed):

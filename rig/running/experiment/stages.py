@@ -21,7 +21,7 @@ from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
 from rig.control.known_motor import NOT_COMPENSATED
 from rig.control.law import Constant, Rest, Timed
-from rig.control.leased import LeasedDrive
+from rig.control.leased_jog import LeasedDrive
 from rig.control.loop.pre_run import PreRunBench, pre_run
 from rig.control.loop.real_time import RealTime, real_time
 from rig.control.observer import MotorObserver

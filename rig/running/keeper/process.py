@@ -36,7 +36,7 @@ from rig.control.loop.stop_request import STOP_SIGNALS
 from rig.core.faults import Fault
 from rig.run_folder.live.law_lease import LawLease
 from rig.run_folder.live.stop_flag import AskedStop
-from rig.running.keeper.terms import END, READY, LawTimes, asks, too_long_words
+from rig.running.keeper.law_times import END, READY, LawTimes, asks, too_long_words
 
 if TYPE_CHECKING:
     from rig.backends.driver import Driver

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rig.control.leased import LeasedDrive
+from rig.control.leased_jog import LeasedDrive
 from rig.core.signals import Sample
 
 
