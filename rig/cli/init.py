@@ -110,7 +110,7 @@ def init(
         have = "has" if len(missing) == 1 else "have"
         fail(
             EXIT_BAD_INPUT,
-            f"{' and '.join(missing)} {have} no default: a wrong one is dangerous",
+            f"{', '.join(missing)} {have} no default: a wrong one is dangerous",
             f"give {'it' if len(missing) == 1 else 'them'}; `rig init --help`",
         )
     told: dict[str, str | float] = {}
@@ -181,7 +181,11 @@ def init(
     except OSError as error:
         fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
     except ConfigError as error:
-        fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
+        fail_config(
+            error,
+            f"{file} is written, but `rig check` refuses it: correct these numbers. Is --no-load-rpm the speed of the "
+            "measured shaft, behind its gear?",
+        )
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
     if number_on_usb is None:
         click.echo(_without_number(port))
@@ -257,8 +261,9 @@ def _init_servo(
                 supply_V=round(seen.supply_V, 1) if supply_V is None else supply_V,
                 zero_counts=seen.position % seen.model.counts_per_turn,
             )
+        text = first_config.text(answers)  # first: what it refuses leaves no file
         with file.open("x", encoding="utf-8") as new:
-            new.write(first_config.text(answers))
+            new.write(text)
         preflight.check(file)
     except new_bench.AnswerError as error:
         fail(EXIT_BAD_INPUT, error.cause, error.cure)
@@ -270,7 +275,10 @@ def _init_servo(
     if answers.adapter == "ftdi-1ms":
         click.echo("the adapter's latency timer must be at 1 ms: `rig doctor` says how")
     where = "where its shaft stands now" if port is not None else "the middle of its turn"
-    click.echo(f"zero is {where} (sensor.servo.zero_counts); take everything off the horn, then `rig run`")
+    click.echo(
+        f"zero is {where} (sensor.servo.zero_counts); take everything off the horn, then "
+        f"`rig run {shlex.quote(str(file))}`"
+    )
 
 
 def _command(file: Path, told: dict[str, str | float]) -> str:

@@ -38,6 +38,7 @@ JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that 
 SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
 SPIKE_NOISES = 10.0  # and by so many standard deviations of the noise
 MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of position is motion,
+TURNED_BACK = 0.01  # of the longer way: a shorter one is drift where the drive never asks for it
 MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
 FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
@@ -273,9 +274,11 @@ def one_way(tests: Sequence[TimeSeries]) -> bool:
 
 
 def _ways_rad(test: TimeSeries) -> tuple[float, float]:
-    """Longest way towards +y and towards -y, rad."""
-    y = test.y_rad
-    return float(np.max(y - np.minimum.accumulate(y))), float(np.max(np.maximum.accumulate(y) - y))
+    """Longest way towards +y and towards -y, rad. A small one that no drive asks for is none: summed noise drifts."""
+    y, u = test.y_rad, test.u_V
+    ways = float(np.max(y - np.minimum.accumulate(y))), float(np.max(np.maximum.accumulate(y) - y))
+    least_rad = TURNED_BACK * max(ways) if np.all(u >= 0.0) or np.all(u <= 0.0) else 0.0
+    return ways[0] if ways[0] > least_rad else 0.0, ways[1] if ways[1] > least_rad else 0.0
 
 
 def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:

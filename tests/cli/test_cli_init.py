@@ -149,13 +149,14 @@ def test_every_board_sensor_and_limits_run_on_their_emulated_chip(
     [
         ((), "give --yes --bridge --no-load-rpm;"),
         (("--sensor", "encoder", *ANSWERED[1:]), "give --yes --counts-per-turn;"),
-        (("--yes", "--sensor", "encoder"), "--bridge and --no-load-rpm and --counts-per-turn have no default"),
+        (("--yes", "--sensor", "encoder"), "--bridge, --no-load-rpm, --counts-per-turn have no default"),
         (
             (*ANSWERED, "--counts-per-turn", 64),
             "--counts-per-turn belongs to --sensor encoder, not to potentiometer",
         ),
         ((*ANSWERED, "--turns", 5), "--turns belongs to --limits turns, not to stops"),
         (("--yes", "--bridge", "l298n"), "--no-load-rpm has no default"),
+        (("--servo", "xl430"), "its speed without load is missing"),
         ((*ANSWERED, "--supply-V", 1), "a motor supply of 1 V is nothing for L298N"),
         ((*ANSWERED, "--travel-deg", 200), "200 degrees to each side are not 40 to 125"),
         ((*ANSWERED, "--no-load-rpm", -3), "a speed of -3"),

@@ -24,7 +24,7 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.running.preflight import check, preflight
 from rig.running.preflight.loop_settings import guard_settings_of
-from rig.running.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
+from rig.running.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms, watchdog_words
 
 pytestmark = pytest.mark.long
 
@@ -590,3 +590,12 @@ def test_rules_are_pure() -> None:
     e = experiment(daq__port="/dev/there-is-no-such-port", daq__adapter="none", drive__bridge="pwm-dir")
     assert preflight(e) == preflight(e)
     assert preflight(e).problems == ()
+
+
+def test_of_the_watchdog_it_says_what_there_is_to_do_and_nothing_in_virtual_time() -> None:
+    real = {"daq__port": "emulated-realtime"}
+    assert "no host stands still" in watchdog_words(experiment()) and "0.08" not in watchdog_words(experiment())
+    late = watchdog_words(experiment(**real))
+    assert "for 100 ms: a shorter gap is no fault" in late and "up to 8 ms late; with daq.watchdog_s 0.08 " in late
+    assert "there is room for daq.watchdog_s 0.08: " in watchdog_words(experiment(**real, daq__watchdog_s=0.07))
+    assert watchdog_words(experiment(**real, daq__watchdog_s=0.08)).endswith("for 80 ms: a shorter gap is no fault")

@@ -386,7 +386,7 @@ def gain_search(run: ReportedRun) -> Picture:
     why = Counter(_in_words(s.outcome) for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a))
     others = "; ".join(f"{words} ({count})" for words, count in sorted(why.items()) if words)
     others = f" Why the others did not, and how many: {others}." if others else ""
-    second = " Dotted: the second test's, where the first has the wanted one." if math.isfinite(ratio) else ""
+    second = " Dotted: the amplitude that the second test is to have." if math.isfinite(ratio) else ""
     return render(
         figure, run.foot, "Path of the gain search: gains, amplitude and period over time.",
         f"Gain search: it raises h2 until a cycle settles, then trims both gains towards the wanted amplitude and "

@@ -150,22 +150,24 @@ def longest_watchdog_s(e: Experiment) -> float | None:
 
 
 def watchdog_words(e: Experiment) -> str:
-    """The watchdog's time, and the longest that the room to stop bears, with the sum; "" where arming sets none."""
+    """The watchdog's time, what it leaves room for, and the longest that there is room for; "" where arming sets none."""
     longest_s, watchdog_s = longest_watchdog_s(e), e.daq.watchdog_s
     if longest_s is None:
         return ""
-    told = f"watchdog: so long ({1e3 * watchdog_s:g} ms) may the host stand still"
+    if backend_of(e.device).in_virtual_time(e.device):
+        return f"watchdog: {1e3 * watchdog_s:g} ms, for which there is room to stop; in virtual time no host stands still"
+    told = f"watchdog: the host may stand still for {1e3 * watchdog_s:g} ms: a shorter gap is no fault"
     if watchdog_s > longest_s * (1.0 + _ROUNDING):
         left_ms, wanted_ms = 1e3 * max(room_for_delay_s(e), 0.0), 1e3 * _LEFT_FOR_DELAY_S
         return (
-            f"{told}. The limits have room for {left_ms:.0f} ms of further delay; set daq.watchdog_s to {longest_s:g} "
-            f"for {wanted_ms:.0f} ms"
+            f"{told}. Beside it the limits have room for a drive that acts up to {left_ms:.0f} ms late; with "
+            f"daq.watchdog_s {longest_s:g} it may be {wanted_ms:.0f} ms"
         )
     if watchdog_s >= longest_s * (1.0 - _ROUNDING):
         return told
     longer = e.model_copy(update={"daq": e.daq.model_copy(update={"watchdog_s": longest_s})})
     room = "" if e.limits.is_endless else f": {stopping_sum(longer.device)}, of {room_rad(e.device):.3f} rad"
-    return f"{told}. There is room for daq.watchdog_s {longest_s:g}{room}"
+    return f"{told}. If it stands still for longer: there is room for daq.watchdog_s {longest_s:g}{room}"
 
 
 def stopping_sum(d: DeviceSetup) -> str:
