@@ -282,8 +282,8 @@ def _unless(runs: Sequence[ComparedRun], values: Array) -> str:
         default="another law",
     )
     return (
-        f" Unless their tests differ in kind or size: then {largest.replace('_', ' ')}, which they do not exclude, "
-        "explains it."
+        f" Unless their tests differ in kind or size: then it may come from {largest.replace('_', ' ')}, "
+        "which they do not exclude."
     )
 
 

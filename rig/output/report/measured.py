@@ -45,7 +45,7 @@ def whole_run(run: ReportedRun) -> Picture:
     words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
     tracked = {span.stage.partition(":")[2] for span in run.spans("track")}
     models = [f"{entry.short} {entry.name.replace('-', ' ')}" for entry in ESTIMATORS if entry.name in tracked]
-    words += f" Tracking with the models of {', '.join(models)}." if models else ""
+    words += f" Tracking with the model{'s' * (len(models) > 1)} of {', '.join(models)}." if models else ""
     return render(
         figure, run.foot, "Position and drive over the whole run, stages shaded.",
         f"Position and drive over the whole run ({len(run.rows)} samples). Stages are shaded and named." + words,
@@ -320,7 +320,7 @@ def breakaway(run: ReportedRun) -> Picture:
         )
     return render(
         figure, run.foot, "Breakaway strokes: drive and position, with static friction.",
-        "Breakaway check: short strokes, slowly stronger. They prove sensor, drive and sign before any relay runs, and "
+        "Breakaway check: short strokes, slowly stronger. They prove sensor, drive and sign before any test, and "
         "show static friction." + words,
     )  # fmt: skip
 
@@ -410,7 +410,7 @@ def _rising_gains(run: ReportedRun, steps: list[SearchStepResult]) -> Picture:
     gains.set_xlabel("time since the start, s")
     return render(
         figure, run.foot, "Path of the start without a target: gains over time.",
-        f"The start needs no model and no target: both gains grow from the breakaway level until the shaft swings "
+        "The search needs no model and no target: a relay's gains grow from the breakaway level until the shaft swings "
         f"widely, in {len(steps)} steps. What it drove is identified, too.",
     )  # fmt: skip
 

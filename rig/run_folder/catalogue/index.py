@@ -6,6 +6,7 @@ A line counts only while these are the folder's. A lost, damaged or older index 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,8 +49,11 @@ class Catalogue:
 def catalogue(folder: Path) -> Catalogue:
     """The runs in a folder, not in those below. Writes the index if it has changed.
 
-    Raises RecordingError (`no_run`) if it is no folder of runs.
+    Raises RecordingError if it is no folder of runs (`no_run`), or is not there.
     """
+    if not os.path.lexists(folder):
+        cure = "it comes with the first `rig run CONFIG`; for another one type `rig list FOLDER`"
+        raise RecordingError(folder, "is not there", cure)
     if not is_folder(folder):
         raise no_run(folder)
     if is_run(folder):

@@ -150,12 +150,12 @@ def longest_watchdog_s(e: Experiment) -> float | None:
 
 
 def watchdog_words(e: Experiment) -> str:
-    """The watchdog's time, what it leaves room for, and the longest that there is room for; "" where arming sets none."""
+    """The watchdog's time, what it leaves room for, and the longest that would fit; "" where arming sets none."""
     longest_s, watchdog_s = longest_watchdog_s(e), e.daq.watchdog_s
     if longest_s is None:
         return ""
     if backend_of(e.device).in_virtual_time(e.device):
-        return f"watchdog: {1e3 * watchdog_s:g} ms, for which there is room to stop; in virtual time no host stands still"
+        return f"watchdog: {1e3 * watchdog_s:g} ms; there is room for it, and in virtual time no host stands still"
     told = f"watchdog: the host may stand still for {1e3 * watchdog_s:g} ms: a shorter gap is no fault"
     if watchdog_s > longest_s * (1.0 + _ROUNDING):
         left_ms, wanted_ms = 1e3 * max(room_for_delay_s(e), 0.0), 1e3 * _LEFT_FOR_DELAY_S
