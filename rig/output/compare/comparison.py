@@ -373,8 +373,8 @@ def _notes(runs: Sequence[ComparedRun], bench: Sequence[int]) -> list[str]:
     if by_drive and by_drive[-1].largest_V > OTHER_RANGE * by_drive[0].largest_V:
         low, high = by_drive[0], by_drive[-1]
         notes.append(
-            f"{low.name} holds up to {low.largest_V:.3g} V, and {high.name} up to {high.largest_V:.3g} V: a motor "
-            "whose speed bends over the drive differs between them, too"
+            f"{low.name} was driven by up to {low.largest_V:.3g} V, and {high.name} by up to {high.largest_V:.3g} V: a "
+            "motor whose speed over the drive is no straight line shows another K in each"
         )
     return notes + _supplies(runs)
 
