@@ -86,7 +86,7 @@ of_node() {
 { install_missing && if $for_all; then of_node; fi; } &
 others=$!
 
-echo "setup: installing Python packages into .venv"
+echo "setup: installing Python packages into .venv; the first time that takes a minute, or some on a slow network"
 [ -x .venv/bin/python ] && [ -x .venv/bin/uv ] || {
     "$PYTHON" -m venv .venv
     fetch .venv/bin/python -m pip install -qq --disable-pip-version-check --no-compile --only-binary :all: "uv>=0.5,<1"
