@@ -125,7 +125,7 @@ def test_of_a_run_of_rig_nobody_is_asked_to_name_a_columns_unit() -> None:
 
 def test_the_drift_of_a_summed_velocity_is_no_turn_where_the_drive_never_asks_for_one() -> None:
     """It was taken for one: f_c came out 45 % off, graded exact."""
-    t_s: NDArray[np.float64] = np.arange(2000) * 0.01
+    t_s: NDArray[np.float64] = np.linspace(0.0, 19.99, 2000)
     u_V = np.where(t_s % 4.0 < 2.0, 0.0, 3.0)
     drift_rad = np.cumsum(0.0005 * np.random.default_rng(3).normal(size=t_s.size))
     drifts = TimeSeries(t_s, np.cumsum(0.05 * u_V) + drift_rad, t_s, u_V)
