@@ -255,11 +255,12 @@ def _holes(test: TimeSeries) -> list[Objection]:
     if test.t_u_s is not None:
         allowed_s = max(allowed_s, TIMED_GAP_S)
     if steps[k] > allowed_s:
+        row = test.first_row + k
         found.append(
             Objection(
                 "doubtful",
-                f"{test.name}: gap of {steps[k]:.3g} s after row {test.first_row + k}, where the drive is "
-                "unknown: identify the part before or after it",
+                f"{test.name}: gap of {steps[k]:.3g} s after row {row}, where the drive is unknown: identify the part "
+                f"before or after it (--rows :{row} or --rows {row + 1}:)",
             )
         )
     return found

@@ -9,7 +9,7 @@ import numpy as np
 from rig.core.signals import BenchDelay
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Floats, Recording
-from rig.run_folder.recording.series import FEWEST_ROWS, TIMES_ERROR_S, TimeSeries, steps_of
+from rig.run_folder.recording.series import FEWEST_ROWS, RECORD_MORE, TIMES_ERROR_S, TimeSeries, steps_of
 from rig.run_folder.recording.stage import Stage
 
 
@@ -63,7 +63,7 @@ def _as_commanded(recording: Recording, rows: slice, name: str) -> tuple[TimeSer
     if stop - first < FEWEST_ROWS:
         raise IdentifyError(
             f"{name}: {max(0, stop - first)} rows are too few to fit",
-            "record at least three cycles, better ten: relay.cycles",
+            RECORD_MORE,
         )
     notes: list[str] = []
     scale = 1.0

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 STAIR_S = 5e-4  # of a drive that is ramped
 FEWEST_ROWS = 20  # of a series that can be fitted
+RECORD_MORE = "record more: three swings to and fro at least, better ten"
 SHORTEST_WINDOW = 60  # samples
 GRID_REACHES = (4.0, 16.0, 64.0)  # steps of the quantisation that are looked at together, one after the other
 MOST_PARTS = 8  # steps of the quantisation that the smallest step of a record may be
@@ -267,7 +268,7 @@ class TimeSeries:
         if self.t_s.size - first < FEWEST_ROWS:
             raise IdentifyError(
                 f"{self.name}: {self.t_s.size} rows are too few to fit",
-                "record at least three cycles, better ten: relay.cycles",
+                RECORD_MORE,
             )
         return Window(self, first, self.t_s.size)
 
