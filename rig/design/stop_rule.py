@@ -89,8 +89,8 @@ class StopRule:
             return None
         estimate = self._last[-1]
         return (
-            f"tau, K and f_c are known to {estimate.worst_percent:.2f} %, {self.interval_percent:g} % were asked for; "
-            f"the residual is {self._residual(estimate):.2f} of the noise at rest"
+            f"tau, K and f_c are known to {estimate.worst_percent:.2f} % by their scatter, {self.interval_percent:g} % were "
+            f"asked for; the residual is {self._residual(estimate):.2f} of the noise at rest"
         )
 
     @property
@@ -113,7 +113,7 @@ class StopRule:
     def lacks(self, estimate: Judged) -> str | None:
         """What an estimate lacks, in words; None if it has all."""
         if not estimate.worst_percent <= self.wanted_percent(estimate):  # nan lacks, too
-            return f"tau, K and f_c are known to {estimate.worst_percent:.2g} %"
+            return f"tau, K and f_c are known to {estimate.worst_percent:.2g} % by their scatter"
         if not self._residual(estimate) <= self._most(estimate, SIGMAS):
             return f"the residual is {self._residual(estimate):.2f} of the noise at rest: the model leaves a part out"
         return None if estimate.drives_differ else "the drives were too much alike"

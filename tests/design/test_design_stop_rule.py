@@ -25,7 +25,7 @@ def test_two_estimates_in_a_row_are_enough_and_one_is_not() -> None:
     assert rule.take(Seen(worst_percent=1.01)) is None
     assert rule.take(Seen()) is None
     why = rule.take(Seen(worst_percent=0.8))
-    assert why is not None and "0.80 %" in why and "1 % were asked for" in why
+    assert why is not None and "0.80 % by their scatter" in why and "1 % were asked for" in why
 
 
 @pytest.mark.parametrize(
