@@ -89,8 +89,9 @@ class StopRule:
             return None
         estimate = self._last[-1]
         return (
-            f"tau, K and f_c are known to {estimate.worst_percent:.2f} % by their scatter, {self.interval_percent:g} % were "
-            f"asked for; the residual is {self._residual(estimate):.2f} of the noise at rest"
+            f"tau, K and f_c are known to {estimate.worst_percent:.2f} % by their scatter, "
+            f"{self.interval_percent:g} % were asked for; "
+            f"the residual is {self._residual(estimate):.2f} of the noise at rest"
         )
 
     @property
