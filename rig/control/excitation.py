@@ -212,7 +212,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
     def _hunts_unshown(self) -> bool:
         """Whether it hunts by so little that the wait would end in SENSOR_STUCK: h1 is above friction, h2 is not yet."""
         last = self.detector.cycles[-self._HUNTS :]
-        if self.unshown is None or len(last) < self._HUNTS or any(cycle.accepted for cycle in last):
+        if self.first is not None or self.unshown is None or any(cycle.accepted for cycle in last):
             return False
         return self.unshown.standstill.still_s > self.search.step_s
 
