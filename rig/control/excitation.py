@@ -210,7 +210,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
 
     @property
     def _hunts_unshown(self) -> bool:
-        """Whether it hunts by so little that the wait would end in SENSOR_STUCK: h1 is above friction, h2 is not yet."""
+        """Whether it hunts by so little that the wait would end in SENSOR_STUCK: h1 is above friction, h2 not yet."""
         last = self.detector.cycles[-self._HUNTS :]
         if self.first is not None or self.unshown is None or any(cycle.accepted for cycle in last):
             return False

@@ -127,8 +127,8 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     moves = [np.abs([getattr(bare[name].motor, one) for one in OF] - here) for name in bent]
-    half = np.minimum(np.max(moves, axis=0), np.abs(here))
-    return (Entry(BENDS, *half.tolist(), laws=tuple(bent)),)
+    tau_s, K, fc_V = np.minimum(np.max(moves, axis=0), np.abs(here)).tolist()
+    return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
 
 
 def drive_sizes(cut: Cut) -> int:
