@@ -43,8 +43,8 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
     if late > ASKED and late_s > LATE_S:
         reasons.append(
             f"the shaft moves {1e3 * delay_s:.2g} ms after the duty that goals and positions say: which of them is "
-            f"late nobody knows, and that makes tau and K up to {in_percent(late)} wrong; write each goal when its row's "
-            "position is read, and record with a smaller P"
+            f"late nobody knows, and that makes tau and K up to {in_percent(late)} wrong; write each goal when its "
+            "row's position is read, and record with a smaller P"
         )
     elif late > ASKED:
         reasons.append(
