@@ -245,8 +245,8 @@ def text(answers: Answers, file: str) -> str:
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
     new = ready.text(board.example)
     for key, value in (
-        ("name", _name_of(file)),
-        ("port", answers.port),
+        ("name", _yaml_text(_name_of(file))),
+        ("port", _yaml_text(answers.port)),
         ("calibration", _rows((middle - counts, -calibrated_rad), (middle + counts, calibrated_rad))),
         ("bridge", module.inputs),
         ("supply_V", f"{answers.supply_V:g}"),
@@ -275,6 +275,12 @@ def _name_of(file: str) -> str:
     """The name of runs by this config: that of the file, where it can be one."""
     stem = Path(file).stem
     return stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", stem) else "bench"
+
+
+def _yaml_text(text: str) -> str:
+    """The text as YAML takes it for one: in quotes where it could be a number, a comment, a key."""
+    is_plain = re.fullmatch(r"[A-Za-z/][A-Za-z0-9/_.-]*", text) and text.lower() not in ("true", "false", "null")
+    return text if is_plain else json.dumps(text)
 
 
 def with_watchdog(config: str, watchdog_s: float) -> str:

@@ -129,6 +129,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
 
     _STRIDE = 1.5
     _PATIENCE_CYCLES = 12
+    _HUNTS = 4  # periods in a row that are no cycle
     _OF_THE_GUESS = 0.85  # f_c, of a guess from strokes: these have to move the shaft visibly in their short time
     _CYCLES_OF_SECOND = 5  # from the larger cycle it shrinks by a few per cent a period, which counts as settled
     unshown: UnshownMotion | None = None
@@ -189,6 +190,8 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         cycles = self.detector.cycles
         # give a cycle that grows or settles time; not one that hunts
         promising = sum(c.accepted for c in cycles)
+        if self._hunts_unshown:
+            return t_s - self._step_start_s > self.search.step_s
         if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
             last = cycles[-1]
             return t_s > last.start_s + 3.5 * last.period_s  # the shaft sticks meanwhile
@@ -204,6 +207,14 @@ class GainSearch(RelayLaw[DualChannelRelay]):
     def _cycles(self) -> int:
         """Periods at one pair of gains, at least, until it is judged by them."""
         return 3 if self.first is None else self._CYCLES_OF_SECOND
+
+    @property
+    def _hunts_unshown(self) -> bool:
+        """Whether it hunts by so little that the wait would end in SENSOR_STUCK: h1 is above friction, h2 not yet."""
+        last = self.detector.cycles[-self._HUNTS :]
+        if self.first is not None or self.unshown is None or any(cycle.accepted for cycle in last):
+            return False
+        return self.unshown.standstill.still_s > self.search.step_s
 
     @property
     def _sticks(self) -> bool:

@@ -332,7 +332,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "NO_CYCLE": FaultEntry(
         "no settled limit cycle within the search's time",
-        "raise relay.search.timeout_s or relay.search.h_max_V, or ask for another relay.target",
+        "raise relay.search.timeout_s or relay.search.h_max_V, or change relay.target or relay.second_ratio",
     ),
     "NOT_HOME": FaultEntry(
         "rig could not bring the shaft to rest at zero",

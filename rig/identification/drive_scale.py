@@ -2,7 +2,8 @@
 
 Besides, nobody knows to a millisecond how old the position is that a duty comes from. If it is older by d than it is
 taken to be, that does what a viscous friction of -gain x d would do: tau and K are off by the share K x gain x d, and
-no record shows it. So do I and D gains that are not 0.
+no record shows it. So do I and D gains that are not 0. So do goals that are written, or positions that are read, later
+than the log says: the fitted delay shows that something is late, and not what.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ LATE_S: Final = 1e-3  # by which the position may be older or newer than the mid
 def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
     """The answer with what the loop leaves unknown in tau, K and f_c, and the reasons where that is much."""
     scale = loop.scale
-    unsure, late = scale.high / scale.middle - 1.0, abs(known(answer.K_rad_s_V)) * loop.gain_V_rad * LATE_S
+    delay_s = known(answer.delay_s)
+    late_s = max(LATE_S, abs(delay_s) - LATE_S) if math.isfinite(delay_s) else LATE_S
+    unsure, late = scale.high / scale.middle - 1.0, abs(known(answer.K_rad_s_V)) * loop.gain_V_rad * late_s
     late = late if math.isfinite(late) else 0.0
     u95, absolute, grade = dict(answer.u95 or {}), dict(answer.u95_absolute or {}), dict(answer.grade or {})
     for name, share in {"tau_s": late, "K_rad_s_V": math.hypot(unsure, late), "fc_V": unsure}.items():
@@ -37,7 +40,13 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
             f"({scale.source}), so K and f_c are off by up to {in_percent(unsure)}, and laws in volts; tau hardly: "
             "`rig servo facts` measures it, --p-scale states it"
         )
-    if late > ASKED:
+    if late > ASKED and late_s > LATE_S:
+        reasons.append(
+            f"the shaft moves {1e3 * delay_s:.2g} ms after the duty that goals and positions say: which of them is "
+            f"late nobody knows, and that makes tau and K up to {in_percent(late)} wrong; write each goal when its "
+            "row's position is read, and record with a smaller P"
+        )
+    elif late > ASKED:
         reasons.append(
             f"how old a position its own loop works with nobody has measured: 1 ms makes tau and K {in_percent(late)} "
             "wrong; record with a smaller P"

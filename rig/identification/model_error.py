@@ -12,11 +12,14 @@ describes.
 A law of the catalogue is not quite that of a bench. Where a fit with laws leaves white noise, or the rounding to the
 sensor's steps, its laws are the bench's. Where it leaves more, three tenths of what each law moves a number by stand
 for what it is off.
+
+A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
+and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -47,6 +50,10 @@ FARTHEST = 0.5  # of a number: a fit without the law that is farther off has los
 LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
 SHARED = 0.03  # of each number
 MANY_LAWS = 3
+FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
+ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
+BENDS = "a bend of the drive"
+BY_SIZE = ("sag", "source")
 PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
 
@@ -108,6 +115,39 @@ def only_like(fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] =
     apart = [count * np.abs([getattr(one.motor, name) for name in OF] - here) for one, count in near]
     half = np.max([ALIKE * np.sqrt((moves**2).sum(axis=0)), *apart], axis=0)
     return (Entry(LIKE, *half.tolist()),) if half.any() else ()
+
+
+def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
+    """The line for a law that bends the drive, where the tests hold too few sizes of it to say which bend it is.
+
+    bare   for each law of ``fit`` the fit without it
+    """
+    bent = [name for name in BY_SIZE if name in bare]
+    if not bent or drive_sizes(fit.problem.cut) > FEW_DRIVES:
+        return ()
+    here = np.array([getattr(fit.motor, name) for name in OF])
+    moves = [np.abs([getattr(bare[name].motor, one) for one in OF] - here) for name in bent]
+    tau_s, K, fc_V = np.minimum(np.max(moves, axis=0), np.abs(here)).tolist()
+    return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
+
+
+def drive_sizes(cut: Cut) -> int:
+    """How many sizes of drive the tests hold, beside 0: those that act for some time."""
+    sizes, lasts = [], []
+    for window in cut.windows:
+        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
+        sizes.append(np.abs(window.steps.u_V))
+        lasts.append(np.diff(edges))
+    u_V, last_s = np.concatenate(sizes), np.concatenate(lasts)
+    one_V = ONE_DRIVE * float(u_V.max())
+    order = np.argsort(u_V)
+    order = order[u_V[order] > one_V]
+    count, driven_s = 0, float(last_s[order].sum())
+    while order.size:
+        alike = u_V[order] <= u_V[order[0]] + one_V
+        count += float(last_s[order[alike]].sum()) >= OFTEN * driven_s
+        order = order[~alike]
+    return count
 
 
 def beyond_noise(

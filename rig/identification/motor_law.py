@@ -32,7 +32,7 @@ from rig.identification.departures.profile import profiles
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
-from rig.identification.model_error import model_error, only_like
+from rig.identification.model_error import any_bend, model_error, only_like
 from rig.identification.noise import WHITE
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import one_way
@@ -466,7 +466,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *of_levels),
+        (*of_model.lines, *like, *any_bend(parts, bare), *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))

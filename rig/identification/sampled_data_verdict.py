@@ -132,7 +132,8 @@ def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         return estimate.judged(
             "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
             f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: "
-            "the motor is more than tau, K and Coulomb friction (stops, backlash, loads?), or the times are wrong",
+            "the motor is more than tau, K and Coulomb friction (stops, backlash, loads, a bridge "
+            "that lets it run free at 0 V?), or the times are wrong",
             spoiled=False,
         )
     return estimate

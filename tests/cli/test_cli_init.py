@@ -38,6 +38,12 @@ def test_its_answers_stand_in_a_config_that_check_accepts(tmp_path: Path) -> Non
     assert "uno.yaml" not in text and "L298N" in text
 
 
+def test_a_name_or_port_that_yaml_takes_for_something_else_stands_in_quotes(tmp_path: Path) -> None:
+    file = tmp_path / "123.yaml"
+    assert rig("init", file, *ANSWERED[:-1], "/dev/left: #2").exit_code == 0
+    assert (load(file).name, load(file).daq.port) == ("123", "/dev/left: #2")
+
+
 @pytest.mark.parametrize("bridge", new_bench.BRIDGES)
 @pytest.mark.parametrize("travel_deg", [103.0, *evidence(40.0, 125.0)])
 def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: float) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from rig.control.excitation import CycleTarget, GainSearch, SearchRange
 from rig.control.relay import DualChannelRelay
+from rig.control.unshown import Flicker, UnshownMotion
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
@@ -259,6 +260,14 @@ def test_a_cycle_that_is_still_growing_is_waited_for_and_one_that_has_stuck_is_n
     assert search.steps == []  # longer than two periods and a half: its cycles are accepted, not settled
     show(search, motion, 4.5, 8.0)
     assert search.steps != [] and search.steps[0].outcome != "settled"
+
+
+@pytest.mark.parametrize(("moves_rad", "steps"), [(0.2, 1), (0.05, 0)])
+def test_a_shaft_that_hunts_unshown_is_not_waited_for(moves_rad: float, steps: int) -> None:
+    search = new_search()
+    search.unshown = UnshownMotion(5.0, moves_rad, 0.0, Flicker(math.inf))
+    show(search, sine(0.04, 0.1), 0.0, 0.7)  # its range is more than a shaft has that sticks
+    assert [step.outcome.endswith("delay hunting") for step in search.steps] == [True] * steps  # not after 2.5 s
 
 
 # ---------------------------------------------------------------------- the story, and the second test

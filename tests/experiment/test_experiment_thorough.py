@@ -12,6 +12,7 @@ from intervals import reaches
 from survey_config import written
 
 from rig.run_folder.recording.reader import read_run
+from rig.running.experiment.thorough import starts_from_rest
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
 
@@ -38,6 +39,12 @@ def test_a_thorough_run_tells_what_the_plain_run_leaves_open(thorough: dict[str,
     stages = read_run(Path(thorough["folder"])).stages()
     assert [stage for stage in stages if stage != "rest"] == ["breakaway", "relay-1", "relay-2", "survey"]
     assert {record["name"] for record in thorough["law_records"]} >= {"relay-1", "relay-2", "survey"}
+
+
+def test_gains_that_would_leave_the_shaft_at_rest_are_no_third_test() -> None:
+    """Its NO_CYCLE would end the run before survey and tracking."""
+    assert not starts_from_rest((0.1, 0.55), 0.7)
+    assert starts_from_rest((0.2, 0.55), 0.7)
 
 
 @pytest.mark.evidence

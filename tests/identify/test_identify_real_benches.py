@@ -23,7 +23,17 @@ from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import Estimate
 from rig.identification.identification import Identification
 from rig.identification.in_pieces import fit_in_pieces
-from rig.identification.model_error import DRIVES, LEFT, LIKE, PIECES, beyond_noise, model_error, only_like
+from rig.identification.model_error import (
+    BENDS,
+    DRIVES,
+    LEFT,
+    LIKE,
+    PIECES,
+    any_bend,
+    beyond_noise,
+    model_error,
+    only_like,
+)
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
 from rig.identification.thinning import COARSEST_PATH_RAD, showing_the_angle, thinned
@@ -273,6 +283,21 @@ def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_mov
         (line,) = only_like(fit, bare, [(near, count)])
         assert line.K_rad_s_V == pytest.approx(0.6 * count * fit.motor.K_rad_s_V)
     assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)
+
+
+@pytest.mark.parametrize(("drives_V", "lines"), [((3.0, 7.0), 1), ((3.0, 5.0, 7.0), 1), ((3.0, 5.0, 6.0, 7.0), 0)])
+def test_three_sizes_of_drive_do_not_tell_a_sag_from_a_supply_that_gives_less(
+    drives_V: tuple[float, ...], lines: int
+) -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, drives_V, rows=1200))
+    fit = start(problem, motor)
+    bare = start(problem, motor._replace(K_rad_s_V=0.6 * motor.K_rad_s_V, fc_V=9.0 * motor.fc_V))
+    assert any_bend(fit, {}) == any_bend(fit, {"drag": bare}) == ()
+    found = any_bend(fit, {"sag": bare})
+    assert [line.source for line in found] == [BENDS] * lines
+    for line in found:
+        assert line.K_rad_s_V == pytest.approx(0.4 * motor.K_rad_s_V) and line.fc_V == pytest.approx(motor.fc_V)
+        assert line.tau_s == 0.0
 
 
 @pytest.mark.evidence

@@ -198,6 +198,11 @@ def test_what_nobody_knows_of_a_servos_loop_is_in_the_answer() -> None:
     for name, value in {"tau_s": 0.05, "K_rad_s_V": 2.0}.items():
         low, high = late.at_95(name) or (math.nan, math.nan)
         assert 0.5 * (high - low) / value == pytest.approx(math.hypot(0.01, 2.0 * 20.0 * 1e-3))
+    for delay_s, late_s in ((0.0015, 1e-3), (0.009, 8e-3), (-0.004, 3e-3)):  # goals or positions that are late, too
+        stamped = by_own_loop(found().model_copy(update={"delay_s": delay_s}), OwnLoop(KNOWN, 20.0))
+        low, high = stamped.at_95("tau_s") or (math.nan, math.nan)
+        assert 0.5 * (high - low) / 0.05 == pytest.approx(math.hypot(0.01, 2.0 * 20.0 * late_s))
+        assert ("which of them is late" in stamped.reasons[0]) == (late_s > 1e-3)
     assert late.at_95("fc_V") == pytest.approx((0.198, 0.202))
     assert late.verdict == "doubtful" and "a smaller P" in late.reasons[0]
     assert by_own_loop(found(), OwnLoop(KNOWN, 5.0)).verdict == "ok"

@@ -24,9 +24,16 @@ def tell_apart(session: Session) -> None:
     if why is None:
         session.found.notes.append("thorough: the relay tests leave nothing open, so there is no survey")
         return
-    session.found.notes.append(f"thorough: {why}; a survey and a relay test of a third amplitude were added")
     pair_V = third_gains_V(session)
-    if pair_V is not None:
+    check = session.found.breakaway
+    starts = pair_V is not None and check is not None and starts_from_rest(pair_V, max(check.plus_V, check.minus_V))
+    added = " and a relay test of a third amplitude were" if starts else " was"
+    session.found.notes.append(f"thorough: {why}; a survey{added} added")
+    if pair_V is not None and not starts:
+        session.found.notes.append(
+            f"thorough: no relay test of a third amplitude: {sum(pair_V):.2f} V would not move the shaft from rest"
+        )
+    elif pair_V is not None:
         # a replay tests with these gains: it does not know what was open
         session.note("further_test", h1_V=pair_V[0], h2_V=pair_V[1])
         test_once_more(session, pair_V)
@@ -59,6 +66,11 @@ def what_is_open(found: Identification) -> str | None:
         if share > ENOUGH:
             return f"the tests left {title} uncertain by {share:.2g} (u95, relative)"
     return None
+
+
+def starts_from_rest(pair_V: tuple[float, float], breakaway_V: float) -> bool:
+    """Whether the largest drive of these gains moves a shaft that stands: the first two tests go on from a cycle."""
+    return sum(pair_V) > breakaway_V
 
 
 def third_gains_V(session: Session) -> tuple[float, float] | None:
