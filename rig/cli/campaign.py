@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -14,7 +14,10 @@ from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail
 from rig.cli.options import CONFIG, JSON
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
-from rig.terminal import progress, show_campaign
+from rig.terminal import progress, show_table
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig_campaign.summary import Summary
 
 
 @click.command()
@@ -68,16 +71,16 @@ def campaign(
     if only is not None and only >= asked.experiments:
         fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
     folder = resume or out
-    from rig.campaign.grid import BrokenOffError, CampaignError
+    from rig_campaign.grid import BrokenOffError, CampaignError
 
     try:
         if only is not None:
-            from rig.campaign.trial import run_trial
+            from rig_campaign.trial import run_trial
 
             click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
             return
         try:
-            from rig.campaign import results, session
+            from rig_campaign import results, session
         except ModuleNotFoundError as error:
             fail(
                 EXIT_BAD_INPUT,
@@ -105,5 +108,16 @@ def campaign(
     if as_json:
         click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
     else:
-        show_campaign(done.summary, folder)
+        _show(done.summary, folder)
     sys.exit(EXIT_FAILED if done.summary["failed"] else 0)
+
+
+def _show(found: Summary, folder: Path) -> None:
+    """Its errors against the bound, and where the files are; ``found`` is its summary.json."""
+    from rig_campaign.report import HEADINGS, sentences, table_rows
+
+    title = f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok"
+    show_table(title, HEADINGS, list(table_rows(found["ok"])))
+    click.echo("\n".join(sentences(found)))
+    click.echo(f"rows:   {folder / 'results.csv'}")
+    click.echo(f"report: {folder / 'report.html'}")
