@@ -23,8 +23,8 @@ UNITS: Final[dict[str, dict[str, float | None]]] = {
         "rpm": math.pi / 30.0,
         "counts/s": None,
     },
-    "goal": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
 }
+UNITS["goal"] = UNITS["position"]
 # First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "Winkel [deg]".
 # fmt: off
 USUAL_NAMES: Final = {
@@ -49,44 +49,32 @@ USUAL_NAMES: Final = {
 USUAL_SUPPLY: Final = {"voltage", "volts", "volt", "vin", "supply", "input", "battery", "spannung"}
 # fmt: on
 # Words of a column's name, or of a row of units, that say its unit, in small letters.
-NAMES_UNIT: Final[dict[str, dict[str, str]]] = {
+_WORDS: Final[dict[str, dict[str, str]]] = {
     "time": {
-        "ms": "ms",
-        "millis": "ms",
-        "milliseconds": "ms",
-        "us": "us",
-        "micros": "us",
-        "microseconds": "us",
-        "s": "s",
-        "sec": "s",
-        "seconds": "s",
-        "sekunden": "s",
-        "secondes": "s",
+        "ms": "ms millis milliseconds",
+        "us": "us micros microseconds",
+        "s": "s sec seconds sekunden secondes",
     },
     "drive": {
         "pwm": "pwm",
         "duty": "duty",
-        "volt": "V",
-        "volts": "V",
-        "mv": "mV",
-        "percent": "percent",
-        "prozent": "percent",
+        "V": "volt volts",
+        "mV": "mv",
+        "percent": "percent prozent",
     },
     "position": {
-        "rad": "rad",
-        "radians": "rad",
-        "deg": "deg",
-        "degrees": "deg",
-        "grad": "deg",
-        "degrés": "deg",
-        "turns": "turns",
-        "umdrehungen": "turns",
-        "tours": "turns",
-        "count": "counts",
-        "counts": "counts",
-        "ticks": "counts",
+        "rad": "rad radians",
+        "deg": "deg degrees grad degrés",
+        "turns": "turns umdrehungen tours",
+        "counts": "count counts ticks",
     },
-    "velocity": {"rpm": "rpm", "min": "rpm"},  # U/min, tr/min
+    "velocity": {
+        "rpm": "rpm min",  # U/min, tr/min
+    },
+}
+NAMES_UNIT: Final = {
+    quantity: {word: unit for unit, words in units.items() for word in words.split()}
+    for quantity, units in _WORDS.items()
 }
 NAMES_UNIT["goal"] = NAMES_UNIT["position"]
 UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {
