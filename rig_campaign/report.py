@@ -34,7 +34,7 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
     image = picture.draw(campaign, table)
     write_whole(folder / PICTURE, image)
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.campaign", "."),
+        loader=jinja2.PackageLoader("rig_campaign", "."),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
