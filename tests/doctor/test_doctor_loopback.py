@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from evidence import evidence
 
 from chips import build as chip_build
-from chips.opening import bare_board
+from chips.opening import bare_chip
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.cli import main
@@ -35,7 +35,7 @@ INVERTED = {
 
 
 def visited(board: str, wires: int = 7, options: Variant = firmware_build.PLAIN_VARIANT) -> Visit:
-    transport = bare_board(BOARDS[board], options, wires)
+    transport = bare_chip(BOARDS[board], options, wires)
     try:
         return visit_board(transport, repeats=1)
     finally:
@@ -70,7 +70,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str
     return build
 
 
-def test_a_bare_board_is_measured_and_a_report_written(tmp_path: Path) -> None:
+def test_a_bare_chip_is_measured_and_a_report_written(tmp_path: Path) -> None:
     """Also what the report says: that no chip was there."""
     done = CliRunner().invoke(main, ["doctor", "--loopback", "emulated-chip", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output

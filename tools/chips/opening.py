@@ -77,7 +77,7 @@ def chip_process(d: DeviceSetup, link: Path | None, trace: Path | None) -> Itera
             yield uno
 
 
-def bare_board(port: str, options: Variant, wires: int = 7) -> VirtualChip | VirtualPico:
+def bare_chip(port: str, options: Variant, wires: int = 7) -> VirtualChip | VirtualPico:
     """A board without a bench. ``port``: emulated-chip or emulated-pico; ``wires`` as of ``VirtualChip``."""
     nobody = BenchParameters(Motor(0.1, 1.0, coulomb(1.0)), encoder=options.encoder)
     if port in PICO_PORTS:

@@ -294,9 +294,9 @@ def bare_board(port: str, baud: int) -> Iterator[Transport]:
         from rig.backends.serial.emulated.firmware_build import Variant, require_emulator
 
         require_emulator(port)
-        from chips.opening import bare_board
+        from chips.opening import bare_chip
 
-        board = bare_board(port, Variant(baud=baud))
+        board: Transport = bare_chip(port, Variant(baud=baud))
     else:
         from rig.backends.links.serial_port import SerialPort
 
