@@ -70,7 +70,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str
     return build
 
 
-def test_a_bare_chip_is_measured_and_a_report_written(tmp_path: Path) -> None:
+def test_a_bare_board_is_measured_and_a_report_written(tmp_path: Path) -> None:
     """Also what the report says: that no chip was there."""
     done = CliRunner().invoke(main, ["doctor", "--loopback", "emulated-chip", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
