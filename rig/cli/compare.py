@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
-from rig.cli.options import JSON
+from rig.cli.failure import EXIT_FAILED, fail, fail_input
+from rig.cli.options import JSON, require_new
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_comparison
@@ -63,10 +63,7 @@ def compare(
     says how tau, K and f_c change over time. Each answer is wrong in 5 % of cases if it is one motor. Reads result.json
     and meta.json; nothing is identified anew.
     """
-    if file is not None and file.suffix.lower() not in (".html", ".htm"):
-        fail(EXIT_BAD_INPUT, f"{file}: the report is a page of HTML", "give a name that ends in .html")
-    if file is not None and file.exists() and not force:
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "give another name, or --force")
+    require_new(file, (".html", ".htm"), force=force)
     with patience("comparing"):
         from rig.output.compare.comparison import CompareError, Scatter
         from rig.output.compare.comparison import compare as compare_runs

@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from rig.cli.driving import checked_bench, perform
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
-from rig.cli.options import JSON, OUT, PACE, FiniteRange, Positive
+from rig.cli.options import JSON, OUT, PACE, PICTURES, FiniteRange, Positive, require_new
 from rig.config import ConfigError
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
@@ -94,6 +94,7 @@ def tune(
         return
     if p_scale is not None:
         fail(EXIT_BAD_INPUT, "--p-scale is for the loop of a servo", "add --servo MODEL")
+    require_new(file, PICTURES)
     bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.terminal import patience, progress, show_tuned
 
@@ -103,12 +104,6 @@ def tune(
         from rig.run_folder.results.meta import REHEARSAL
         from rig.running.run_tuning import Asked, tune_run, written_up
 
-    if file is not None and file.suffix.lower() not in tuned_loop.FORMATS:
-        fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(tuned_loop.FORMATS)}")
-    if file is not None and file.exists():
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "remove it, or give another name")
-    if file is not None and not file.parent.is_dir():
-        fail(EXIT_BAD_INPUT, f"{file.parent} is no folder", "make it first, or name a file in another folder")
     try:
         with progress("simulating motors", as_json) as on_progress:
             asked = Asked("position" if loop == "position" else "velocity", bandwidth_1_s, step, phase_deg, gain_dB)
@@ -129,10 +124,8 @@ def tune(
             with faults():
                 written_up(outcome.folder, outcome.result, result)
     if file is not None:
-        try:
+        with faults():
             tuned_loop.save(result, f"{loop} loop for the motor of {run_folder.name}", file)
-        except OSError as error:
-            fail(EXIT_FAILED, f"{file}: {error.strerror}", "choose a folder that you may write to")
     failure = "" if outcome is None else outcome.failure
     if as_json:
         tried = {} if outcome is None else {"bench_run": str(outcome.folder), "bench_failure": failure}
