@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from rig import config
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import CONFIG, JSON
-from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import progress, show_table
 
@@ -61,18 +60,13 @@ def campaign(
 
     Prints the errors beside the smallest possible ones (Cramér-Rao), and how often the intervals hold the true value.
     """
-    try:
-        asked = config.load_campaign(config_path)
-    except config.ConfigError as error:
-        fail_config(error)
+    asked = config.load_campaign(config_path)
     if scheduler is not None and backend != "dask":
         fail(EXIT_BAD_INPUT, "--scheduler needs Dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
     if only is not None and only >= asked.experiments:
         fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
     folder = resume or out
-    from rig_campaign.grid import BrokenOffError, CampaignError
-
     try:
         if only is not None:
             from rig_campaign.trial import run_trial
@@ -91,10 +85,6 @@ def campaign(
         jobs = jobs or os.cpu_count() or 1
         with progress(f"campaign {asked.name}", as_json) as on_progress:
             done = session.run(asked, folder, jobs=jobs, backend=backend, scheduler=scheduler, on_progress=on_progress)
-    except CampaignError as error:
-        fail(EXIT_FAILED if isinstance(error, BrokenOffError) else EXIT_BAD_INPUT, error.cause, error.cure)
-    except RecordingError as error:
-        fail_input(error)
     except OSError as error:
         fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are kept: the same command goes on there")
     except KeyboardInterrupt:

@@ -39,10 +39,7 @@ def copy_config(name: str, file: Path | None) -> None:
     """
     from rig.config import ready
 
-    try:
-        text = ready.text(name)
-    except ready.UnknownConfigError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    text = ready.text(name)
     file = file or Path(f"{name.removesuffix('.yaml')}.yaml")
     try:
         with file.open("x", encoding="utf-8") as new:

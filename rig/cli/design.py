@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import CONFIG, JSON, PICTURES, FiniteRange, require_new
-from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_design
 
@@ -57,15 +56,12 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
         motor = known_model(model_run, experiment.drive.max_V).motor
         result, _ = read_result(model_run.parent if model_run.is_file() else model_run)
         task = task_of_run(experiment, motor, result, doubt, percent)
-    except RecordingError as error:
-        fail_input(error)
     except ValueError as error:
         fail(EXIT_BAD_INPUT, f"{model_run}: {error}", "give another run")
     with patience("simulating tests"):
         found = design_map(task, doubt)
     if file is not None:
-        with faults():
-            picture.save(found, f"{experiment.name}: tests for the motor of {model_run}", file)
+        picture.save(found, f"{experiment.name}: tests for the motor of {model_run}", file)
     ok = bool(found.strokes or found.gains)
     made_up = result is not None and bool(result.rehearsal)
     if as_json:

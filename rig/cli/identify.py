@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS, Positive, require_new
 from rig.core.estimators import ESTIMATORS
@@ -89,36 +89,32 @@ def identify(
     """
     require_new(picture, (".png",), force=force)
     require_new(report, (".html", ".htm"), force=force)
-    from rig.identification import IdentifyError
     from rig.identification import identify as identify_recordings
     from rig.run_folder.recording.path_kind import require_distinct
     from rig.run_folder.recording.reader import read_all
 
     if rows is not None and len(paths) > 1:
         fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
-    try:
-        require_distinct(paths)
-        with patience("reading and identifying"):
-            recordings = [recording for path in paths for recording in read_all(path, log)]
-            if rows is not None and len(recordings) > 1:
-                fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
-            if rows is not None:
-                recordings = [recording.only_rows(*rows) for recording in recordings]
-            if slew_V_s is not None:
-                _require_commanded(recordings)
-                recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
-            found = identify_recordings(recordings, tuple(methods) or None, without=without)
-        records = [str(recording.source) for recording in recordings]
-        undrawn = "" if picture is None else _draw(found, picture)
-        if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
-            _keep(paths[0], recordings[0], found)
-        if report is not None:
-            from rig.output.report.identified import write_identified
+    require_distinct(paths)
+    with patience("reading and identifying"):
+        recordings = [recording for path in paths for recording in read_all(path, log)]
+        if rows is not None and len(recordings) > 1:
+            fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
+        if rows is not None:
+            recordings = [recording.only_rows(*rows) for recording in recordings]
+        if slew_V_s is not None:
+            _require_commanded(recordings)
+            recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
+        found = identify_recordings(recordings, tuple(methods) or None, without=without)
+    records = [str(recording.source) for recording in recordings]
+    undrawn = "" if picture is None else _draw(found, picture)
+    if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
+        _keep(paths[0], recordings[0], found)
+    if report is not None:
+        from rig.output.report.identified import write_identified
 
-            with patience("drawing the report"):
-                write_identified(found, records, report)
-    except (RecordingError, IdentifyError) as error:
-        fail_input(error)
+        with patience("drawing the report"):
+            write_identified(found, records, report)
     result = found.as_result()
     ok = result.answer is not None and not result.answer.is_refused
     if as_json:

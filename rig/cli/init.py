@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config
 from rig.config import ConfigError, new_bench
 
 
@@ -242,8 +242,7 @@ def _init_servo(
             no_load_rpm=no_load_rpm,
         )
         if port is not None:
-            with faults():
-                seen = next(scan(lambda baud: opened(port, baud), USUAL_BAUDS, (id,)), None)
+            seen = next(scan(lambda baud: opened(port, baud), USUAL_BAUDS, (id,)), None)
             if seen is None or seen.model is None:
                 fail(
                     EXIT_FAILED, f"no servo {id} that rig knows answers at {port}", "`rig servo scan` looks for all ids"
@@ -265,8 +264,6 @@ def _init_servo(
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
         preflight.check(file)
-    except new_bench.AnswerError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
     except OSError as error:
         fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
     except ConfigError as error:

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS, require_new
-from rig.run_folder.recording.errors import IdentifyError, RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.log_format import LogFormat
 from rig.terminal import patience
@@ -67,8 +66,6 @@ def predict_run(
                 write_drawn(shown, answer.method, picture)
     except AbsentError as absent:
         fail(EXIT_BAD_INPUT, f"{model}: {absent}", "see why: `rig identify` of what it comes from; or give another")
-    except (RecordingError, IdentifyError) as error:
-        fail_input(error)
     remarks = [beyond(answer, recording) for recording in recordings]
     if as_json:
         found = [

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.core.signals import plain
 from rig.output.compare.compared_run import (
     PARAMETERS,
@@ -86,12 +86,14 @@ DEFAULT = Scatter(
 )
 
 
-class CompareError(RigError):
+class CompareError(CauseError):
     """Runs that cannot be compared. ``cause`` and ``cure`` are sentences; ``left_out`` says why of each."""
 
+    status = 1
+
     def __init__(self, cause: str, cure: str, left_out: Sequence[LeftOutResult] = ()) -> None:
-        self.cause, self.cure, self.left_out = cause, cure, tuple(left_out)
-        super().__init__(f"{cause}\n{cure}")
+        super().__init__(cause, cure)
+        self.left_out = tuple(left_out)
 
 
 @dataclass(frozen=True, eq=False)

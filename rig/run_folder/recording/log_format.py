@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.run_folder.recording.servo_law import ServoLaw
 
 # For each quantity its units: what one of them is in s, V, rad and rad/s. None: it takes a further number of the log.
@@ -140,13 +140,8 @@ def says_current(name: str, of_row: str = "") -> bool:
     return of_row in _CURRENTS or (bool(ampere or spoken) and not units_said(name, "drive") and not of_row)
 
 
-class LogFormatError(RigError):
-    """Columns or units of a log that cannot be: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class LogFormatError(CauseError):
+    """Columns or units of a log that cannot be."""
 
 
 @dataclass(frozen=True)
