@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
@@ -29,6 +32,17 @@ def fail(status: int, cause: str, cure: str = "") -> NoReturn:
         if cure:
             click.echo(f"     {cure}", err=True)
     sys.exit(status)
+
+
+@contextlib.contextmanager
+def written(file: Path) -> Iterator[None]:
+    """Exit where the block cannot write this file."""
+    try:
+        yield
+    except FileExistsError:
+        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file")
+    except OSError as error:
+        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
 
 
 def fail_input(error: RecordingError) -> NoReturn:

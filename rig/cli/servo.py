@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.failure import EXIT_BAD_INPUT, fail, written
 from rig.cli.options import JSON
 from rig.run_folder.recording.folder import json_text
 
@@ -164,10 +164,8 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
         firmware = link.value(link.model.roles["firmware"])
     file = to or Path(f"facts-{link.model.name}.json")
     told = {"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found}
-    try:
+    with written(file):
         file.write_text(json_text(told), encoding="utf-8")
-    except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name another file with --to")
     click.echo(f"{file}: written; send it in (docs/driven.md)")
 
 

@@ -11,9 +11,11 @@ import io
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+import jinja2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -180,6 +182,18 @@ def save(file: Path, title: str, height_in: float, draw: Callable[[Figure], None
         buffer = io.BytesIO()
         figure.savefig(buffer, format=suffix.removeprefix("."), dpi=150, metadata={FORMATS[suffix]: None})
     write_whole(file, buffer.getvalue())
+
+
+@cache
+def templates(package: str) -> jinja2.Environment:
+    """The templates of a package's pages. Compiled once a process: that takes longer than to fill them in."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader(package, package_path="."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
 def style() -> Any:
