@@ -1,5 +1,5 @@
 /* The Uno's chip, emulated to the register by libsimavr, with the same exact bench around it as the host board's: in
- * lock step, in virtual time, as a shared library (librig_chip.so; rig/backends/serial/emulated/virtual_chip.py); in real time main.c is
+ * lock step, in virtual time, as a shared library (librig_chip.so; tools/chips/virtual_chip.py); in real time main.c is
  * a process around it. It runs the very .hex that is flashed. The functions named as in boards/host/virtual.c do the
  * same.
  *

@@ -10,13 +10,15 @@ Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
 import click
 
+from rig.core.errors import RigError
 from rig.core.package import VERSION
 
 _GROUPS = {
@@ -37,14 +39,38 @@ class _ByName(Mapping[str, click.Command]):
     def __getitem__(self, name: str) -> click.Command:
         if name not in _NAMES:
             raise KeyError(name)
-        loaded = vars(import_module(f"rig.cli.{name.replace('-', '_')}")).values()
-        return next(one for one in loaded if isinstance(one, click.Command) and one.name == name)
+        return _loaded(name)
 
     def __iter__(self) -> Iterator[str]:
         return iter(_NAMES)
 
     def __len__(self) -> int:
         return len(_NAMES)
+
+
+@cache
+def _loaded(name: str) -> click.Command:
+    loaded = vars(import_module(f"rig.cli.{name.replace('-', '_')}")).values()
+    command = next(one for one in loaded if isinstance(one, click.Command) and one.name == name)
+    for one in command.commands.values() if isinstance(command, click.Group) else (command,):
+        if one.callback is not None:
+            one.callback = _in_words(one.callback)
+    return command
+
+
+def _in_words(does: Callable[..., Any]) -> Callable[..., Any]:
+    """A command that ends with cause and cure where it raises one of rig's errors."""
+
+    @wraps(does)
+    def done(*given: Any, **named: Any) -> Any:
+        try:
+            return does(*given, **named)
+        except RigError as error:
+            from rig.cli.failure import fail_with
+
+            fail_with(error)
+
+    return done
 
 
 def _first_sentence(name: str) -> str:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import CONFIG, JSON, OUT, PACE
-from rig.config.problems import ConfigError, key_of
+from rig.config.problems import key_of
 from rig.core.signals import plain
 from rig.run_folder.live.unrecorded import told
 from rig.run_folder.recording.folder import json_text
@@ -41,27 +41,21 @@ def calibrate(
 
     STEP: angles (of an encoder: turn), travel, strokes, dead-band. Default: all.
     """
-    from rig.running.calibrate.session import NotWrittenError, open_config
     from rig.running.calibrate.session import calibrate as go_through
+    from rig.running.calibrate.session import open_config
     from rig.running.calibrate.steps import steps_for
 
-    try:
-        with faults():
-            opened = open_config(config_path, pace)
-        known = steps_for(opened.draft.original)
-        if unknown := [name for name in steps if name not in known]:
-            words = ", ".join(f"{name} ({what})" for name, (what, _) in known.items())
-            fail(EXIT_BAD_INPUT, f"this bench has no step {unknown[0]!r}", f"its steps: {words}")
-        terminal = _Terminal(
-            config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=as_json
-        )
-        with faults(), told(out, "calibrate") as flag:
-            terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
-            done = go_through(opened, steps or tuple(known), out, terminal, flag)
-    except ConfigError as error:
-        fail_config(error)
-    except NotWrittenError as error:
-        fail(EXIT_FAILED, error.cause, error.cure)
+    opened = open_config(config_path, pace)
+    known = steps_for(opened.draft.original)
+    if unknown := [name for name in steps if name not in known]:
+        words = ", ".join(f"{name} ({what})" for name, (what, _) in known.items())
+        fail(EXIT_BAD_INPUT, f"this bench has no step {unknown[0]!r}", f"its steps: {words}")
+    terminal = _Terminal(
+        config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=as_json
+    )
+    with told(out, "calibrate") as flag:
+        terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
+        done = go_through(opened, steps or tuple(known), out, terminal, flag)
     if done.backup is not None:
         terminal.say(
             Say(f"{config_path}: written; as it was: {done.backup}\nnext: rig check {shlex.quote(str(config_path))}")

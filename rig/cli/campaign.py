@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from rig import config
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import CONFIG, JSON
-from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
-from rig.terminal import progress, show_campaign
+from rig.terminal import progress, show_table
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig_campaign.summary import Summary
 
 
 @click.command()
@@ -58,26 +60,21 @@ def campaign(
 
     Prints the errors beside the smallest possible ones (Cramér-Rao), and how often the intervals hold the true value.
     """
-    try:
-        asked = config.load_campaign(config_path)
-    except config.ConfigError as error:
-        fail_config(error)
+    asked = config.load_campaign(config_path)
     if scheduler is not None and backend != "dask":
         fail(EXIT_BAD_INPUT, "--scheduler needs Dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
     if only is not None and only >= asked.experiments:
         fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
     folder = resume or out
-    from rig.campaign.grid import BrokenOffError, CampaignError
-
     try:
         if only is not None:
-            from rig.campaign.trial import run_trial
+            from rig_campaign.trial import run_trial
 
             click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
             return
         try:
-            from rig.campaign import results, session
+            from rig_campaign import results, session
         except ModuleNotFoundError as error:
             fail(
                 EXIT_BAD_INPUT,
@@ -88,10 +85,6 @@ def campaign(
         jobs = jobs or os.cpu_count() or 1
         with progress(f"campaign {asked.name}", as_json) as on_progress:
             done = session.run(asked, folder, jobs=jobs, backend=backend, scheduler=scheduler, on_progress=on_progress)
-    except CampaignError as error:
-        fail(EXIT_FAILED if isinstance(error, BrokenOffError) else EXIT_BAD_INPUT, error.cause, error.cure)
-    except RecordingError as error:
-        fail_input(error)
     except OSError as error:
         fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are kept: the same command goes on there")
     except KeyboardInterrupt:
@@ -105,5 +98,16 @@ def campaign(
     if as_json:
         click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
     else:
-        show_campaign(done.summary, folder)
+        _show(done.summary, folder)
     sys.exit(EXIT_FAILED if done.summary["failed"] else 0)
+
+
+def _show(found: Summary, folder: Path) -> None:
+    """Its errors against the bound, and where the files are; ``found`` is its summary.json."""
+    from rig_campaign.report import HEADINGS, sentences, table_rows
+
+    title = f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok"
+    show_table(title, HEADINGS, list(table_rows(found["ok"])))
+    click.echo("\n".join(sentences(found)))
+    click.echo(f"rows:   {folder / 'results.csv'}")
+    click.echo(f"report: {folder / 'report.html'}")

@@ -8,9 +8,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
-from rig.cli.options import JSON
-from rig.run_folder.recording.errors import RecordingError
+from rig.cli.options import JSON, require_new
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_comparison
 
@@ -63,32 +61,24 @@ def compare(
     says how tau, K and f_c change over time. Each answer is wrong in 5 % of cases if it is one motor. Reads result.json
     and meta.json; nothing is identified anew.
     """
-    if file is not None and file.suffix.lower() not in (".html", ".htm"):
-        fail(EXIT_BAD_INPUT, f"{file}: the report is a page of HTML", "give a name that ends in .html")
-    if file is not None and file.exists() and not force:
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "give another name, or --force")
+    require_new(file, (".html", ".htm"), force=force)
     with patience("comparing"):
-        from rig.output.compare.comparison import CompareError, Scatter
+        from rig.output.compare.comparison import Scatter
         from rig.output.compare.comparison import compare as compare_runs
         from rig.output.compare.temperatures import read_temperatures
         from rig.run_folder.recording.path_kind import require_distinct
-    try:
-        require_distinct(folders)
-        with patience("comparing"):
-            found = compare_runs(
-                folders,
-                None if percent is None else Scatter(percent, "given by --scatter"),
-                None if temperatures is None else read_temperatures(temperatures),
-            )
-        if file is not None:
-            from rig.output.compare.page import write_page
+    require_distinct(folders)
+    with patience("comparing"):
+        found = compare_runs(
+            folders,
+            None if percent is None else Scatter(percent, "given by --scatter"),
+            None if temperatures is None else read_temperatures(temperatures),
+        )
+    if file is not None:
+        from rig.output.compare.page import write_page
 
-            with patience("drawing the report"):
-                write_page(found, file)
-    except CompareError as error:
-        fail(EXIT_FAILED, error.cause, error.cure)
-    except RecordingError as error:
-        fail_input(error)
+        with patience("drawing the report"):
+            write_page(found, file)
     if as_json:
         report = None if file is None else str(file)
         click.echo(json_text({"ok": True, **found.result.as_json(), "report": report}), nl=False)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.failure import written
 
 
 @click.group("config")
@@ -39,16 +39,8 @@ def copy_config(name: str, file: Path | None) -> None:
     """
     from rig.config import ready
 
-    try:
-        text = ready.text(name)
-    except ready.UnknownConfigError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    text = ready.text(name)
     file = file or Path(f"{name.removesuffix('.yaml')}.yaml")
-    try:
-        with file.open("x", encoding="utf-8") as new:
-            new.write(text)
-    except FileExistsError:
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: --to FILE")
-    except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+    with written(file), file.open("x", encoding="utf-8") as new:
+        new.write(text)
     click.echo(f"{file}: check it with `rig check {shlex.quote(str(file))}`")

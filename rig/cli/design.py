@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
-from rig.cli.options import CONFIG, JSON, FiniteRange
-from rig.run_folder.recording.errors import RecordingError
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.options import CONFIG, JSON, PICTURES, FiniteRange, require_new
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_design
 
@@ -44,6 +43,7 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
     By exact simulation, within the limits of CONFIG: how long a test takes until the 95 % intervals of tau, K and f_c
     are as narrow as you want. No device is opened.
     """
+    require_new(file, PICTURES)
     experiment = checked(config_path)
     from rig.design.design_map import design_map
     from rig.identification.known_model import known_model
@@ -52,25 +52,16 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
     from rig.run_folder.results.meta import REHEARSAL
     from rig.running.preflight.planned_tests import task_of_run
 
-    if file is not None and file.suffix.lower() not in picture.FORMATS:
-        fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(picture.FORMATS)}")
-    if file is not None and file.exists():
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "remove it, or give another name")
     try:
         motor = known_model(model_run, experiment.drive.max_V).motor
         result, _ = read_result(model_run.parent if model_run.is_file() else model_run)
         task = task_of_run(experiment, motor, result, doubt, percent)
-    except RecordingError as error:
-        fail_input(error)
     except ValueError as error:
         fail(EXIT_BAD_INPUT, f"{model_run}: {error}", "give another run")
     with patience("simulating tests"):
         found = design_map(task, doubt)
     if file is not None:
-        try:
-            picture.save(found, f"{experiment.name}: tests for the motor of {model_run}", file)
-        except OSError as error:
-            fail(EXIT_FAILED, f"{file}: {error.strerror}", "choose a folder that you may write to")
+        picture.save(found, f"{experiment.name}: tests for the motor of {model_run}", file)
     ok = bool(found.strokes or found.gains)
     made_up = result is not None and bool(result.rehearsal)
     if as_json:

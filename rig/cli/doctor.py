@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked, say_chip_starts
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import JSON, OUT, FiniteRange
 from rig.terminal import show_finding
 
@@ -52,17 +52,16 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
         return
 
     findings = []
-    with faults():
-        if config_path is None:
-            visit = without_config(out, seconds)
-        else:
-            experiment = checked(config_path, drives=False)
-            say_chip_starts(experiment.daq.port)
-            visit = with_config(experiment, out, seconds)
-        for finding in visit:
-            findings.append(finding)
-            if not as_json:
-                show_finding(finding)
+    if config_path is None:
+        visit = without_config(out, seconds)
+    else:
+        experiment = checked(config_path, drives=False)
+        say_chip_starts(experiment.daq.port)
+        visit = with_config(experiment, out, seconds)
+    for finding in visit:
+        findings.append(finding)
+        if not as_json:
+            show_finding(finding)
     ok = all(finding.state != "bad" for finding in findings)
     if as_json:
         click.echo(json.dumps({"ok": ok, "findings": [finding.as_dict() for finding in findings]}))
@@ -77,11 +76,10 @@ def _loop_back(port: str, baud: int, out: Path, *, as_json: bool) -> None:
 
     if not as_json:
         click.echo(loopback.DRAWING + "\n")
-    with faults():
-        with told(out, "doctor") as flag, loopback.bare_board(port, baud) as board:
-            visit = loopback.visit_board(board, flag=flag)
-        now = datetime.now()
-        report = loopback.write_report(visit, port, out, now)
+    with told(out, "doctor") as flag, loopback.bare_board(port, baud) as board:
+        visit = loopback.visit_board(board, flag=flag)
+    now = datetime.now()
+    report = loopback.write_report(visit, port, out, now)
     if as_json:
         click.echo(json.dumps(loopback.as_dict(visit, port, now)))
     else:

@@ -12,8 +12,8 @@ import click
 from rich.console import Console
 
 from rig.backends.serial.ports import CHIP_PORTS
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
-from rig.config import ConfigError, Experiment, read
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.config import Experiment, read
 from rig.run_folder.recording.folder import json_text
 from rig.running import preflight
 from rig.terminal import show_run
@@ -29,13 +29,10 @@ def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_ch
     drives  False: no motor turns, so the config need not name the bridge; `rig doctor` reads it from the firmware
     as_checked  as of ``checked_bench``
     """
-    try:
-        document = read(path, takes_pipe=True)
-        if as_checked not in (None, document.digest):
-            fail(EXIT_BAD_INPUT, f"{path} has changed since it was checked", "check it again")
-        experiment, _ = preflight.check(document, () if drives else ("drive.bridge",), pace)
-    except ConfigError as error:
-        fail_config(error)
+    document = read(path, takes_pipe=True)
+    if as_checked not in (None, document.digest):
+        fail(EXIT_BAD_INPUT, f"{path} has changed since it was checked", "check it again")
+    experiment, _ = preflight.check(document, () if drives else ("drive.bridge",), pace)
     return experiment
 
 
@@ -49,9 +46,8 @@ def checked_bench(path: Path, pace: float | None = None, as_checked: str | None 
     from rig.backends.serial.emulated.firmware_build import require_emulator
 
     experiment = checked(path, pace, as_checked=as_checked)
-    with faults():
-        require_device_file(experiment.daq.port)
-        require_emulator(experiment.daq.port)
+    require_device_file(experiment.daq.port)
+    require_emulator(experiment.daq.port)
     say_chip_starts(experiment.daq.port)
     return experiment
 
@@ -66,7 +62,7 @@ def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool
     """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
     from rig.run_folder.recording.follow import following
 
-    with faults(), contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:
 
         def on_start(folder: Path, notes: tuple[str, ...]) -> None:
             for note in notes:

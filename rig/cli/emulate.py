@@ -9,7 +9,7 @@ from shlex import quote
 import click
 
 from rig.cli.driving import checked, say_chip_starts
-from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.options import CONFIG
 
 
@@ -45,7 +45,7 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
 
     if chip:
         say_chip_starts("emulated-chip")
-    with stop_on_signals() as stop, faults(), emulated_board(d, link, trace, chip=chip) as board:
+    with stop_on_signals() as stop, emulated_board(d, link, trace, chip=chip) as board:
         port = board.port
         click.echo(
             f"emulated device on {link or port}; set daq.port to that, and run rig in another terminal. Ctrl-C ends it."

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.options import JSON, ROWS, Positive
-from rig.run_folder.recording.errors import RecordingError
 
 
 @click.command()
@@ -79,10 +78,7 @@ def _whole_run(
     """Write the run to one file; ``chosen``: stage and rows."""
     from rig.output.export import export as export_run
 
-    try:
-        run = export_run(run_folder, file, *chosen, overwrite=force)
-    except RecordingError as error:
-        fail_input(error)
+    run = export_run(run_folder, file, *chosen, overwrite=force)
     number = len(run.recording)
     if as_json:
         click.echo(json.dumps({"ok": True, "file": str(file), "rows": number, "notes": run.notes}))
@@ -96,15 +92,10 @@ def _model(
     run_folder: Path, tool: str, into: Path, stated: tuple[float | None, float | None], force: bool, as_json: bool
 ) -> None:
     """Write the model for a tool; ``stated``: torque of a volt, N m, and resistance of the winding, ohm."""
-    from rig.output.export import ExportError, export_model
+    from rig.output.export import export_model
 
-    try:
-        torque_N_m_V, R_ohm = stated
-        written = export_model(run_folder, tool, into, overwrite=force, torque_N_m_V=torque_N_m_V, R_ohm=R_ohm)
-    except RecordingError as error:
-        fail_input(error)
-    except ExportError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    torque_N_m_V, R_ohm = stated
+    written = export_model(run_folder, tool, into, overwrite=force, torque_N_m_V=torque_N_m_V, R_ohm=R_ohm)
     files = [str(file) for file in written.files]
     if as_json:
         told = {key: written.motor.as_json()[key] for key in ("laws", "lacks")}

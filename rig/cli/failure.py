@@ -6,18 +6,18 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from rig.backends.emulated.errors import EmulationError
+from rig.core.errors import CauseError, RigError
 from rig.core.faults import Fault
-from rig.run_folder.live.unrecorded import BusyError
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 
-if TYPE_CHECKING:  # each loads slowly
+if TYPE_CHECKING:  # it loads slowly
     from rig.config import ConfigError
-    from rig.identification import IdentifyError
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -34,11 +34,20 @@ def fail(status: int, cause: str, cure: str = "") -> NoReturn:
     sys.exit(status)
 
 
-def fail_input(error: RecordingError | IdentifyError) -> NoReturn:
+@contextlib.contextmanager
+def written(file: Path) -> Iterator[None]:
+    """Exit where the block cannot write this file."""
+    try:
+        yield
+    except FileExistsError:
+        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file")
+    except OSError as error:
+        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+
+
+def fail_input(error: RecordingError) -> NoReturn:
     """Exit for a bad recording or a full disk: print file and line, the cause, the cure."""
-    place = ""
-    if isinstance(error, RecordingError):
-        place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
+    place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
     status = EXIT_FAILED if isinstance(error, CannotWriteError) else EXIT_BAD_INPUT
     fail(status, place + error.cause, error.cure)
 
@@ -55,16 +64,21 @@ def fail_config(error: ConfigError, verdict: str = "") -> NoReturn:
     sys.exit(EXIT_BAD_INPUT)
 
 
-@contextlib.contextmanager
-def faults() -> Iterator[None]:
-    """Exit for a fault, a bad recording, a broken emulated device, or a busy folder that the block raises."""
-    try:
-        yield
-    except Fault as fault:
-        fail(EXIT_FAILED, str(fault), fault.cure)
-    except EmulationError as error:
-        fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
-    except BusyError as error:
-        fail(EXIT_FAILED, error.cause, error.cure)
-    except RecordingError as error:
+def fail_with(error: RigError) -> NoReturn:
+    """Exit for what went wrong on purpose: a fault, a bad config or recording, a busy folder, a wish that cannot be.
+
+    Raises the error itself where it has no words for people.
+    """
+    from rig.config.problems import ConfigError
+
+    if isinstance(error, ConfigError):
+        fail_config(error)
+    if isinstance(error, Fault):
+        fail(EXIT_FAILED, str(error), error.cure)
+    if isinstance(error, RecordingError):
         fail_input(error)
+    if isinstance(error, CauseError):
+        fail(error.status, error.cause, error.cure)
+    if isinstance(error, EmulationError):
+        fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
+    raise error

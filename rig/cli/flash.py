@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.serial.emulated.firmware_build import Variant
@@ -102,7 +102,6 @@ def flash(
     Switch off the motor's supply first: while a board is written, its pins float.
     """
     from rig.backends.serial.emulated.firmware_build import Variant
-    from rig.backends.serial.flash import FlashError
 
     asked: _Options = {
         "board": board,
@@ -133,15 +132,11 @@ def flash(
             f"with {name} only --baud has an effect: the file is built already",
             f"leave out the other options, or {name}",
         )
-    try:
-        with faults():
-            port = _port_of(port, usb_serial)
-            if board == "uno":
-                _flash_uno(options, port, given, dry_run=dry_run)
-            else:
-                _flash_pico(options, port, given, drive, dry_run=dry_run)
-    except FlashError as error:
-        fail(error.status, error.cause, error.cure)
+    port = _port_of(port, usb_serial)
+    if board == "uno":
+        _flash_uno(options, port, given, dry_run=dry_run)
+    else:
+        _flash_pico(options, port, given, drive, dry_run=dry_run)
 
 
 def _told(config_path: Path, asked: _Options) -> _Options:
@@ -152,15 +147,13 @@ def _told(config_path: Path, asked: _Options) -> _Options:
     from rig.backends.registry import backend_of
     from rig.backends.serial.backend import SerialBackend
     from rig.backends.serial.flashing import WRONG_BRIDGE, of_config
-    from rig.config import ConfigError, load
+    from rig.config import load
 
     try:
         experiment = load(config_path)
         if not isinstance(backend_of(experiment.device), SerialBackend):
             raise ValueError(f"its device, `driver: {experiment.daq.driver}`, runs no firmware of rig")
         told = of_config(experiment.device)
-    except ConfigError as error:
-        fail_config(error)
     except ValueError as error:
         fail(
             EXIT_BAD_INPUT, f"{config_path}: {error}", "without a config: rig flash --board ... --bridge ... --baud ..."

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench
-from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.run_folder.recording.folder import json_text
 
@@ -60,8 +60,7 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
             f"turn the shaft to a position within {soft_low:g} to {soft_high:g} rad",
         )
     if not by_switch and not here:
-        with faults():
-            zero.forget(experiment)
+        zero.forget(experiment)
         click.prompt(
             f"the motor's supply is off, and the shaft stands at {at_rad:g} rad: press Enter",
             default="",
@@ -69,8 +68,7 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
             prompt_suffix=" ",
             err=True,
         )
-    with faults():
-        found = zero.by_switch(experiment, out) if by_switch else zero.by_hand(experiment, at_rad)
+    found = zero.by_switch(experiment, out) if by_switch else zero.by_hand(experiment, at_rad)
     if as_json:
         click.echo(
             json_text({"y_rad": found.y_rad, "y_counts": found.y_counts, "from_counts": found.from_counts}), nl=False

@@ -6,14 +6,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.log_options import log_options
-from rig.cli.options import JSON, ROWS, Positive
+from rig.cli.options import JSON, ROWS, Positive, require_new
 from rig.core.estimators import ESTIMATORS
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.folder import json_text
@@ -24,8 +23,6 @@ from rig.terminal import MOST_NOTES, patience, show_answer, show_details
 if TYPE_CHECKING:  # it loads slowly
     from rig.identification import Identification
     from rig.run_folder.recording.recording import Recording
-
-Wanted = tuple[Path | None, tuple[str, ...]]
 
 
 @click.command()
@@ -90,37 +87,34 @@ def identify(
     --position counts --counts-per-turn 1440. A unit alone takes the column with a usual name; pos:counts names it, and
     3:counts numbers it. A log without a line of names has time, drive and position, in this order.
     """
-    _require_new((picture, (".png",)), (report, (".html", ".htm")), force)
-    from rig.identification import IdentifyError
+    require_new(picture, (".png",), force=force)
+    require_new(report, (".html", ".htm"), force=force)
     from rig.identification import identify as identify_recordings
     from rig.run_folder.recording.path_kind import require_distinct
     from rig.run_folder.recording.reader import read_all
 
     if rows is not None and len(paths) > 1:
         fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
-    try:
-        require_distinct(paths)
-        with patience("reading and identifying"):
-            recordings = [recording for path in paths for recording in read_all(path, log)]
-            if rows is not None and len(recordings) > 1:
-                fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
-            if rows is not None:
-                recordings = [recording.only_rows(*rows) for recording in recordings]
-            if slew_V_s is not None:
-                _require_commanded(recordings)
-                recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
-            found = identify_recordings(recordings, tuple(methods) or None, without=without)
-        records = [str(recording.source) for recording in recordings]
-        undrawn = "" if picture is None else _draw(found, picture)
-        if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
-            _keep(paths[0], recordings[0], found)
-        if report is not None:
-            from rig.output.report.identified import write_identified
+    require_distinct(paths)
+    with patience("reading and identifying"):
+        recordings = [recording for path in paths for recording in read_all(path, log)]
+        if rows is not None and len(recordings) > 1:
+            fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
+        if rows is not None:
+            recordings = [recording.only_rows(*rows) for recording in recordings]
+        if slew_V_s is not None:
+            _require_commanded(recordings)
+            recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
+        found = identify_recordings(recordings, tuple(methods) or None, without=without)
+    records = [str(recording.source) for recording in recordings]
+    undrawn = "" if picture is None else _draw(found, picture)
+    if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
+        _keep(paths[0], recordings[0], found)
+    if report is not None:
+        from rig.output.report.identified import write_identified
 
-            with patience("drawing the report"):
-                write_identified(found, records, report)
-    except (RecordingError, IdentifyError) as error:
-        fail_input(error)
+        with patience("drawing the report"):
+            write_identified(found, records, report)
     result = found.as_result()
     ok = result.answer is not None and not result.answer.is_refused
     if as_json:
@@ -145,19 +139,6 @@ def identify(
     if not verbose:
         click.echo("more: the same command with --verbose")
     sys.exit(0 if ok else EXIT_FAILED)
-
-
-def _require_new(picture: Wanted, report: Wanted, force: bool) -> None:
-    """Refuse a file of another kind, one that is there already, and one that no folder holds, before the work."""
-    for path, endings in (picture, report):
-        if path is None:
-            continue
-        if path.suffix.lower() not in endings:
-            fail(EXIT_BAD_INPUT, f"{path}: this file is of another kind", f"give a name that ends in {endings[0]}")
-        if not path.parent.is_dir():
-            fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
-        if path.exists() and not force:
-            fail(EXIT_BAD_INPUT, f"{path} is there already", "give another name, or --force")
 
 
 def _require_commanded(recordings: Sequence[Recording]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 
 
@@ -171,15 +171,14 @@ def init(
         )
         fail(EXIT_BAD_INPUT, error.cause, error.cure + again)
     try:
-        with file.open("x", encoding="utf-8") as new:
-            new.write(text)
-        experiment, _ = preflight.check(file)
-        longest_s = longest_watchdog_s(experiment)
-        if longest_s is not None and longest_s != experiment.daq.watchdog_s:
-            file.write_text(new_bench.with_watchdog(text, longest_s), encoding="utf-8")
+        with written(file):
+            with file.open("x", encoding="utf-8") as new:
+                new.write(text)
             experiment, _ = preflight.check(file)
-    except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+            longest_s = longest_watchdog_s(experiment)
+            if longest_s is not None and longest_s != experiment.daq.watchdog_s:
+                file.write_text(new_bench.with_watchdog(text, longest_s), encoding="utf-8")
+                experiment, _ = preflight.check(file)
     except ConfigError as error:
         fail_config(
             error,
@@ -242,8 +241,7 @@ def _init_servo(
             no_load_rpm=no_load_rpm,
         )
         if port is not None:
-            with faults():
-                seen = next(scan(lambda baud: opened(port, baud), USUAL_BAUDS, (id,)), None)
+            seen = next(scan(lambda baud: opened(port, baud), USUAL_BAUDS, (id,)), None)
             if seen is None or seen.model is None:
                 fail(
                     EXIT_FAILED, f"no servo {id} that rig knows answers at {port}", "`rig servo scan` looks for all ids"
@@ -262,13 +260,9 @@ def _init_servo(
                 zero_counts=seen.position % seen.model.counts_per_turn,
             )
         text = first_config.text(answers)  # first: what it refuses leaves no file
-        with file.open("x", encoding="utf-8") as new:
+        with written(file), file.open("x", encoding="utf-8") as new:
             new.write(text)
         preflight.check(file)
-    except new_bench.AnswerError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
-    except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
     except ConfigError as error:
         fail_config(error, f"{file} is written, but `rig check` refuses it: correct these numbers")
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import JSON
-from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import show_runs
 
@@ -33,15 +31,10 @@ def list_runs(folder: Path, where: Sequence[str], sort: Sequence[str], as_json: 
     holds what was read, so that the next time is quicker. You may delete it at any time.
     """
     from rig.run_folder.catalogue.index import catalogue
-    from rig.run_folder.catalogue.query import QueryError, selected
+    from rig.run_folder.catalogue.query import selected
 
-    try:
-        found = catalogue(folder)
-        runs = selected(found.runs, where, sort)
-    except RecordingError as error:
-        fail_input(error)
-    except QueryError as error:
-        fail(EXIT_BAD_INPUT, *str(error).split("; ", 1))
+    found = catalogue(folder)
+    runs = selected(found.runs, where, sort)
     if as_json:
         told = {"ok": True, "folder": str(folder), "of": len(found.runs), "runs": [run.as_json() for run in runs]}
         click.echo(json_text({**told, "notes": list(found.notes)}), nl=False)

@@ -11,7 +11,7 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.options import Positive
-from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, LogFormatError, parse_period
+from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, parse_period
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 
 _COLUMN = "[COLUMN:]UNIT"
@@ -115,14 +115,11 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
             or any(value is not None for value in texts.values())
             or any(rest.values())
         ):
-            try:
-                columns: dict[str, Any] = {
-                    name: LogColumn.parse(name, text) for name, text in texts.items() if text is not None
-                }
-                period_s = None if period is None else parse_period(period)
-                log = LogFormat(**columns, **rest, period_s=period_s, servo=servo)
-            except LogFormatError as error:
-                fail(EXIT_BAD_INPUT, error.cause, error.cure)
+            columns: dict[str, Any] = {
+                name: LogColumn.parse(name, text) for name, text in texts.items() if text is not None
+            }
+            period_s = None if period is None else parse_period(period)
+            log = LogFormat(**columns, **rest, period_s=period_s, servo=servo)
         return command(log=log, **given)
 
     for option in reversed(_OPTIONS):

@@ -9,9 +9,8 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import JSON, FiniteRange
-from rig.config.problems import ConfigError
 from rig.output.newton_metres import Load, NewtonMetres, Quantity, newton_metres
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, json_text
@@ -86,10 +85,6 @@ def newton_metres_command(
             mass_kg, arm_m = mass_kg or stated.mass_kg, arm_m or stated.arm_m
         load = Load(mass_kg, arm_m, rod_kg)
         found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), R_ohm)
-    except RecordingError as error:
-        fail_input(error)
-    except ConfigError as error:
-        fail_config(error)
     except ValueError as error:
         fail(EXIT_BAD_INPUT, str(error), "correct the numbers of the load")
     if as_json:

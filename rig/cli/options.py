@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
+
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 
 
 class Rows(click.ParamType):  # type: ignore[type-arg]
@@ -51,6 +55,7 @@ class Pace(FiniteRange):
         super().__init__(1e-3)
 
 
+PICTURES = (".png", ".svg", ".pdf")  # as rig.output.report.style.FORMATS, which loads slowly
 CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))
 # In every command --out is the folder in which rig makes run folders, and --to is the file that it writes.
 OUT = click.option(
@@ -71,3 +76,19 @@ PACE = click.option(
 # for programs that have shown a config to somebody, as the panel has
 AS_CHECKED = click.option("--as-checked", metavar="SHA256", default=None, hidden=True, help="The file's digest.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")
+
+
+def require_new(path: Path | None, endings: Sequence[str], *, force: bool | None = None) -> None:
+    """Refuse a file of another kind, one that no folder holds, and one that is there already, before the work.
+
+    force  whether such a file may be replaced; None: the command has no --force
+    """
+    if path is None:
+        return
+    if path.suffix.lower() not in endings:
+        fail(EXIT_BAD_INPUT, f"{path}: this file is of another kind", f"give a name that ends in {', '.join(endings)}")
+    if not path.parent.is_dir():
+        fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
+    if path.exists() and not force:
+        other = "give another name, or " + ("remove it" if force is None else "--force")
+        fail(EXIT_BAD_INPUT, f"{path} is there already", other)

@@ -45,7 +45,7 @@ def panel(
     what `rig run` does in another terminal with the same --out. The panel is a process of its own: whatever ends it,
     a run goes on.
     """
-    from rig.panel.access import Access, AccessError, Address, require_safe
+    from rig.panel.access import Access, Address, require_safe
 
     config, opened = _sort_out(path)
     try:
@@ -60,16 +60,13 @@ def panel(
     if (tls_cert is None) != (tls_key is None):
         fail(EXIT_BAD_INPUT, "--tls-cert and --tls-key belong together", "give both")
     certificate = None if tls_cert is None or tls_key is None else Certificate(tls_cert, tls_key)
-    try:
-        password = None if password_file is None else _password(password_file)
-        if certificate is not None:
-            require_certificate(certificate)
-        secure = certificate is not None
-        require_safe(Address(bind, port or PORT, secure, names), password=password is not None)
-        listening = listen(bind, port)
-        access = Access(address_of(listening, bind, secure=secure, names=names), password)
-    except AccessError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    password = None if password_file is None else _password(password_file)
+    if certificate is not None:
+        require_certificate(certificate)
+    secure = certificate is not None
+    require_safe(Address(bind, port or PORT, secure, names), password=password is not None)
+    listening = listen(bind, port)
+    access = Access(address_of(listening, bind, secure=secure, names=names), password)
     served = Panel.of(access, opened.parent if opened is not None else out, config, opened)
     _announce(served)
     with contextlib.suppress(KeyboardInterrupt):

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.log_options import log_options
-from rig.cli.options import JSON, ROWS
-from rig.run_folder.recording.errors import IdentifyError, RecordingError
+from rig.cli.options import JSON, ROWS, require_new
 from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.log_format import LogFormat
 from rig.terminal import patience
@@ -50,8 +49,7 @@ def predict_run(
     The motor of the answer, with its laws and its delay, moves under the drive of the record. Only position and speed
     at the start are fitted. LOG is a run folder or a CSV file, with the options of a log as in `rig identify`.
     """
-    if picture is not None and picture.exists() and not force:
-        fail(EXIT_BAD_INPUT, f"{picture} is there already", "give another name, or --force")
+    require_new(picture, (".png",), force=force)
     from rig.identification.known_model import answer_in
     from rig.output.report.simulated import beyond, predicted_record, write_drawn
     from rig.output.report.style import AbsentError
@@ -68,8 +66,6 @@ def predict_run(
                 write_drawn(shown, answer.method, picture)
     except AbsentError as absent:
         fail(EXIT_BAD_INPUT, f"{model}: {absent}", "see why: `rig identify` of what it comes from; or give another")
-    except (RecordingError, IdentifyError) as error:
-        fail_input(error)
     remarks = [beyond(answer, recording) for recording in recordings]
     if as_json:
         found = [

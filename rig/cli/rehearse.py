@@ -9,7 +9,6 @@ import click
 
 from rig import config
 from rig.cli.driving import finish, perform
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_config, faults
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.running import preflight
 
@@ -53,21 +52,15 @@ def rehearse(
     motor is made from the data sheet: from these options, else from motor.no_load_speed_rad_s and drive.supply_V. A
     config with a section `emulated` has a motor already; options change it. Every result says that it is a rehearsal.
     """
-    try:
-        sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
-        document = config.read(config_path, takes_pipe=True)
-        experiment, _ = preflight.check(document, ("emulated",))
-        experiment = preflight.rehearsed(document, experiment, sheet, pace)
-    except config.ConfigError as error:
-        fail_config(error)
-    except preflight.SheetError as error:
-        fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
+    document = config.read(config_path, takes_pipe=True)
+    experiment, _ = preflight.check(document, ("emulated",))
+    experiment = preflight.rehearsed(document, experiment, sheet, pace)
     if not as_json:
         _show_motor(experiment)
     from rig.running import experiment as script
 
-    with faults():
-        finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)
+    finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)
 
 
 def _show_motor(e: config.Experiment) -> None:

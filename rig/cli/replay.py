@@ -7,10 +7,8 @@ from pathlib import Path
 
 import click
 
-from rig import config
-from rig.cli.failure import EXIT_FAILED, fail_config, fail_input
+from rig.cli.failure import EXIT_FAILED
 from rig.cli.options import JSON
-from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import progress, show_replay
 
@@ -26,13 +24,8 @@ def replay(run_folder: Path, as_json: bool) -> None:
     """
     from rig.running.replay import replay as replay_run
 
-    try:
-        with progress(f"replaying {run_folder.name}", as_json) as on_progress:
-            done = replay_run(run_folder, on_progress)
-    except RecordingError as error:
-        fail_input(error)
-    except config.ConfigError as error:
-        fail_config(error)
+    with progress(f"replaying {run_folder.name}", as_json) as on_progress:
+        done = replay_run(run_folder, on_progress)
     if as_json:
         click.echo(json_text(done.as_json()), nl=False)
     else:

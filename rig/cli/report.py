@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_FAILED, fail, fail_input
-from rig.run_folder.recording.errors import RecordingError
+from rig.cli.failure import EXIT_FAILED, fail
 from rig.terminal import patience
 
 
@@ -22,8 +21,6 @@ def report(run_folder: Path) -> None:
         require_run(run_folder)
         with patience("drawing the report"):
             path = write_report(run_folder)
-    except RecordingError as error:
-        fail_input(error)
     except OSError as error:
         fail(EXIT_FAILED, f"{run_folder}: cannot be read: {error.strerror}", "check the disk and its permissions")
     click.echo(path)

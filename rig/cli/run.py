@@ -10,9 +10,8 @@ import click
 from rich.console import Console
 
 from rig.cli.driving import checked_bench, perform
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
-from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.terminal import show_scatter
 
@@ -61,17 +60,13 @@ def run(
             )
         from rig.identification.known_model import known_model
 
-        try:
-            known = known_model(model_run, experiment.drive.max_V)
-        except RecordingError as error:
-            fail_input(error)
+        known = known_model(model_run, experiment.drive.max_V)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig.running import experiment as script
 
-    with faults():
-        shown = partial(perform, as_json=as_json, verbose=verbose)
-        outcomes = script.repeated(experiment, repeat, out, shown, known)
+    shown = partial(perform, as_json=as_json, verbose=verbose)
+    outcomes = script.repeated(experiment, repeat, out, shown, known)
     if as_json:
         results = [outcome.as_json() for outcome in outcomes]
         ok = all(result["ok"] for result in results)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.failure import EXIT_BAD_INPUT, fail, written
 from rig.run_folder.results import RunMeta, RunResult
 
 
@@ -38,7 +38,5 @@ def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool)
     if file is None:
         click.echo(text, nl=False)
     else:
-        try:
+        with written(file):
             file.write_text(text, encoding="utf-8")
-        except OSError as error:
-            fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
+from rig.cli.failure import EXIT_BAD_INPUT, fail, written
 from rig.cli.options import JSON
 from rig.run_folder.recording.folder import json_text
 
@@ -45,11 +45,10 @@ def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
 
     found: list[dict[str, object]] = []
     for name in [port] if port is not None else _ports():
-        with faults():
-            for seen in scan(lambda baud, name=name: opened(name, baud), bauds or USUAL_BAUDS):  # type: ignore[misc]
-                found.append({"port": name, **_told(seen)})
-                if not as_json:
-                    _say(name, seen)
+        for seen in scan(lambda baud, name=name: opened(name, baud), bauds or USUAL_BAUDS):  # type: ignore[misc]
+            found.append({"port": name, **_told(seen)})
+            if not as_json:
+                _say(name, seen)
     if as_json:
         click.echo(json_text({"servos": found}), nl=False)
     elif not found:
@@ -65,7 +64,7 @@ def show(port: str, id: int, baud: int, as_json: bool) -> None:
     """Show every register of a servo. It changes nothing."""
     from rig.backends.servo.scan import all_registers, known_servo
 
-    with faults(), opened(port, baud) as line:
+    with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         rows = list(all_registers(link))
     if as_json:
@@ -88,7 +87,7 @@ def reboot(port: str, id: int, baud: int, yes: bool) -> None:
     from rig.backends.servo.scan import known_servo
     from rig.backends.servo.scan import reboot as start_anew
 
-    with faults(), opened(port, baud) as line:
+    with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         _ask(f"reboot {link.model.name}, id {id}? Its torque goes off", yes=yes)
         start_anew(line, link)
@@ -106,7 +105,7 @@ def set_baud(port: str, id: int, to: int, baud: int, yes: bool) -> None:
     from rig.backends.servo.scan import known_servo
     from rig.backends.servo.scan import set_baud as change
 
-    with faults(), opened(port, baud) as line:
+    with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         _ask(f"set {link.model.name}, id {id}, from {baud} to {to} baud? Other programs must know", yes=yes)
         change(lambda at: _reopened(line, port, at), link, to)
@@ -124,7 +123,7 @@ def restore(port: str, id: int, baud: int) -> None:
     from rig.backends.servo.scan import restore as put_right
 
     store = store_of(port, id)
-    with faults(), opened(port, baud) as line:
+    with opened(port, baud) as line:
         values = put_right(known_servo(line, id, baud), store)
     if values is None:
         click.echo(f"nothing to put back: there is no {store.path}")
@@ -154,7 +153,7 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
             default="", show_default=False, prompt_suffix=" ",
         )  # fmt: skip
 
-    with faults(), opened(port, baud) as line:
+    with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
         found = []
@@ -165,10 +164,8 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
         firmware = link.value(link.model.roles["firmware"])
     file = to or Path(f"facts-{link.model.name}.json")
     told = {"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found}
-    try:
+    with written(file):
         file.write_text(json_text(told), encoding="utf-8")
-    except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name another file with --to")
     click.echo(f"{file}: written; send it in (docs/driven.md)")
 
 

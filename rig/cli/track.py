@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
+from rig.cli.failure import EXIT_BAD_INPUT, fail
 from rig.cli.options import CONFIG, JSON, OUT, PACE
-from rig.run_folder.recording.errors import RecordingError
 
 
 @click.command()
@@ -28,15 +27,12 @@ from rig.run_folder.recording.errors import RecordingError
 def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_json: bool) -> None:
     """Run the tracking check with the models of an earlier run."""
     experiment = checked_bench(config_path, pace)
-    from rig.identification import IdentifyError, identify
+    from rig.identification import identify
     from rig.identification.known_model import kept_models
     from rig.run_folder.recording.reader import read_run
     from rig.running import experiment as script
 
     if experiment.tracking is None:
         fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
-    try:
-        models = kept_models(model_run) or identify([read_run(model_run)]).as_result()
-    except (RecordingError, IdentifyError) as error:
-        fail_input(error)
+    models = kept_models(model_run) or identify([read_run(model_run)]).as_result()
     finish(perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)

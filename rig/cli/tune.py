@@ -11,10 +11,8 @@ import click
 from click.core import ParameterSource
 
 from rig.cli.driving import checked_bench, perform
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input, faults
-from rig.cli.options import JSON, OUT, PACE, FiniteRange, Positive
-from rig.config import ConfigError
-from rig.run_folder.recording.errors import RecordingError
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.options import JSON, OUT, PACE, PICTURES, FiniteRange, Positive, require_new
 from rig.run_folder.recording.folder import json_text
 
 if TYPE_CHECKING:
@@ -94,31 +92,18 @@ def tune(
         return
     if p_scale is not None:
         fail(EXIT_BAD_INPUT, "--p-scale is for the loop of a servo", "add --servo MODEL")
+    require_new(file, PICTURES)
     bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.terminal import patience, progress, show_tuned
 
     with patience("loading"):
-        from rig.design.tune.tuning import TuneError
         from rig.output.report import tuned_loop
         from rig.run_folder.results.meta import REHEARSAL
         from rig.running.run_tuning import Asked, tune_run, written_up
 
-    if file is not None and file.suffix.lower() not in tuned_loop.FORMATS:
-        fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(tuned_loop.FORMATS)}")
-    if file is not None and file.exists():
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "remove it, or give another name")
-    if file is not None and not file.parent.is_dir():
-        fail(EXIT_BAD_INPUT, f"{file.parent} is no folder", "make it first, or name a file in another folder")
-    try:
-        with progress("simulating motors", as_json) as on_progress:
-            asked = Asked("position" if loop == "position" else "velocity", bandwidth_1_s, step, phase_deg, gain_dB)
-            found = tune_run(run_folder, asked, draws, bench, on_progress)
-    except RecordingError as error:
-        fail_input(error)
-    except ConfigError as error:
-        fail_config(error)
-    except TuneError as error:
-        fail(EXIT_FAILED, error.cause, error.cure)
+    with progress("simulating motors", as_json) as on_progress:
+        asked = Asked("position" if loop == "position" else "velocity", bandwidth_1_s, step, phase_deg, gain_dB)
+        found = tune_run(run_folder, asked, draws, bench, on_progress)
     outcome: Outcome | None = None
     result = found.result()
     if bench is not None:
@@ -126,13 +111,9 @@ def tune(
         record = found.record_of(outcome.folder)
         if record is not None:
             result = found.result(record)
-            with faults():
-                written_up(outcome.folder, outcome.result, result)
+            written_up(outcome.folder, outcome.result, result)
     if file is not None:
-        try:
-            tuned_loop.save(result, f"{loop} loop for the motor of {run_folder.name}", file)
-        except OSError as error:
-            fail(EXIT_FAILED, f"{file}: {error.strerror}", "choose a folder that you may write to")
+        tuned_loop.save(result, f"{loop} loop for the motor of {run_folder.name}", file)
     failure = "" if outcome is None else outcome.failure
     if as_json:
         tried = {} if outcome is None else {"bench_run": str(outcome.folder), "bench_failure": failure}
@@ -162,21 +143,13 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
             )
     from rig.backends.servo.models import MODELS
     from rig.design.tune.margins import Margins
-    from rig.design.tune.tuning import TuneError
     from rig.running.run_tuning import servo_loop_of
     from rig.terminal import show_servo_loop
 
     if model not in MODELS:
         fail(EXIT_BAD_INPUT, f"{model} is no servo that rig knows", f"give one of {', '.join(MODELS)}")
     phase_deg, gain_dB = least
-    try:
-        found = servo_loop_of(run_folder, MODELS[model], Margins(gain_dB, phase_deg, 0.0), p_scale)
-    except RecordingError as error:
-        fail_input(error)
-    except ConfigError as error:
-        fail_config(error)
-    except TuneError as error:
-        fail(EXIT_FAILED, error.cause, error.cure)
+    found = servo_loop_of(run_folder, MODELS[model], Margins(gain_dB, phase_deg, 0.0), p_scale)
     if as_json:
         click.echo(json_text({"ok": True, "run": run_folder.resolve().name, **found.as_json()}), nl=False)
     else:

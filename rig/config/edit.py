@@ -15,7 +15,7 @@ import yaml
 
 from rig.config.problems import Path, key_of
 from rig.config.yaml12 import compose, parse
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.core.strict_json import JsonObject
@@ -26,13 +26,8 @@ _COMMENT = re.compile(r"(?:^|\s)#", re.MULTILINE)
 _COMMENT_BEHIND = re.compile(r"([ ]+)(#)")
 
 
-class EditError(RigError):
-    """A value that cannot be changed without touching something else: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class EditError(CauseError):
+    """A value that cannot be changed without touching something else."""
 
 
 def with_values(text: str, values: Mapping[Path, Value]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from rig.config import ready
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 
 _EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the examples: their limits, speed and amplitudes go with it
 _MARGIN_RAD: Final = 0.2  # from the hard limits to the mechanical stops
@@ -30,13 +30,8 @@ _LEAST_TURNS: Final = 2.0
 _LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of them less 15 %, and need 20
 
 
-class AnswerError(RigError):
-    """An answer that cannot be: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class AnswerError(CauseError):
+    """An answer that cannot be."""
 
 
 @dataclass(frozen=True)

@@ -6,20 +6,19 @@ import difflib
 from itertools import takewhile
 from pathlib import Path
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SUFFIX = ".yaml"
 
 
-class UnknownConfigError(RigError):
-    """There is no ready config of this name: one line of cause, one of cure."""
+class UnknownConfigError(CauseError):
+    """There is no ready config of this name."""
 
     def __init__(self, name: str) -> None:
         near = difflib.get_close_matches(name, names(), n=1)
-        self.cause = f"there is no ready config {name!r}"
-        self.cure = f"did you mean {near[0]}?" if near else "`rig config list` shows all"
-        super().__init__(f"{self.cause}\n{self.cure}")
+        cure = f"did you mean {near[0]}?" if near else "`rig config list` shows all"
+        super().__init__(f"there is no ready config {name!r}", cure)
 
 
 def folder() -> Path:

@@ -1,4 +1,4 @@
-"""The class above every error that rig raises on purpose, and the error of the physics; it imports nothing of rig."""
+"""The classes above the errors that rig raises on purpose, and the error of the physics; it imports nothing of rig."""
 
 
 class RigError(Exception):
@@ -7,6 +7,19 @@ class RigError(Exception):
     Its subclasses are ``Fault``, ``ConfigError``, ``RecordingError``, ``IdentifyError``, ``PlugInError`` and others.
     A call that makes no sense, such as one with a negative time constant, raises ValueError instead.
     """
+
+
+class CauseError(RigError):
+    """An error in two lines: ``cause``, what is wrong, and ``cure``, one thing to do about it.
+
+    status  exit status of a command that ends with it: 1, it failed, or 2, bad input
+    """
+
+    status = 2
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause, self.cure = cause, cure
+        super().__init__(f"{cause}\n{cure}")
 
 
 class LibraryError(RigError):

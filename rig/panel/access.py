@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Final, Literal
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.panel.errors import RefusedError
 
 Kind = Literal["read", "write", "socket"]
@@ -42,12 +42,8 @@ _REPORT_POLICY: Final = (
 )
 
 
-class AccessError(RigError):
-    """The panel may not be served in this way: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause, self.cure = cause, cure
-        super().__init__(f"{cause}\n{cure}")
+class AccessError(CauseError):
+    """The panel may not be served in this way."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Emulated devices in virtual time, each a ``Transport`` and a ``Clock`` in one, and their faults.
 
-The devices: the firmware compiled for this machine, the Uno's firmware on its emulated chip, a Modbus I/O block on RTU
-or TCP, and smart servos on a bus.
+The devices: the firmware compiled for this machine, a Modbus I/O block on RTU or TCP,
+ and smart servos on a bus.
 """
 
 from rig.backends.emulated.bench import bench_parameters as bench_parameters
@@ -13,7 +13,5 @@ from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock as Vi
 from rig.backends.modbus.opening import emulated_io_block as emulated_io_block
 from rig.backends.serial.emulated.behind_usb import BehindUsb as BehindUsb
 from rig.backends.serial.emulated.virtual_board import VirtualBoard as VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip as VirtualChip
-from rig.backends.serial.opening import emulated_chip as emulated_chip
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus as VirtualServoBus
 from rig.backends.servo.line import emulated_bus as emulated_bus

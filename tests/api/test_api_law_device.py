@@ -13,11 +13,12 @@ from evidence import evidence
 from own_laws import Spring, Stumbles
 
 import rig
+from chips.opening import emulated_chip
 from rig import config
 from rig.control.law import OwnLaw
 from rig.core.signals import FLAG_GUARD_CLIPPED, FLAG_SKIPPED, Sample
 from rig.notebook import Run
-from rig.testing.devices import VirtualBoard, bench_parameters, emulated_chip
+from rig.testing.devices import VirtualBoard, bench_parameters
 from rig.testing.line import on_device
 
 DEMO = config.load(rig.ready("demo"))

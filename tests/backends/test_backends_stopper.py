@@ -11,13 +11,13 @@ import yaml
 from simulated_bench import DEMO
 
 import rig
+from chips.virtual_chip import VirtualChip
 from rig.backends import backend
 from rig.backends.backend import Line
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.opening import emulated_io_block
 from rig.backends.registry import backend_of
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.config import Experiment, load
 
 Device = VirtualBoard | VirtualChip | VirtualIoBlock

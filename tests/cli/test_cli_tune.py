@@ -103,7 +103,7 @@ def test_a_trial_that_would_leave_the_soft_limits_does_not_drive_a_bench(run: Pa
     [
         (("--bandwidth", "40"), 1, "the largest that is possible is"),
         (("--step", "3"), 1, "give a smaller one: --step"),
-        (("--to", "x.gif"), 2, "give one of .png, .svg, .pdf"),
+        (("--to", "x.gif"), 2, "give a name that ends in .png, .svg, .pdf"),
         (("--to", "nowhere/x.png"), 2, "nowhere is no folder"),
     ],
 )

@@ -11,10 +11,12 @@ import pytest
 from click.testing import CliRunner
 from evidence import evidence
 
+from chips import build as chip_build
+from chips.opening import bare_chip
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.cli import main
-from rig.running.doctor.loopback import Visit, emulated_board, visit_board
+from rig.running.doctor.loopback import Visit, visit_board
 
 CORE, BOARDS = "core/rig_core.c", {"uno": "emulated-chip", "pico": "emulated-pico"}
 NEVER_TRIPS = (CORE, "silent_us >= core->setup.watchdog_ms * US_PER_MS", "silent_us > 0x7FFFFFFFu")
@@ -33,7 +35,7 @@ INVERTED = {
 
 
 def visited(board: str, wires: int = 7, options: Variant = firmware_build.PLAIN_VARIANT) -> Visit:
-    transport = emulated_board(BOARDS[board], options, wires)
+    transport = bare_chip(BOARDS[board], options, wires)
     try:
         return visit_board(transport, repeats=1)
     finally:
@@ -59,11 +61,11 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str
         folder = tmp_path / "build"
         subprocess.run(["make", "-s", "-C", str(sources), board, f"BUILD={folder}"], check=True, env=environment)
         if board == "uno":
-            chip = firmware_build.build_chip()._replace(hex=folder / "uno" / "rig_uno.hex")
-            monkeypatch.setattr(firmware_build, "build_chip", lambda *_: chip)
+            chip = chip_build.build_chip()._replace(hex=folder / "uno" / "rig_uno.hex")
+            monkeypatch.setattr(chip_build, "build_chip", lambda *_: chip)
         else:
-            pico = firmware_build.build_pico_chip()._replace(uf2=folder / "pico" / "rig_pico.uf2")
-            monkeypatch.setattr(firmware_build, "build_pico_chip", lambda *_: pico)
+            pico = chip_build.build_pico_chip()._replace(uf2=folder / "pico" / "rig_pico.uf2")
+            monkeypatch.setattr(chip_build, "build_pico_chip", lambda *_: pico)
 
     return build
 

@@ -14,10 +14,10 @@ import yaml
 from command_line import rig
 from evidence import evidence
 
+from chips.opening import emulated_chip
+from chips.virtual_chip import VirtualChip
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.serial.backend import SerialBackend
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.opening import emulated_chip
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import load
 from rig.config.schema import DeviceSetup

@@ -7,8 +7,8 @@ from typing import TypedDict, TypeVar, Unpack
 
 from virtual_host import BENCH, HELD, SETUP, Host, Wired
 
+from chips.virtual_chip import ChipTruth, VirtualChip
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
-from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
 from rig.backends.serial.frames import Code, Kind, Setup, pack_drive
 from rig.model.bench import BenchParameters
 

@@ -11,9 +11,9 @@ import virtual_host
 from chip_host import SETTLE_S, START_S, UnoHost
 from idle_node import IdleNode
 
+from chips.pico_parameters import pico_parameters
+from chips.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
-from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.serial.frames import Code, Setup
 from rig.model.bench import BenchParameters
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 from chip_host import UnoHost
 from idle_node import IdleNode
 
-from rig.backends.serial.emulated import firmware_build
+from chips import build as chip_build
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
 
@@ -58,7 +58,7 @@ class SecondChip:
         }  # fmt: skip
         names = ("rad_per_count", "centre_counts", "supply_V")
         chip = {
-            "hex": str(firmware_build.build_chip(options).hex),
+            "hex": str(chip_build.build_chip(options).hex),
             "bridge": options.bridge,
             "byte_ns": _BYTE_NS,
             "motor": motor,

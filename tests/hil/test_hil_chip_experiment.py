@@ -13,10 +13,10 @@ import yaml
 from emulated_run import finds_it_undisturbed, finds_the_truth, run_on
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink, break_away
 
+from chips.virtual_chip import VirtualChip
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.loop.runner import Loop

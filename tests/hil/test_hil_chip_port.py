@@ -13,11 +13,11 @@ import pytest
 import yaml
 from processes import PATIENCE_S, rows, wait_until
 
+from chips.chip_board import ChipBoard
 from rig.backends.driver import Timeouts
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.config.schema import Experiment
 from rig.running.preflight import check
 

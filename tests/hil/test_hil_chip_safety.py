@@ -10,9 +10,9 @@ from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from evidence import evidence
 from virtual_host import LSB_RAD, TICK_S
 
+from chips.virtual_chip import Contact, Hang, VirtualChip
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
-from rig.backends.serial.emulated.virtual_chip import Contact, Hang, VirtualChip
 from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
 from rig.core.faults import Fault
 from rig.model.bench import SensorWiring

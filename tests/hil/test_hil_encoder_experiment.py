@@ -17,11 +17,11 @@ import yaml
 from click.testing import CliRunner
 from evidence import evidence
 
+from chips.virtual_chip import Contact, VirtualChip
 from rig.backends.backend import Line
 from rig.backends.registry import connect
 from rig.backends.serial import opening
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.cli import main
 from rig.config.load import load
 from rig.config.schema import Experiment

@@ -13,8 +13,8 @@ import yaml
 from click.testing import CliRunner
 from evidence import evidence
 
-from rig.backends.serial import opening
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
+from chips import opening
+from chips.virtual_pico import VirtualPico
 from rig.cli import main
 from rig.config.schema import DeviceSetup
 
@@ -66,7 +66,7 @@ def test_the_run_ends_by_its_code_with_the_pins_at_0(
     picos: list[Troubled] = []
 
     def made(d: DeviceSetup) -> Troubled:
-        picos.append(Troubled(opening._pico_parameters(d), trouble))
+        picos.append(Troubled(opening.parameters_of(d), trouble))
         return picos[-1]
 
     monkeypatch.setattr(opening, "emulated_pico", made)

@@ -15,12 +15,12 @@ from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, Pic
 from simulated_bench import LIMITS
 from virtual_host import TICK_S
 
+from chips.pico_parameters import pico_parameters
+from chips.virtual_pico import VirtualPico
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import (
     FEATURE_LOOPBACK,
     FEATURE_PULSE,

@@ -17,11 +17,13 @@ import pytest
 from evidence import evidence
 from pico_host import HELD, SETUP, PicoHost, pico
 
+from chips import build as chip_build
+from chips.build import PicoFirmware
+from chips.pico_parameters import pico_parameters
+from chips.virtual_pico import VirtualPico
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.firmware_build import PicoFirmware, Variant
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetup
 
 pytestmark = pytest.mark.long
@@ -82,7 +84,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
 
     def build(name: str) -> Variant:
         defect = DEFECTS[name]
-        real = firmware_build.build_pico_chip(defect.options)
+        real = chip_build.build_pico_chip(defect.options)
         sources = tmp_path / "firmware"
         shutil.copytree(firmware_build.source_folder(), sources, ignore=shutil.ignore_patterns("node_modules"))
         path = sources / "boards" / "pico" / defect.where
@@ -93,7 +95,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
         command = ["make", "-s", "-C", str(sources), "pico", *defect.options.variables(), f"BUILD={tmp_path / 'build'}"]
         subprocess.run(command, check=True, env=environment)
         uf2 = tmp_path / "build" / "pico" / real.uf2.name
-        monkeypatch.setattr(firmware_build, "build_pico_chip", lambda *_: PicoFirmware(uf2, *real[1:]))
+        monkeypatch.setattr(chip_build, "build_pico_chip", lambda *_: PicoFirmware(uf2, *real[1:]))
         return defect.options
 
     yield build

@@ -10,8 +10,8 @@ from evidence import evidence
 from pico_host import BENCH, HELD, LSB_RAD, QUIET, SETTLE_S, SETUP, PicoHost, arm_anew, armed_pico, pico
 from virtual_host import TICK_S
 
+from chips.virtual_pico import PicoContact, PicoHang
 from rig.backends.serial.emulated.firmware_build import Variant
-from rig.backends.serial.emulated.virtual_pico import PicoContact, PicoHang
 from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
 from rig.model.bench import SensorWiring
 

@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import pytest
 
+from chips.chip_board import ChipBoard
 from rig.backends.driver import Timeouts
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.fit import Board
 from rig.config.schema import Emulated

@@ -18,9 +18,11 @@ from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from evidence import evidence
 from second_chip import SecondChip, SecondHost
 
+from chips import build as chip_build
+from chips.build import ChipFirmware
+from chips.virtual_chip import VirtualChip
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.firmware_build import ChipFirmware, Variant
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.frames import Code
 
 pytestmark = pytest.mark.long
@@ -91,7 +93,7 @@ DEFECTS: dict[str, tuple[str, str, str]] = {
 @pytest.fixture
 def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, Variant], None]]:
     """Builds the firmware with a defect, by name; from then on every chip runs it."""
-    real = firmware_build.build_chip()
+    real = chip_build.build_chip()
 
     def build(name: str, options: Variant) -> None:
         sources = tmp_path / "firmware"
@@ -104,7 +106,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
         command = ["make", "-s", "-C", str(sources), "uno", *options.variables(), f"BUILD={tmp_path / 'build'}"]
         subprocess.run(command, check=True)
         hex_file = tmp_path / "build" / "uno" / f"{options.name}.hex"
-        monkeypatch.setattr(firmware_build, "build_chip", lambda *_: ChipFirmware(hex_file, real.library, real.program))
+        monkeypatch.setattr(chip_build, "build_chip", lambda *_: ChipFirmware(hex_file, real.library, real.program))
 
     yield build
 
@@ -297,7 +299,7 @@ def test_sleep_follows_sei() -> None:
     """No interrupt between the last look and sleep: it would be slept through."""
     sei, sleep = bytes.fromhex("7894"), bytes.fromhex("8895")
     code = b""
-    for line in firmware_build.build_chip().hex.read_text().split():
+    for line in chip_build.build_chip().hex.read_text().split():
         record = bytes.fromhex(line[1:])
         code += record[4 : 4 + record[0]] if record[3] == 0 else b""
     assert code.count(sleep) == code.count(sei + sleep) == 1

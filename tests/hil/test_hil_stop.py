@@ -18,10 +18,10 @@ import pytest
 from evidence import evidence
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 
+from chips.opening import emulated_chip
+from chips.virtual_chip import VirtualChip
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.opening import emulated_chip
 from rig.config import Experiment, load, ready
 from rig.config.yaml12 import parse
 from rig.control.bounded import Bounded, Bounds

@@ -17,11 +17,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_bench import ListSink
 
+from chips.opening import emulated_chip, emulated_pico
 from rig import config
 from rig.backends.backend import Line
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.opening import emulated_chip, emulated_pico, serial_driver
+from rig.backends.serial.opening import serial_driver
 from rig.config import Experiment
 from rig.control.guard import Guard
 from rig.control.loop.runner import Loop

@@ -12,11 +12,11 @@ from evidence import evidence
 from pico_host import twelve_bits
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, RAD_PER_COUNT, SCALING, ListSink, break_away
 
+from chips.pico_parameters import pico_parameters
+from chips.virtual_chip import VirtualChip
+from chips.virtual_pico import VirtualPico
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.control.guard import Guard, GuardSettings
 from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import StopRequest

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 
+from chips.virtual_chip import VirtualChip
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
 from rig.control.loop.runner import Loop

@@ -38,7 +38,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a wheel is built from."""
     tree = tmp_path_factory.mktemp("tree") / "rig"
     ignored = shutil.ignore_patterns("__pycache__", "node_modules")
-    for name in ("rig", "firmware", "config"):
+    for name in ("rig", "rig_campaign", "firmware", "config"):
         shutil.copytree(ROOT / name, tree / name, ignore=ignored)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree / name)
@@ -71,6 +71,7 @@ def test_what_pip_builds_holds_no_firmware_so_that_nobody_waits_for_it(plain: Pa
     names = zipfile.ZipFile(plain).namelist()
     assert not any("prebuilt" in name for name in names)
     assert "rig/_firmware/core/rig_core.c" in names  # from which `rig flash` compiles it
+    assert {"rig_campaign/trial.py", "rig_campaign/report.html.j2"} <= set(names)
 
 
 def test_a_wheel_is_one_platforms_and_brings_the_physics(plain: Path, tmp_path: Path) -> None:

@@ -9,12 +9,12 @@ import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from chips.virtual_chip import VirtualChip
+from chips.virtual_pico import VirtualPico
 from faults import damage, host, strangers
 from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep
 from faults.servo import talk
-from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
 
 Act = Callable[[FaultInjector], None]
 

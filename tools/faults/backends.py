@@ -13,6 +13,9 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from chips.pico_parameters import pico_parameters
+from chips.virtual_chip import Contact, VirtualChip
+from chips.virtual_pico import VirtualPico
 from faults.bounds import Times
 from faults.injector import FaultInjector
 from faults.language import Language, ModbusLanguage, SerialLanguage
@@ -27,10 +30,7 @@ from rig.backends.modbus.section import is_tcp
 from rig.backends.registry import backend_of
 from rig.backends.serial import frames
 from rig.backends.serial.emulated.firmware_build import Variant
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import BLOCK_ROWS, Kind
 from rig.backends.serial.link_budget import block_share
 from rig.backends.servo import dynamixel

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+from chips.virtual_chip import Contact
 from faults.damage import Damage
 from faults.fork import fork
 from faults.language import ASKED, Language, Reading
-from rig.backends.serial.emulated.virtual_chip import Contact
 from rig.core.faults import Fault
 
 GRAIN_S = 5e-4  # between two looks at the output, from the fault on

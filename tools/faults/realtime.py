@@ -27,6 +27,7 @@ from typing import Any
 
 import yaml
 
+from chips.chip_board import ChipBoard
 from faults import hanging_laws
 from faults.acts import FREEZE_S
 from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend
@@ -36,7 +37,6 @@ from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.registry import connect
-from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.frames import FrameReader, Kind
 from rig.config.schema import Experiment

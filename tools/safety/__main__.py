@@ -10,7 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from rig.backends.serial.emulated.firmware_build import build_chip, build_pico, source_folder
+from chips.build import build_chip
+from rig.backends.serial.emulated.firmware_build import build_pico, source_folder
 from safety import garbage
 from safety.driven_chip import PICO
 from safety.page import Found, is_kept, render, render_pico, replaced, row

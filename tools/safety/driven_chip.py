@@ -12,12 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from chips.pico_parameters import pico_parameters
+from chips.virtual_chip import ChipTruth, VirtualChip
+from chips.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.backend import truth_of
 from rig.backends.serial.driver import setup_for
 from rig.backends.serial.emulated.firmware_build import Variant
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
-from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
-from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.serial.frames import (
     MAX_STROKE_TICKS,
     STATUS_FAULT,

@@ -20,7 +20,7 @@ from serial.tools import list_ports
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.frames import BOARDS, FrameReader, Hello
 from rig.backends.serial.introduction import await_introduction
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.core.faults import Fault
 from rig.core.package import FOLDER, VERSION
 
@@ -87,13 +87,11 @@ REAL_CHIP_REPORTS: dict[str, str] = {}
 NEVER_RUN = "this firmware has never run on a real chip: take the first steps of docs/real-bench.md one by one"
 
 
-class FlashError(RigError):
+class FlashError(CauseError):
     """What went wrong and what to do, a line each; ``status``: exit status, avrdude's own where that failed."""
 
     def __init__(self, cause: str, cure: str, status: int = 1) -> None:
-        super().__init__(cause)
-        self.cause = cause
-        self.cure = cure
+        super().__init__(cause, cure)
         self.status = status
 
 

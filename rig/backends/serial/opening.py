@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts
@@ -19,22 +18,16 @@ from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter
 from rig.backends.serial.driver import ByHand, SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
-from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.firmware_build import require_emulator
 from rig.backends.serial.emulated.host_board import HostBoard
-from rig.backends.serial.emulated.pico_board import PicoBoard
-from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.usb_board import UsbBoard
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.emulated.virtual_chip import VirtualChip, variant_of
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
+from rig.backends.serial.emulated.virtual_device import PortAndClock
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
-from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of, is_virtual
+from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, adapter_of, is_virtual
 from rig.config.schema import DeviceSetup
 from rig.core.faults import Fault
-
-if TYPE_CHECKING:
-    from rig.core.strict_json import JsonObject
 
 
 @contextmanager
@@ -56,15 +49,15 @@ def serial_line(d: DeviceSetup) -> Iterator[Line]:
 
 
 def _virtual_line(d: DeviceSetup, port: str) -> Line:
-    device: VirtualBoard | VirtualChip | VirtualPico
-    shaft = None
-    if port in PICO_PORTS:
-        device = emulated_pico(d)
-    elif port in CHIP_PORTS:
-        device = emulated_chip(d)
+    device: PortAndClock
+    if port in CHIP_PORTS:
+        require_emulator(port)
+        from chips import opening as chips
+
+        device, shaft = chips.virtual_chip(d), None
     else:
-        device = emulated_host_board(d)
-        shaft = device.shaft
+        device = board = emulated_host_board(d)
+        shaft = board.shaft
     adapter = adapter_of(d)
     line = device if adapter == "none" else BehindUsb(device, adapter)
     return Line(line, line, port, emulated=True, shaft=shaft)
@@ -111,39 +104,15 @@ def _by_hand(d: DeviceSetup, line: Line) -> ByHand | None:
 
 
 def emulated_host_board(d: DeviceSetup) -> VirtualBoard:
-    """The firmware's core on this machine with the config's bench behind it, as ``emulated_chip``."""
-    emulated = emulated_of(d)
-    bench = bench_parameters(emulated, d.tachometer)
-    board = VirtualBoard(bench, d.seed, clock_error_ppm=emulated.clock_error_ppm, baud=d.daq.baud)
-    board.keeps_shaft = True
-    return board
-
-
-def emulated_chip(d: DeviceSetup) -> VirtualChip:
-    """The Uno's emulated chip with the config's bench behind it: port and clock in one, in virtual time.
+    """The firmware's core on this machine with the config's bench behind it: port and clock in one, in virtual time.
 
     Raises EmulationError where it cannot be built, ValueError without section ``emulated``.
     """
     emulated = emulated_of(d)
     bench = bench_parameters(emulated, d.tachometer)
-    return VirtualChip(
-        bench,
-        d.seed,
-        clock_error_ppm=emulated.clock_error_ppm,
-        options=variant_of(bench, d.daq.baud, d.drive.bridge),
-    )
-
-
-def emulated_pico(d: DeviceSetup) -> VirtualPico:
-    """The Pico's emulated chip, as ``emulated_chip``."""
-    return VirtualPico(_pico_parameters(d))
-
-
-def _pico_parameters(d: DeviceSetup) -> JsonObject:
-    emulated = emulated_of(d)
-    bench = bench_parameters(emulated, d.tachometer)
-    options = variant_of(bench, d.daq.baud, d.drive.bridge)
-    return pico_parameters(bench, d.seed, clock_error_ppm=emulated.clock_error_ppm, options=options)
+    board = VirtualBoard(bench, d.seed, clock_error_ppm=emulated.clock_error_ppm, baud=d.daq.baud)
+    board.keeps_shaft = True
+    return board
 
 
 @contextmanager
@@ -158,20 +127,18 @@ def emulated_board(
            names a chip, else the firmware's core on this machine
     Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
-    emulated = emulated_of(d)
     adapter = d.daq.adapter or "none"
     own_link = link if adapter == "none" else None
     with ExitStack() as stack:
-        board: ChipBoard | HostBoard | PicoBoard
-        if d.daq.port in PICO_PORTS:
-            board = stack.enter_context(PicoBoard())
-            board.start(_pico_parameters(d), own_link, trace)
-        elif chip or d.daq.port in CHIP_PORTS:
-            board = stack.enter_context(ChipBoard())
-            board.start(emulated, d.seed, own_link, trace, d.tachometer, baud=d.daq.baud, bridge=d.drive.bridge)
+        board: BoardProcess
+        if chip or d.daq.port in CHIP_PORTS:
+            require_emulator("emulated-chip" if chip else d.daq.port)
+            from chips import opening as chips
+
+            board = stack.enter_context(chips.chip_process(d, own_link, trace))
         else:
-            board = stack.enter_context(HostBoard())
-            board.start(emulated, d.seed, own_link, trace, d.tachometer)
+            board = host = stack.enter_context(HostBoard())
+            host.start(emulated_of(d), d.seed, own_link, trace, d.tachometer)
         if adapter == "none":
             yield board
             return

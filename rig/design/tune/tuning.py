@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.control.observer import MotorObserver
 from rig.control.set_point import BANDWIDTH_OF_SECOND_ORDER, PositionStep, Program, SpeedSteps
 from rig.control.state_feedback import DriveLimits, Gains, Loop, StateFeedback
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.design.tune.gains import gains_for
 from rig.design.tune.margins import Margins, controller_matrices, margins, motor_matrices, noise_V, open_loop, worst
 from rig.design.tune.trial import Sensing
@@ -25,13 +25,10 @@ NOISE_SHARE = 0.1  # standard deviation that the sensor's noise makes in the dri
 STEP_TIMES = 12.0  # how long a step lasts, over the time constant of its reference: a third of it is for settling
 
 
-class TuneError(RigError):
-    """A loop cannot be tuned as asked: one line of cause, one of cure."""
+class TuneError(CauseError):
+    """A loop cannot be tuned as asked."""
 
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+    status = 1
 
 
 @dataclass(frozen=True)

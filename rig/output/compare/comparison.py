@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.core.signals import plain
 from rig.output.compare.compared_run import (
     PARAMETERS,
@@ -86,12 +86,14 @@ DEFAULT = Scatter(
 )
 
 
-class CompareError(RigError):
+class CompareError(CauseError):
     """Runs that cannot be compared. ``cause`` and ``cure`` are sentences; ``left_out`` says why of each."""
 
+    status = 1
+
     def __init__(self, cause: str, cure: str, left_out: Sequence[LeftOutResult] = ()) -> None:
-        self.cause, self.cure, self.left_out = cause, cure, tuple(left_out)
-        super().__init__(f"{cause}\n{cure}")
+        super().__init__(cause, cure)
+        self.left_out = tuple(left_out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,16 +322,24 @@ def _scatter(used: Scatter | None, relative: Array, variances: Array) -> Scatter
     return ScatterResult(source="runs", percent=percent, why=why)
 
 
-def _trends(runs: Sequence[ComparedRun], relative: Array, variances: Array) -> list[TrendResult]:
-    """Over time and over temperature, as far as the runs say them."""
+def hours_of(runs: Sequence[ComparedRun]) -> list[float]:
+    """When each run started, hours after the first; nan where it does not say."""
     first = min((run.started for run in runs if run.started is not None), default=None)
-    hours = [
+    return [
         math.nan if run.started is None or first is None else (run.started - first).total_seconds() / 3600.0
         for run in runs
     ]
-    kelvins = [math.nan if run.temperature_C is None else run.temperature_C for run in runs]
+
+
+def degrees_of(runs: Sequence[ComparedRun]) -> list[float]:
+    """The temperature of each run, degrees Celsius; nan where nobody says it."""
+    return [math.nan if run.temperature_C is None else run.temperature_C for run in runs]
+
+
+def _trends(runs: Sequence[ComparedRun], relative: Array, variances: Array) -> list[TrendResult]:
+    """Over time and over temperature, as far as the runs say them."""
     found: list[TrendResult] = []
-    for over, unit, at in (("time", "%/h", hours), ("temperature", "%/K", kelvins)):
+    for over, unit, at in (("time", "%/h", hours_of(runs)), ("temperature", "%/K", degrees_of(runs))):
         known = np.flatnonzero(np.isfinite(at))
         x = np.array(at)[known]
         if known.size < FOR_A_TREND or not np.ptp(x) > 0.0:

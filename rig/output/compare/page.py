@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-import jinja2
-
 from rig.core.package import VERSION
-from rig.output.compare.comparison import Comparison
+from rig.output.compare.comparison import Comparison, degrees_of, hours_of
 from rig.output.compare.pictures import LaidOver, chosen, cycles, drawn_as, residuals, tracking, trends, values
 from rig.output.report.page import Figure, drawn
 from rig.output.report.source import load
-from rig.output.report.style import style
+from rig.output.report.style import style, templates
 from rig.run_folder.recording.folder import write_whole
 
 TEMPLATE = "page.html.j2"
@@ -21,21 +18,18 @@ SYMBOLS = {"tau_s": "τ", "K_rad_s_V": "K", "fc_V": "f_c"}
 
 def write_page(found: Comparison, path: Path) -> None:
     """Write the page; the runs' samples are read for it. Raises CannotWriteError."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.output.compare", package_path="."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     laid_over = chosen(found.result)
-    page = environment.get_template(TEMPLATE).render(
-        found=found.result,
-        figures=_figures(found, [run.name for run in laid_over]),
-        symbols=SYMBOLS,
-        few=len(laid_over) < len(found.runs) and len(laid_over),
-        backends=_backends(found),
-        version=VERSION,
+    page = (
+        templates("rig.output.compare")
+        .get_template(TEMPLATE)
+        .render(
+            found=found.result,
+            figures=_figures(found, [run.name for run in laid_over]),
+            symbols=SYMBOLS,
+            few=len(laid_over) < len(found.runs) and len(laid_over),
+            backends=_backends(found),
+            version=VERSION,
+        )
     )
     write_whole(path, page.encode("utf-8"))
 
@@ -46,12 +40,7 @@ def _backends(found: Comparison) -> str:
 
 def _figures(found: Comparison, names: list[str]) -> dict[str, Figure]:
     backend, result = _backends(found), found.result
-    first = min((run.started for run in found.runs if run.started is not None), default=None)
-    hours = [
-        math.nan if run.started is None or first is None else (run.started - first).total_seconds() / 3600.0
-        for run in found.runs
-    ]
-    degrees = [math.nan if run.temperature_C is None else run.temperature_C for run in found.runs]
+    hours, degrees = hours_of(found.runs), degrees_of(found.runs)
     runs = [
         LaidOver(run.name, load(run.folder), *drawn_as(k))
         for k, run in enumerate(one for one in found.runs if one.name in names)

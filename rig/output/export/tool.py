@@ -8,7 +8,7 @@ from typing import Final
 
 import jinja2
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.core.package import FOLDER
 from rig.output.export.motor import IdentifiedMotor
 from rig.output.export.whole_run import ExportedRun
@@ -44,12 +44,8 @@ class Tool:
     in_N_m: bool = False
 
 
-class ExportError(RigError):
-    """A motor that a tool has no words for: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause, self.cure = cause, cure
-        super().__init__(f"{cause}\n{cure}")
+class ExportError(CauseError):
+    """A motor that a tool has no words for."""
 
 
 def rendered(template: str, **values: object) -> bytes:

@@ -2,45 +2,32 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from rig.output.report.style import DRIVE, INK, LIMIT, MEASURED, MUTED, WIDTH_IN, note, style
+from rig.output.report import style
+from rig.output.report.style import DRIVE, INK, LIMIT, MEASURED, MUTED, note
 from rig.run_folder.results.design import DesignResult
 
-FORMATS = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}  # with what each says of its making
 LONGEST_S = 1000.0  # beyond it the map has one colour
 COLOURS = {"strokes": "#0072B2", "two pairs of gains in turn": "#D55E00", "one pair of gains": "#E69F00"}
 
 
-def draw(found: DesignResult, title: str, suffix: str) -> bytes:
-    """The picture, in the format of ``suffix``, one of ``FORMATS``."""
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, 6.6), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplot_mosaic([["map", "times"], ["motion", "motion"]], height_ratios=[1.5, 1.0])
-        _map(figure, axes["map"], found)
-        _times(axes["times"], found)
-        _motion(axes["motion"], found)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
-        buffer = io.BytesIO()
-        metadata = (
-            {"Software": None} if suffix == ".png" else {"Date": None} if suffix == ".svg" else {"CreationDate": None}
-        )
-        figure.savefig(buffer, format=suffix.removeprefix("."), dpi=150, metadata=metadata)
-    return buffer.getvalue()
-
-
 def save(found: DesignResult, title: str, file: Path) -> None:
-    """Write the picture; its suffix names the format. Raises OSError."""
-    file.write_bytes(draw(found, title, file.suffix.lower()))
+    """Write the picture, as ``style.save``."""
+    style.save(file, title, 6.6, lambda figure: _draw(figure, found))
+
+
+def _draw(figure: Figure, found: DesignResult) -> None:
+    axes = figure.subplot_mosaic([["map", "times"], ["motion", "motion"]], height_ratios=[1.5, 1.0])
+    _map(figure, axes["map"], found)
+    _times(axes["times"], found)
+    _motion(axes["motion"], found)
 
 
 def _map(figure: Figure, axes: Axes, found: DesignResult) -> None:

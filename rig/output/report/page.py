@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import jinja2
@@ -18,7 +17,7 @@ from rig.identification.verdict import PROMISE, RISK
 from rig.output.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
 from rig.output.report.fit import curves_of
 from rig.output.report.source import ReportedRun, load
-from rig.output.report.style import AbsentError, Picture, colour, style
+from rig.output.report.style import AbsentError, Picture, colour, style, templates
 from rig.output.report.words import driven, headline, rounded
 from rig.run_folder.recording.curves import write_curves
 from rig.run_folder.recording.errors import RecordingError
@@ -85,22 +84,9 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
 
 def environment() -> jinja2.Environment:
     """Where the pages of this room come from."""
-    found = _templates()
-    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
-    return found
-
-
-@cache
-def _templates() -> jinja2.Environment:
-    """Compiled once a process: that takes longer than to fill them in."""
-    found = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.output.report", package_path="."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    found = templates("rig.output.report")
     found.filters["rounded"] = rounded
+    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
     return found
 
 

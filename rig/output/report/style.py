@@ -9,19 +9,26 @@ from __future__ import annotations
 import base64
 import io
 import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
 
+import jinja2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from rig.core.estimators import ESTIMATORS
+from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.recording.stage import kind_of
 
+FORMATS: Final = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}  # with what each says of its making
 WIDTH_IN = 10.0
 INK = "#1f2328"
 MUTED = "#6a737d"
@@ -159,6 +166,35 @@ def laid_out(figure: Figure) -> Figure:
     """A figure to be looked at by itself, outside of a page."""
     figure.set_layout_engine("constrained")
     return figure
+
+
+def save(file: Path, title: str, height_in: float, draw: Callable[[Figure], None]) -> None:
+    """Write what ``draw`` puts into an empty figure; the file's suffix, one of ``FORMATS``, names the format.
+
+    height_in  inches
+    Raises CannotWriteError.
+    """
+    suffix = file.suffix.lower()
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=suffix.removeprefix("."), dpi=150, metadata={FORMATS[suffix]: None})
+    write_whole(file, buffer.getvalue())
+
+
+@cache
+def templates(package: str) -> jinja2.Environment:
+    """The templates of a package's pages. Compiled once a process: that takes longer than to fill them in."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader(package, package_path="."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
 def style() -> Any:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from rig.output.report import style
 from rig.output.report.source import ReportedRun
-from rig.output.report.style import INK, LIMIT, MUTED, WIDTH_IN, AbsentError, Picture, new_figure, render, style
+from rig.output.report.style import INK, LIMIT, MUTED, AbsentError, Picture, new_figure, render
 from rig.run_folder.results import known
 from rig.run_folder.results.tuned import TunedCurve, TunedMargins, TunedResult
 
-FORMATS: Final = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}  # with what each says of its making
 HEIGHT_IN = 6.4
 SMOOTH_S = 0.2
 BAND = "#0072B2"
@@ -25,16 +23,8 @@ BENCH = "#D55E00"
 
 
 def save(found: TunedResult, title: str, file: Path) -> None:
-    """Write the picture; its suffix, one of ``FORMATS``, names the format. Raises OSError."""
-    suffix = file.suffix.lower()
-    with style():
-        figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
-        FigureCanvasAgg(figure)
-        _draw(figure, found)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format=suffix.removeprefix("."), dpi=150, metadata={FORMATS[suffix]: None})
-    file.write_bytes(buffer.getvalue())
+    """Write the picture, as ``style.save``."""
+    style.save(file, title, HEIGHT_IN, lambda figure: _draw(figure, found))
 
 
 def loop(run: ReportedRun) -> Picture:

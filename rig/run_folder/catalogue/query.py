@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from rig.core.errors import CauseError
 from rig.run_folder.results.listed import ListedRun
 
 FIELDS: Final = tuple(ListedRun.model_fields)
@@ -17,8 +18,8 @@ _COMPARED: Final[dict[str, Callable[[float, float], bool]]] = {
 _WHERE: Final = re.compile(r"\s*(\w+)\s*(!=|<=|>=|=|<|>|~)\s*(.*?)\s*")
 
 
-class QueryError(ValueError):
-    """A filter or an order that cannot be: the message says why, and what there is."""
+class QueryError(CauseError):
+    """A filter or an order that cannot be."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,12 @@ class Condition:
         match = _WHERE.fullmatch(text)
         if match is None:
             raise QueryError(
-                f"{text!r} is no condition: write FIELD, one of = != < <= > >= ~, and a value, such as fc_V>0.5"
+                f"{text!r} is no condition", "write FIELD, one of = != < <= > >= ~, and a value, such as fc_V>0.5"
             )
         found = cls(*match.groups())
         require_field(found.field)
         if found.operator in _COMPARED and _number(found.value) is None:
-            raise QueryError(f"{text!r}: {found.value!r} is no number, and {found.operator} compares numbers")
+            raise QueryError(f"{text!r}: {found.value!r} is no number", f"{found.operator} compares numbers")
         return found
 
     def holds(self, run: ListedRun) -> bool:
@@ -83,7 +84,7 @@ def selected(runs: Sequence[ListedRun], where: Sequence[str] = (), sort: Sequenc
 def require_field(name: str) -> None:
     """Raise QueryError if runs have no such field."""
     if name not in FIELDS:
-        raise QueryError(f"runs have no field {name!r}; they have {', '.join(FIELDS)}")
+        raise QueryError(f"runs have no field {name!r}", f"they have {', '.join(FIELDS)}")
 
 
 def _number(text: str) -> float | None:

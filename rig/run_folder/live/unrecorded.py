@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.run_folder.live.own_folder import START_LOCK, HeldError, OwnFolder
 from rig.run_folder.live.running import running
 from rig.run_folder.live.stop_flag import StopFlag, command_of, is_recorded
@@ -15,12 +15,10 @@ from rig.run_folder.live.stop_flag import StopFlag, command_of, is_recorded
 _WAIT_S: Final = 2.0  # for a panel that starts something
 
 
-class BusyError(RigError):
-    """It cannot begin in this folder of runs: one line of cause, one of cure."""
+class BusyError(CauseError):
+    """It cannot begin in this folder of runs."""
 
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause, self.cure = cause, cure
-        super().__init__(f"{cause}\n{cure}")
+    status = 1
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError, RigError
 
 
 class RecordingError(RigError):
@@ -31,10 +31,5 @@ class CannotWriteError(RecordingError):
     """The disk does not take a file. The request itself was right."""
 
 
-class IdentifyError(RigError):
-    """A recording cannot be identified: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class IdentifyError(CauseError):
+    """A recording cannot be identified."""

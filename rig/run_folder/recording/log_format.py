@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.run_folder.recording.servo_law import ServoLaw
 
 # For each quantity its units: what one of them is in s, V, rad and rad/s. None: it takes a further number of the log.
@@ -23,8 +23,8 @@ UNITS: Final[dict[str, dict[str, float | None]]] = {
         "rpm": math.pi / 30.0,
         "counts/s": None,
     },
-    "goal": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
 }
+UNITS["goal"] = UNITS["position"]
 # First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "Winkel [deg]".
 # fmt: off
 USUAL_NAMES: Final = {
@@ -49,44 +49,32 @@ USUAL_NAMES: Final = {
 USUAL_SUPPLY: Final = {"voltage", "volts", "volt", "vin", "supply", "input", "battery", "spannung"}
 # fmt: on
 # Words of a column's name, or of a row of units, that say its unit, in small letters.
-NAMES_UNIT: Final[dict[str, dict[str, str]]] = {
+_WORDS: Final[dict[str, dict[str, str]]] = {
     "time": {
-        "ms": "ms",
-        "millis": "ms",
-        "milliseconds": "ms",
-        "us": "us",
-        "micros": "us",
-        "microseconds": "us",
-        "s": "s",
-        "sec": "s",
-        "seconds": "s",
-        "sekunden": "s",
-        "secondes": "s",
+        "ms": "ms millis milliseconds",
+        "us": "us micros microseconds",
+        "s": "s sec seconds sekunden secondes",
     },
     "drive": {
         "pwm": "pwm",
         "duty": "duty",
-        "volt": "V",
-        "volts": "V",
-        "mv": "mV",
-        "percent": "percent",
-        "prozent": "percent",
+        "V": "volt volts",
+        "mV": "mv",
+        "percent": "percent prozent",
     },
     "position": {
-        "rad": "rad",
-        "radians": "rad",
-        "deg": "deg",
-        "degrees": "deg",
-        "grad": "deg",
-        "degrés": "deg",
-        "turns": "turns",
-        "umdrehungen": "turns",
-        "tours": "turns",
-        "count": "counts",
-        "counts": "counts",
-        "ticks": "counts",
+        "rad": "rad radians",
+        "deg": "deg degrees grad degrés",
+        "turns": "turns umdrehungen tours",
+        "counts": "count counts ticks",
     },
-    "velocity": {"rpm": "rpm", "min": "rpm"},  # U/min, tr/min
+    "velocity": {
+        "rpm": "rpm min",  # U/min, tr/min
+    },
+}
+NAMES_UNIT: Final = {
+    quantity: {word: unit for unit, words in units.items() for word in words.split()}
+    for quantity, units in _WORDS.items()
 }
 NAMES_UNIT["goal"] = NAMES_UNIT["position"]
 UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {
@@ -152,13 +140,8 @@ def says_current(name: str, of_row: str = "") -> bool:
     return of_row in _CURRENTS or (bool(ampere or spoken) and not units_said(name, "drive") and not of_row)
 
 
-class LogFormatError(RigError):
-    """Columns or units of a log that cannot be: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class LogFormatError(CauseError):
+    """Columns or units of a log that cannot be."""
 
 
 @dataclass(frozen=True)

@@ -22,54 +22,25 @@ from typing import Final, Literal, NamedTuple
 
 Kind = Literal["integer", "time", "number", "micros", "name"]
 
-KINDS: Final[dict[str, Kind]] = {
-    "tick": "integer",  # number of the tick on the loop's grid; a gap is a skipped tick
-    "seq": "integer",  # sequence number of the exchange with the device
-    "t_s": "time",  # when y was sampled, since the run's start
-    "t_u_s": "time",  # when u took effect; empty where it is not known
-    "y_rad": "number",  # position
-    "y_counts": "integer",  # raw reading of y
-    "v_rad_per_s": "number",  # velocity from a tachometer; empty without one
-    "u_V": "number",  # drive that acts from t_u_s until t_u_s of the next row
-    "z_rad_s": "number",  # the law's integral of position
-    "yd_rad": "number",  # reference position; empty without one
-    "stage": "name",
-    "late_us": "micros",  # how late the tick woke up
-    "io_us": "micros",  # time spent talking to the device
-    "flags": "integer",  # bits of rig.core.signals.FLAG_*
+_COLUMNS: Final[dict[str, tuple[Kind, str]]] = {  # kind and unit
+    "tick": ("integer", "1"),  # number of the tick on the loop's grid; a gap is a skipped tick
+    "seq": ("integer", "1"),  # sequence number of the exchange with the device
+    "t_s": ("time", "s"),  # when y was sampled, since the run's start
+    "t_u_s": ("time", "s"),  # when u took effect; empty where it is not known
+    "y_rad": ("number", "rad"),  # position
+    "y_counts": ("integer", "count"),  # raw reading of y
+    "v_rad_per_s": ("number", "rad/s"),  # velocity from a tachometer; empty without one
+    "u_V": ("number", "V"),  # drive that acts from t_u_s until t_u_s of the next row
+    "z_rad_s": ("number", "rad s"),  # the law's integral of position
+    "yd_rad": ("number", "rad"),  # reference position; empty without one
+    "stage": ("name", ""),
+    "late_us": ("micros", "us"),  # how late the tick woke up
+    "io_us": ("micros", "us"),  # time spent talking to the device
+    "flags": ("integer", "bits"),  # bits of rig.core.signals.FLAG_*
 }
-COLUMNS: Final = (
-    "tick",
-    "seq",
-    "t_s",
-    "t_u_s",
-    "y_rad",
-    "y_counts",
-    "v_rad_per_s",
-    "u_V",
-    "z_rad_s",
-    "yd_rad",
-    "stage",
-    "late_us",
-    "io_us",
-    "flags",
-)
-UNITS: Final[dict[str, str]] = {
-    "tick": "1",
-    "seq": "1",
-    "t_s": "s",
-    "t_u_s": "s",
-    "y_rad": "rad",
-    "y_counts": "count",
-    "v_rad_per_s": "rad/s",
-    "u_V": "V",
-    "z_rad_s": "rad s",
-    "yd_rad": "rad",
-    "stage": "",
-    "late_us": "us",
-    "io_us": "us",
-    "flags": "bits",
-}
+COLUMNS: Final = tuple(_COLUMNS)
+KINDS: Final = {name: kind for name, (kind, _) in _COLUMNS.items()}
+UNITS: Final = {name: unit for name, (_, unit) in _COLUMNS.items()}
 HEADER: Final = ",".join(COLUMNS) + "\n"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.core.faults import Fault
 from rig.running.calibrate.wiring import Wiring
 
@@ -17,14 +17,12 @@ def stopped(fault: Fault) -> str:
     return f"{ALONE if fault.detail == ALONE else 'stopped'}: the drive is at 0 V"
 
 
-class Refusal(RigError):
-    """What cannot be used: one line of cause, one of cure, and drawings of the wires to look at."""
+class Refusal(CauseError):
+    """What cannot be used, and drawings of the wires to look at."""
 
     def __init__(self, cause: str, cure: str, drawings: tuple[Wiring, ...] = ()) -> None:
-        self.cause = cause
-        self.cure = cure
+        super().__init__(cause, cure)
         self.drawings = drawings
-        super().__init__(f"{cause}\n{cure}")
 
 
 class NotMovedError(Refusal):

@@ -15,7 +15,7 @@ from rig.config.edit import EditError
 from rig.config.load import load_with_places
 from rig.config.problems import ConfigError
 from rig.control.loop.stop_request import Gone
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.running.calibrate.dialogue import Ask, Motion, Say, Skipped
 from rig.running.calibrate.draft import Draft
@@ -30,12 +30,10 @@ if TYPE_CHECKING:
 _NEEDED_BEFORE = ("daq", "drive.bridge", "emulated", "loop.pace")  # keys without which no device can be opened
 
 
-class NotWrittenError(RigError):
-    """The calibration ended and nothing is written: one line of cause, one of cure."""
+class NotWrittenError(CauseError):
+    """The calibration ended and nothing is written."""
 
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause, self.cure = cause, cure
-        super().__init__(f"{cause}\n{cure}")
+    status = 1
 
 
 class Front(Protocol):

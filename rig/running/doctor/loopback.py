@@ -7,7 +7,7 @@ import math
 import platform
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from statistics import median
@@ -23,7 +23,6 @@ from rig.run_folder.live.stop_flag import StopFlag
 from rig.running.doctor.finding import Finding
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.serial.emulated.firmware_build import Variant
     from rig.run_folder.results import JsonObject
 
 EMULATED_PORTS = ("emulated-chip", "emulated-pico")
@@ -292,9 +291,12 @@ def bare_board(port: str, baud: int) -> Iterator[Transport]:
     Raises Fault LINK_OPEN; EmulationError where it cannot be built.
     """
     if port in EMULATED_PORTS:
-        from rig.backends.serial.emulated.firmware_build import Variant
+        from rig.backends.serial.emulated.firmware_build import Variant, require_emulator
 
-        board = emulated_board(port, Variant(baud=baud))
+        require_emulator(port)
+        from chips.opening import bare_chip
+
+        board: Transport = bare_chip(port, Variant(baud=baud))
     else:
         from rig.backends.links.serial_port import SerialPort
 
@@ -303,22 +305,6 @@ def bare_board(port: str, baud: int) -> Iterator[Transport]:
         yield board
     finally:
         board.close()
-
-
-def emulated_board(port: str, options: Variant, wires: int = 7) -> Transport:
-    """A bare emulated board: ``wires`` as of ``VirtualChip``."""
-    from rig.backends.serial.emulated.pico_parameters import pico_parameters
-    from rig.backends.serial.emulated.virtual_chip import VirtualChip
-    from rig.backends.serial.emulated.virtual_pico import VirtualPico
-    from rig.model.bench import BenchParameters
-    from rig.model.friction import coulomb
-    from rig.model.motor import Motor
-
-    nobody = BenchParameters(Motor(0.1, 1.0, coulomb(1.0)), encoder=options.encoder)
-    if port == "emulated-pico":
-        nobody = replace(nobody, counts_max=4095, centre_counts=2048)
-        return VirtualPico(pico_parameters(nobody, options=options, wires=wires))
-    return VirtualChip(nobody, options=options, wires=wires)
 
 
 class Visit(NamedTuple):

@@ -20,7 +20,7 @@ from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRan
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
 from rig.control.known_motor import NOT_COMPENSATED
-from rig.control.law import Constant, Rest, Timed
+from rig.control.law import Constant, Law, Rest, Timed
 from rig.control.leased_jog import LeasedDrive
 from rig.control.loop.pre_run import PreRunBench, pre_run
 from rig.control.loop.real_time import RealTime, real_time
@@ -91,20 +91,24 @@ def drive_law(session: Session, law: Timed) -> None:
 
 
 def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
-    """A constant drive between two rests, within the limits; outside them only inward."""
-    session.loop.guard.recovering = True
+    """A constant drive, as ``_jog``."""
+    _jog(session, Constant(u_V, duration_s))
+
+
+def _jog(session: Session, law: Law) -> None:
+    """A law between two rests, within the limits; outside them only inward."""
+    loop = session.loop
+    loop.guard.recovering = True
     with driving(session):
-        session.loop.run(Rest(0.1), "rest")
-        from_rad = session.loop.last_y_rad
-        session.loop.run(Constant(u_V, duration_s), "jog")
-        session.loop.run(Rest(REST_S), "rest")
-        session.found.jog = JogResult(
-            from_rad=from_rad, to_rad=session.loop.last_y_rad, refused_ticks=session.loop.guard.clipped_ticks
-        )
+        loop.run(Rest(0.1), "rest")
+        from_rad = loop.last_y_rad
+        loop.run(law, "jog")
+        loop.run(Rest(REST_S), "rest")
+        session.found.jog = JogResult(from_rad=from_rad, to_rad=loop.last_y_rad, refused_ticks=loop.guard.clipped_ticks)
 
 
 def drive_by_lease(session: Session, longest_s: float, recorded: Callable[[int], float | None] | None = None) -> None:
-    """A drive by leases between two rests, within the limits; outside them only inward.
+    """A drive by leases, as ``_jog``.
 
     longest_s  the jog ends after this time, s, whoever renews a lease
     recorded   in a replay: the drive by its row, V; None: the jog ended there
@@ -116,15 +120,7 @@ def drive_by_lease(session: Session, longest_s: float, recorded: Callable[[int],
         session.note("lease", row=loop.rows, u_V=u_V)
 
     def drive(promised: Callable[[], float | None]) -> None:
-        loop.guard.recovering = True
-        with driving(session):
-            loop.run(Rest(0.1), "rest")
-            from_rad = loop.last_y_rad
-            loop.run(LeasedDrive(promised, changed, longest_s), "jog")
-            loop.run(Rest(REST_S), "rest")
-            session.found.jog = JogResult(
-                from_rad=from_rad, to_rad=loop.last_y_rad, refused_ticks=loop.guard.clipped_ticks
-            )
+        _jog(session, LeasedDrive(promised, changed, longest_s))
 
     if recorded is not None:
         drive(lambda: recorded(loop.rows))

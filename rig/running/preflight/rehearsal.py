@@ -10,7 +10,7 @@ from rig.backends.registry import backend_of
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import EmulatedMotor, Experiment
 from rig.config.yaml12 import Document
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.run_folder.results import JsonObject
 from rig.running.preflight.file import check
 
@@ -24,13 +24,8 @@ _SLACK = 1.01  # the config's digits are rounded
 _OUT_OF_REACH = 1.1  # times drive.max_V: a describing function is only about right
 
 
-class SheetError(RigError):
-    """Numbers of a data sheet that make no motor: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class SheetError(CauseError):
+    """Numbers of a data sheet that make no motor."""
 
 
 @dataclass(frozen=True)

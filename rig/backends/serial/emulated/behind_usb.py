@@ -7,8 +7,7 @@ import contextlib
 from rig.backends.emulated.plug import Until
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.usb_chip import UsbChip
-from rig.backends.serial.emulated.virtual_device import VirtualDevice
-from rig.backends.serial.emulated.virtual_pico import VirtualPico
+from rig.backends.serial.emulated.virtual_device import PortAndClock
 from rig.core.faults import Fault
 
 
@@ -21,7 +20,7 @@ class BehindUsb:
 
     absolute = True  # of the clock
 
-    def __init__(self, device: VirtualDevice | VirtualPico, adapter: Adapter) -> None:
+    def __init__(self, device: PortAndClock, adapter: Adapter) -> None:
         self.device = device
         device.reads = Until.BYTE  # it collects them itself
         self._chip = UsbChip(adapter)

@@ -32,16 +32,17 @@ _BUILT: Final = {
     "pico-chip": "the Pico's firmware and its emulated chip",
 }
 _PACKAGE = FOLDER
-_AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
+_TOOLS = str(FOLDER.parent / "tools")  # of the repository: chips is there
+AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
 _NO_HEADER: Final = {  # what the compiler says: a library that Debian packs apart from what needs it
-    "avr/io.h: No such file": f"avr-gcc has no C library: install it (Debian: apt-get install {_AVR_PACKAGES})",
+    "avr/io.h: No such file": f"avr-gcc has no C library: install it (Debian: apt-get install {AVR_PACKAGES})",
     "error: simavr/": "the emulated chip lacks simavr: install it (Debian: apt-get install libsimavr-dev)",
 }
 _EMULATORS: Final = (  # ports that begin with, what is emulated there, a source of it
     ("emulated-chip", "chip", "emulator/chip.c"),
     ("emulated-pico", "Pico", "emulator/pico/chip.js"),
 )
-_PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
+PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
 
 
 class HostFirmware(NamedTuple):
@@ -96,23 +97,6 @@ class Variant(NamedTuple):
 PLAIN_VARIANT = Variant()
 
 
-class ChipFirmware(NamedTuple):
-    """What the build gives: the very .hex that is flashed, and the emulated chip, for virtual time and as a process."""
-
-    hex: Path
-    library: Path
-    program: Path
-
-
-class PicoFirmware(NamedTuple):
-    """What the build gives: the very .uf2 that is flashed; node, its emulated chip, and the bench behind that."""
-
-    uf2: Path
-    node: str
-    program: Path
-    bench: Path
-
-
 def source_folder() -> Path:
     """Folder of the firmware's sources: in the repository, else as packaged with rig.
 
@@ -126,16 +110,20 @@ def source_folder() -> Path:
 
 
 def require_emulator(port: str | None) -> None:
-    """Raise EmulationError where ``port`` names an emulated chip, and this rig has none: what is installed has no chip.
+    """Make the package ``chips`` one that can be imported, where ``port`` names an emulated chip.
 
-    A command asks before anything slow.
+    Raises EmulationError where this rig has none: what is installed has no chip. A command asks before anything slow.
     """
     for begins, chip, source in _EMULATORS:
-        if port is not None and port.startswith(begins) and not (source_folder() / source).is_file():
+        if port is None or not port.startswith(begins):
+            continue
+        if not (source_folder() / source).is_file():
             raise EmulationError(
                 f"the emulated {chip} is in rig's repository only\n"
                 "run this command in a clone of it; without one: `rig config copy simulated`"
             )
+        if _TOOLS not in sys.path:
+            sys.path.append(_TOOLS)
 
 
 def build(build_folder: Path | None = None) -> HostFirmware:
@@ -145,7 +133,7 @@ def build(build_folder: Path | None = None) -> HostFirmware:
                   installed rig
     Raises EmulationError if make or the C compiler is missing, or the build fails.
     """
-    folder = _make(build_folder, ["host"], {}) / "host"
+    folder = make(build_folder, ["host"], {}) / "host"
     return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
 
 
@@ -154,20 +142,8 @@ def build_uno(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None
 
     Raises EmulationError also where avr-gcc or its library is missing.
     """
-    folder = _make(build_folder, ["uno", *options.variables()], {"avr-gcc": f"apt-get install {_AVR_PACKAGES}"})
+    folder = make(build_folder, ["uno", *options.variables()], {"avr-gcc": f"apt-get install {AVR_PACKAGES}"})
     return folder / "uno" / f"{options.name}.hex"
-
-
-def build_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> ChipFirmware:
-    """Build the Uno's firmware and its emulated chip, as ``build`` does.
-
-    Raises EmulationError also where avr-gcc is missing, or the repository: what is installed has no emulated chip.
-    """
-    require_emulator("emulated-chip")
-    tools = {"avr-gcc": f"apt-get install {_AVR_PACKAGES} libsimavr-dev"}
-    folder = _make(build_folder, ["chip", *options.variables()], tools)
-    chip = folder / "chip"
-    return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
 
 
 def build_pico(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
@@ -175,28 +151,15 @@ def build_pico(options: Variant = PLAIN_VARIANT, build_folder: Path | None = Non
 
     Raises EmulationError also where arm-none-eabi-gcc is missing.
     """
-    folder = _make(build_folder, ["pico", *options.variables()], _PICO_TOOLS)
+    folder = make(build_folder, ["pico", *options.variables()], PICO_TOOLS)
     return folder / "pico" / f"{options.name_for('pico')}.uf2"
 
 
-def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> PicoFirmware:
-    """Build the Pico's firmware and what its emulated chip needs, as ``build`` does.
+def make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
+    """Make the targets; the folder that they are in. Raises EmulationError as ``build``.
 
-    Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing, or the repository: what is
-    installed has no emulated chip.
+    tools  what they need besides a C compiler, and its cure
     """
-    require_emulator("emulated-pico")
-    emulator = source_folder() / "emulator" / "pico"
-    node = shutil.which("node")
-    if node is None or not (emulator / "node_modules" / "rp2040js").is_dir():
-        missing = "node" if node is None else "rp2040js"
-        raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run `make setup`")
-    folder = _make(build_folder, ["pico-chip", *options.variables()], _PICO_TOOLS) / "pico"
-    return PicoFirmware(folder / f"{options.name_for('pico')}.uf2", node, emulator / "main.js", folder / "bench.node")
-
-
-def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
-    """Make the targets; the folder that they are in. ``tools``: what they need besides a C compiler, and its cure."""
     try:
         import fcntl  # not everywhere
     except ImportError as error:

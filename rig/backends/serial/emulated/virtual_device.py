@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
 
+from typing_extensions import override
+
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Plug, Until
 from rig.core.faults import Fault
@@ -18,7 +20,50 @@ _READ_BYTES = 512
 Truth = TypeVar("Truth", bound=tuple[Any, ...])  # a NamedTuple of floats, ints and bools
 
 
-class VirtualDevice(Plug):
+class PortAndClock(Plug):
+    """A device whose time passes while its port is read or its clock is asked to wait; it counts nanoseconds.
+
+    device  what is unplugged, in the fault's words
+    """
+
+    absolute = True  # of the clock: it sleeps until an instant, not for a while
+
+    def __init__(self, device: str) -> None:
+        super().__init__(device)
+        self.reads = Until.FRAME  # what ends a ``read``
+
+    def write(self, data: bytes) -> None:
+        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged."""
+        raise NotImplementedError
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, up to the end of a frame; all there is after ``timeout_s`` of virtual time without one.
+
+        Raises Fault LINK_LOST when unplugged.
+        """
+        raise NotImplementedError
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        return self._now_ns() / 1e9
+
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s`` (to the next nanosecond), none if that is past; the time then, s."""
+        until_ns = math.ceil(1e9 * t_s)
+        if until_ns / 1e9 < t_s:  # rounding
+            until_ns += 1
+        self._run(until_ns, Until.TIME)
+        return self.now_s()
+
+    def _now_ns(self) -> int:
+        raise NotImplementedError
+
+    def _run(self, until_ns: int, until: Until) -> None:
+        """Let time pass to ``until_ns``, or to what arrives at the host before."""
+        raise NotImplementedError
+
+
+class VirtualDevice(PortAndClock):
     """Wire, clock and bench of a device in a shared library whose functions are named virtual_... .
 
     library  as ``load`` gives it
@@ -27,11 +72,8 @@ class VirtualDevice(Plug):
     Raises EmulationError if an option is wrong, MemoryError if there is no room for the device.
     """
 
-    absolute = True  # of the clock: it sleeps until an instant, not for a while
-
     def __init__(self, library: ctypes.CDLL, options: Mapping[str, str], byte_ns: int) -> None:
         super().__init__("virtual board")
-        self.reads = Until.FRAME
         self._library = library
         self._board = ctypes.c_void_p(library.virtual_new())
         if not self._board:
@@ -48,17 +90,14 @@ class VirtualDevice(Plug):
 
     # ------------------------------------------------------------------ port
 
+    @override
     def write(self, data: bytes) -> None:
-        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged or clogged."""
         self._check_plug()
         if self._library.virtual_write(self._board, data, len(data)) != len(data):
             raise Fault("LINK_LOST", "the virtual wire takes no more bytes")
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, up to the end of a frame; all there is after ``timeout_s`` of virtual time without one.
-
-        Raises Fault LINK_LOST when unplugged.
-        """
         self._check_plug()
         until_ns = self._now_ns() + math.ceil(1e9 * max(timeout_s, 0.0))
         self._run(until_ns, self.reads)
@@ -67,24 +106,13 @@ class VirtualDevice(Plug):
 
     # ------------------------------------------------------------------ clock
 
+    @override
     def _now_ns(self) -> int:
         now_ns: int = self._library.virtual_now_ns(self._board)
         return now_ns
 
-    def now_s(self) -> float:
-        """Virtual time, s."""
-        return self._now_ns() / 1e9
-
-    def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s`` (to the next nanosecond), none if that is past; the time then, s."""
-        until_ns = math.ceil(1e9 * t_s)
-        if until_ns / 1e9 < t_s:  # rounding
-            until_ns += 1
-        self._run(until_ns, Until.TIME)
-        return self.now_s()
-
+    @override
     def _run(self, until_ns: int, until: Until) -> None:
-        """Let time pass to ``until_ns``, or to what arrives at the host before."""
         self._library.virtual_run(self._board, until_ns, until)
 
     # ------------------------------------------------------------------ what may happen to a bench

@@ -7,10 +7,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from chips import build
+from chips.build import ChipFirmware
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, ChipFirmware, Variant
+from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.emulated.virtual_device import VirtualDevice, fields_of, load, seen
 from rig.model.bench import BenchParameters
 
@@ -116,7 +117,7 @@ class VirtualChip(VirtualDevice):
         wires: int | None = None,
         build_folder: Path | None = None,
     ) -> None:
-        firmware = firmware_build.build_chip(options, build_folder)
+        firmware = build.build_chip(options, build_folder)
         wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
         if wires is not None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.campaign import Campaign
-from rig.core.errors import RigError
+from rig.core.errors import CauseError
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
@@ -29,17 +29,14 @@ MOST_DRAWS = 10_000
 LONGEST_CYCLE = 1.6  # times the describing function's period: delay and sampling make the cycle longer
 
 
-class CampaignError(RigError):
-    """A campaign cannot be run: one line of cause, one of cure."""
-
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+class CampaignError(CauseError):
+    """A campaign cannot be run."""
 
 
 class BrokenOffError(CampaignError):
     """A campaign ended early, and not by its config: all experiments fail, or a worker process was killed."""
+
+    status = 1
 
 
 @dataclass(frozen=True)

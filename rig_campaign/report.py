@@ -6,14 +6,13 @@ import base64
 import math
 from pathlib import Path
 
-import jinja2
-
-from rig.campaign import picture
-from rig.campaign.results import Table
-from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
 from rig.core.package import VERSION
+from rig.output.report.style import templates
 from rig.run_folder.recording.folder import write_whole
+from rig_campaign import picture
+from rig_campaign.results import Table
+from rig_campaign.summary import MAIN, ParameterSums, Summary, Sums
 
 PICTURE = "campaign.png"
 REPORT = "report.html"
@@ -33,26 +32,23 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
     """Write campaign.png and report.html into the campaign's folder. Raises CannotWriteError."""
     image = picture.draw(campaign, table)
     write_whole(folder / PICTURE, image)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.campaign", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template(TEMPLATE).render(
-        campaign=campaign,
-        found=found,
-        headings=HEADINGS,
-        tables=[
-            (f"{found['ok']['number']} experiments called ok", table_rows(found["ok"])),
-            (f"all {found['estimated']['number']} that have an estimate", table_rows(found["estimated"])),
-        ],
-        sentences=sentences(found),
-        fewest_in_cell=picture.FEWEST_IN_CELL,
-        picture=base64.b64encode(image).decode("ascii"),
-        config=dump(campaign),
-        version=VERSION,
+    page = (
+        templates("rig_campaign")
+        .get_template(TEMPLATE)
+        .render(
+            campaign=campaign,
+            found=found,
+            headings=HEADINGS,
+            tables=[
+                (f"{found['ok']['number']} experiments called ok", table_rows(found["ok"])),
+                (f"all {found['estimated']['number']} that have an estimate", table_rows(found["estimated"])),
+            ],
+            sentences=sentences(found),
+            fewest_in_cell=picture.FEWEST_IN_CELL,
+            picture=base64.b64encode(image).decode("ascii"),
+            config=dump(campaign),
+            version=VERSION,
+        )
     )
     write_whole(folder / REPORT, page.encode("utf-8"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.backends.serial.emulated import firmware_build
+from chips import build
 from rig.backends.serial.emulated.device_options import device_options
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
@@ -37,7 +37,7 @@ def pico_parameters(
     build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator is missing or cannot be built.
     """
-    firmware = firmware_build.build_pico_chip(options, build_folder)
+    firmware = build.build_pico_chip(options, build_folder)
     of_bench = device_options(bench, seed, clock_error_ppm)
     del of_bench["drive-counts"]
     return {

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from chips import build
+from chips.virtual_chip import chip_options, variant_of
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.virtual_chip import chip_options, variant_of
 from rig.config.schema import Emulated, Tachometer
 
 
@@ -36,6 +36,6 @@ class ChipBoard(BoardProcess):
         self._must_not_run()
         bench = bench_parameters(emulated, tachometer)
         options = variant_of(bench, baud, bridge)
-        firmware = firmware_build.build_chip(options)
+        firmware = build.build_chip(options)
         wanted = chip_options(firmware, bench, seed, emulated.clock_error_ppm, options)
         return self._launch(firmware.program, {**wanted, "baud": str(baud)}, link, trace)

@@ -28,5 +28,7 @@ class PicoBoard(BoardProcess):
         Raises EmulationError where it does not start.
         """
         self._must_not_run()
-        program = (sys.executable, "-P", "-m", "rig.backends.serial.emulated.pico_process")
+        tools = str(Path(__file__).parents[1])
+        begin = f"import sys; sys.path.append({tools!r}); from chips.pico_process import main; main()"
+        program = (sys.executable, "-P", "-c", begin)
         return self._launch(program, {"chip": json.dumps(parameters)}, link, trace)

@@ -19,9 +19,9 @@ import time
 from pathlib import Path
 from typing import TextIO
 
+from chips.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 
 _STEP_S = 0.001
 _STALL_S = 10.0  # longer than a host measures the clock for: time that the chip loses then looks like a restart
@@ -122,7 +122,3 @@ class _Board:
         row = f"{t_s:.6f},{truth.pin_V:.6f},{truth.y_rad:.6f},{truth.v_rad_per_s:.6f},{truth.led:d}"
         self._rows.write(row + "\n")
         self._rows.flush()
-
-
-if __name__ == "__main__":
-    main()

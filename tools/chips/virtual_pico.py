@@ -10,8 +10,11 @@ import weakref
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NotRequired, TypedDict
 
+from typing_extensions import override
+
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.plug import Plug, Until
+from rig.backends.emulated.plug import Until
+from rig.backends.serial.emulated.virtual_device import PortAndClock
 
 if TYPE_CHECKING:  # it loads slowly
     from pydantic import JsonValue
@@ -29,7 +32,7 @@ class _Said(TypedDict):
     """What the emulator answers."""
 
     received: str
-    now_ns: float
+    now_ns: int
     results: list[Any]
     error: NotRequired[str]
 
@@ -67,7 +70,7 @@ class PicoTruth(NamedTuple):
     overruns: int
 
 
-class VirtualPico(Plug):
+class VirtualPico(PortAndClock):
     """One emulated Pico, powered on at virtual time 0: wire, clock and bench in one. Any number may live side by side.
 
     parameters  as ``pico_parameters`` gives them
@@ -75,51 +78,37 @@ class VirtualPico(Plug):
     Raises EmulationError if a parameter is out of range.
     """
 
-    absolute = True  # of the clock: it sleeps until an instant, not for a while
-
     def __init__(self, parameters: Mapping[str, Any], emulator: subprocess.Popen[bytes] | None = None) -> None:
         super().__init__("virtual Pico")
         self._process = emulator or subprocess.Popen(
             parameters["command"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
         self._finalizer = weakref.finalize(self, _end, self._process)
-        self.reads = Until.FRAME
         self._to_send = b""
         self._received = b""
-        self._now_ns = 0.0
+        self._at_ns = 0
         self._say(dict(parameters))
 
     # ------------------------------------------------------------------ port
 
+    @override
     def write(self, data: bytes) -> None:
-        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged."""
         self._check_plug()
         self._to_send += data
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, up to the end of a frame; all there is after ``timeout_s`` of virtual time without one.
-
-        Raises Fault LINK_LOST when unplugged.
-        """
         self._check_plug()
         if not self._received:
-            self._run(self._now_ns + math.ceil(1e9 * max(timeout_s, 0.0)), self.reads)
+            self._run(self._now_ns() + math.ceil(1e9 * max(timeout_s, 0.0)), self.reads)
         data, self._received = self._received, b""
         return data
 
     # ------------------------------------------------------------------ clock
 
-    def now_s(self) -> float:
-        """Virtual time, s."""
-        return self._now_ns / 1e9
-
-    def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s`` (to the next nanosecond), none if that is past; the time then, s."""
-        until_ns = math.ceil(1e9 * t_s)
-        if until_ns / 1e9 < t_s:  # rounding
-            until_ns += 1
-        self._run(until_ns, Until.TIME)
-        return self.now_s()
+    @override
+    def _now_ns(self) -> int:
+        return self._at_ns
 
     # ------------------------------------------------------------------ what may happen to a bench
 
@@ -176,7 +165,8 @@ class VirtualPico(Plug):
         self._finalizer.detach()
         return self._process
 
-    def _run(self, until_ns: float, until: Until) -> None:
+    @override
+    def _run(self, until_ns: int, until: Until) -> None:
         self._ask({"until_ns": until_ns, "until": until, "calls": []})
 
     def _call(self, method: str, *given: JsonValue) -> Any:
@@ -186,7 +176,7 @@ class VirtualPico(Plug):
         said = self._say({"send": self._to_send.hex(), **what})
         self._to_send = b""
         self._received += bytes.fromhex(said["received"])
-        self._now_ns = said["now_ns"]
+        self._at_ns = said["now_ns"]
         return said["results"]
 
     def _say(self, what: JsonObject) -> _Said:
