@@ -140,7 +140,7 @@ def cited_by_file() -> dict[str, set[str]]:
 def code_line(number: str, cited: dict[str, set[str]]) -> str:
     """The line that names the files of rig and tools which cite a section; empty if there are none."""
     files = sorted(
-        name for name, numbers in cited.items() if number in numbers and name.startswith(("rig/", "rig_campaign/", "tools/paper/"))
+        name for name, numbers in cited.items() if number in numbers and name.startswith(("rig/", "tools/paper/"))
     )
     words = ", ".join(f"`{name}`" for name in files)
     return "\n".join(textwrap.wrap(f"Code: {words}", WIDTH, break_on_hyphens=False)) + "\n" if files else ""

@@ -171,7 +171,6 @@ def laid_out(figure: Figure) -> Figure:
 def save(file: Path, title: str, height_in: float, draw: Callable[[Figure], None]) -> None:
     """Write what ``draw`` puts into an empty figure; the file's suffix, one of ``FORMATS``, names the format.
 
-    height_in  inches
     Raises CannotWriteError.
     """
     suffix = file.suffix.lower()

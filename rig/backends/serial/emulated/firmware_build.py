@@ -156,7 +156,7 @@ def build_pico(options: Variant = PLAIN_VARIANT, build_folder: Path | None = Non
 
 
 def make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
-    """Make the targets; the folder that they are in. Raises EmulationError as ``build``.
+    """Make the targets, as ``build`` does; the folder that they are in.
 
     tools  what they need besides a C compiler, and its cure
     """
