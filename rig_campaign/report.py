@@ -33,7 +33,7 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
     image = picture.draw(campaign, table)
     write_whole(folder / PICTURE, image)
     page = (
-        templates("rig_campaign")
+        templates("rig.campaign")
         .get_template(TEMPLATE)
         .render(
             campaign=campaign,
