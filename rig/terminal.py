@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from shlex import quote
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING
@@ -33,6 +34,7 @@ from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.tuned import TunedResult
 
 if TYPE_CHECKING:  # each loads slowly
+    from rig.campaign.summary import Summary
     from rig.design.tune.servo_loop import ServoLoop
     from rig.model.prediction import PredictedCycle
     from rig.running.doctor.finding import Finding
@@ -547,6 +549,17 @@ def _interval(estimate: EstimateResult, name: str, truth: TrueMotor | None) -> s
     if true:
         text += f" ({100.0 * (value / true - 1.0):+.1f} %)"
     return text
+
+
+def show_campaign(found: Summary, folder: Path) -> None:
+    """Show a campaign: its errors against the bound, and where the files are; ``found`` is its summary.json."""
+    from rig.campaign.report import HEADINGS, sentences, table_rows
+
+    title = f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok"
+    show_table(title, HEADINGS, list(table_rows(found["ok"])))
+    click.echo("\n".join(sentences(found)))
+    click.echo(f"rows:   {folder / 'results.csv'}")
+    click.echo(f"report: {folder / 'report.html'}")
 
 
 def show_scatter(results: Sequence[RunResult]) -> None:

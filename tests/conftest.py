@@ -132,6 +132,6 @@ def plain_motor() -> Iterator[None]:
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """A campaign writes no page: that takes a second to draw, and is tested elsewhere."""
-    from rig_campaign import report
+    from rig.campaign import report
 
     monkeypatch.setattr(report, "write_report", lambda *_: None)

@@ -24,7 +24,7 @@ from pathlib import Path
 from check_signatures import functions, is_plain
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("rig", "rig_campaign")
+ROOMS = ("rig",)
 
 ROW = re.compile(r"^ *((?:[A-Za-z_]\w*)(?:, [A-Za-z_]\w*)*) {2,}\S")
 UNITS = {"s", "ms", "us", "s2", "rad", "mrad", "deg", "V", "Hz", "ppm", "counts", "units", "ticks", "bytes"}

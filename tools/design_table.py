@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import config
+from rig.campaign.grid import Draw, draw
 from rig.control.strokes import Stroke
 from rig.design import compiled
 from rig.design.belief import Belief
@@ -27,7 +28,6 @@ from rig.design.relay_search import best_of, gain_grid
 from rig.design.room import Reading, Room
 from rig.design.stroke_search import best_strokes
 from rig.model.compiled.motion import response
-from rig_campaign.grid import Draw, draw
 from shared import page
 from shared.cases import in_order
 

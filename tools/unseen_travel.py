@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig import config
+from rig.campaign.grid import draw
 from rig.config.schema import MotorSection as DataSheet
 from rig.control.breakaway import BreakawayCheck
 from rig.core.faults import Fault
@@ -30,7 +31,6 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.running.experiment.stages import breakaway_check
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
-from rig_campaign.grid import draw
 
 ROOT = Path(__file__).resolve().parent.parent
 FRICTION_V = (0.05, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import click
 
@@ -13,10 +13,7 @@ from rig import config
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
 from rig.cli.options import CONFIG, JSON
 from rig.run_folder.recording.folder import json_text
-from rig.terminal import progress, show_table
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig_campaign.summary import Summary
+from rig.terminal import progress, show_campaign
 
 
 @click.command()
@@ -69,12 +66,12 @@ def campaign(
     folder = resume or out
     try:
         if only is not None:
-            from rig_campaign.trial import run_trial
+            from rig.campaign.trial import run_trial
 
             click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
             return
         try:
-            from rig_campaign import results, session
+            from rig.campaign import results, session
         except ModuleNotFoundError as error:
             fail(
                 EXIT_BAD_INPUT,
@@ -98,16 +95,5 @@ def campaign(
     if as_json:
         click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
     else:
-        _show(done.summary, folder)
+        show_campaign(done.summary, folder)
     sys.exit(EXIT_FAILED if done.summary["failed"] else 0)
-
-
-def _show(found: Summary, folder: Path) -> None:
-    """Its errors against the bound, and where the files are; ``found`` is its summary.json."""
-    from rig_campaign.report import HEADINGS, sentences, table_rows
-
-    title = f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok"
-    show_table(title, HEADINGS, list(table_rows(found["ok"])))
-    click.echo("\n".join(sentences(found)))
-    click.echo(f"rows:   {folder / 'results.csv'}")
-    click.echo(f"report: {folder / 'report.html'}")

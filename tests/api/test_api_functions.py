@@ -14,12 +14,12 @@ import yaml
 import rig
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.flash import FlashError
+from rig.campaign.grid import CampaignError
 from rig.config import ConfigError
 from rig.config.ready import UnknownConfigError
 from rig.core.plug_ins import PlugInError
 from rig.identification import IdentifyError
 from rig.run_folder.recording.errors import RecordingError
-from rig_campaign.grid import CampaignError
 
 pytestmark = [pytest.mark.drawn, pytest.mark.laws]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from rig.campaign.trial import COLUMNS
 from rig.config import Campaign
 from rig.identification.estimate import PARAMETERS
-from rig_campaign.trial import COLUMNS
 
 # What two runs of one experiment may differ in.
 UNREPEATABLE = ("seconds",)

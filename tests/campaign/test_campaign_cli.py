@@ -12,9 +12,9 @@ import pytest
 from command_line import rig
 from small_campaign import small
 
+from rig.campaign import picture, results, trial
+from rig.campaign.trial import Row, run_trial
 from rig.config import Campaign, ConfigError, dump, load_campaign
-from rig_campaign import picture, results, trial
-from rig_campaign.trial import Row, run_trial
 
 ROOT = Path(__file__).resolve().parents[2]
 READY = sorted((ROOT / "config").glob("campaign*.yaml"))
@@ -127,8 +127,8 @@ def test_without_its_packages_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "joblib", None)
     for name in ("runner", "session"):
-        monkeypatch.delitem(sys.modules, f"rig_campaign.{name}", raising=False)
-        monkeypatch.delattr(f"rig_campaign.{name}", raising=False)
+        monkeypatch.delitem(sys.modules, f"rig.campaign.{name}", raising=False)
+        monkeypatch.delattr(f"rig.campaign.{name}", raising=False)
     result = rig("campaign", config, "--out", tmp_path)
     assert result.exit_code == 2
     assert "the package joblib, which is not installed" in result.stderr

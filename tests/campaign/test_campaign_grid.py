@@ -10,11 +10,11 @@ from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rig.campaign import grid
+from rig.campaign.grid import CampaignError
 from rig.config import Campaign
 from rig.config.campaign import CampaignMotor, CampaignRelay, CampaignSampling, CampaignSensor, CorrelatedNoise
 from rig.model.describing_function import predict
-from rig_campaign import grid
-from rig_campaign.grid import CampaignError
 
 GRID = Campaign(name="grid", experiments=1)
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from rig.campaign import session
+from rig.campaign.summary import Summary
 from rig.config import load_campaign
-from rig_campaign import session
-from rig_campaign.summary import Summary
 
 pytestmark = pytest.mark.long
 

@@ -15,10 +15,10 @@ import pytest
 from evidence import evidence
 from small_campaign import small, table
 
+from rig.campaign import picture, summary
+from rig.campaign.report import HEADINGS, sentences, table_rows, write_report
 from rig.config import Campaign
 from rig.identification.estimate import PARAMETERS
-from rig_campaign import picture, summary
-from rig_campaign.report import HEADINGS, sentences, table_rows, write_report
 
 pytestmark = pytest.mark.drawn
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from small_campaign import small
 
+from rig.campaign import results
+from rig.campaign.grid import CampaignError
+from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import load_campaign
-from rig_campaign import results
-from rig_campaign.grid import CampaignError
-from rig_campaign.trial import COLUMNS, Row, run_trial
 
 
 @cache

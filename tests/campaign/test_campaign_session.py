@@ -19,10 +19,10 @@ import pytest
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from small_campaign import UNREPEATABLE, small
 
+from rig.campaign import results, runner, session
+from rig.campaign.grid import BrokenOffError, CampaignError
+from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import Campaign, dump
-from rig_campaign import results, runner, session
-from rig_campaign.grid import BrokenOffError, CampaignError
-from rig_campaign.trial import COLUMNS, Row, run_trial
 
 COUNT = 24
 
@@ -149,7 +149,7 @@ def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path: Pat
 def test_a_dask_cluster_gives_the_same_rows(tmp_path: Path) -> None:
     """In a process of its own: a cluster that is started in a worker of pytest-xdist hangs. Without a page."""
     program = (
-        "import sys; from pathlib import Path; from rig_campaign import report, session; "
+        "import sys; from pathlib import Path; from rig.campaign import report, session; "
         "from small_campaign import small; "
         "report.write_report = lambda *_: None; "
         "print(session.run(small(int(sys.argv[1])), Path(sys.argv[2]), jobs=2, backend=sys.argv[3]).added)"
@@ -208,7 +208,7 @@ def failing(*numbers: int) -> Callable[[Campaign, int], Row]:
 
 
 def test_a_defect_is_one_experiments_row_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig_campaign.trial.run_trial", failing(0, 5))
+    monkeypatch.setattr("rig.campaign.trial.run_trial", failing(0, 5))
     done = session.run(small(COUNT), tmp_path, jobs=1)
     table = results.read(tmp_path)
     assert table["number"].tolist() == list(range(COUNT))
@@ -229,7 +229,7 @@ def test_a_defect_is_one_experiments_row_and_no_others(tmp_path: Path, monkeypat
 @pytest.mark.usefixtures("no_report")
 def test_a_session_that_adds_experiments_survives_a_bad_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session.run(small(10), tmp_path, jobs=1)
-    monkeypatch.setattr("rig_campaign.trial.run_trial", failing(10))
+    monkeypatch.setattr("rig.campaign.trial.run_trial", failing(10))
     summary = session.run(small(11), tmp_path, jobs=1).summary
     assert summary is not None and summary["failed"] == [10]
 
@@ -244,7 +244,7 @@ def test_where_all_fail_it_ends_at_once_and_keeps_no_row(
         seen.append(number)
         return 1 / 0
 
-    monkeypatch.setattr("rig_campaign.trial.run_trial", fails)
+    monkeypatch.setattr("rig.campaign.trial.run_trial", fails)
     with pytest.raises(BrokenOffError) as caught:
         session.run(small(count), tmp_path, jobs=1)
     assert f"the first {min(count, 16)} experiments all failed" in caught.value.cause

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_campaign import table
 
+from rig.campaign import summary
 from rig.identification.estimate import PARAMETERS
-from rig_campaign import summary
 
 
 def test_errors_of_twice_the_bound_are_twice_the_bound() -> None:

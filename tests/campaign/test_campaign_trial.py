@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from small_campaign import UNREPEATABLE, small
 
+from rig.campaign import grid
+from rig.campaign.trial import COLUMNS, run_trial
 from rig.config import Campaign
 from rig.identification import identify, sampled_data
 from rig.identification.estimate import PARAMETERS
 from rig.run_folder.recording.csv_file import read_csv
-from rig_campaign import grid
-from rig_campaign.trial import COLUMNS, run_trial
 
 
 def test_a_row_has_the_columns_in_their_order_and_kinds() -> None:

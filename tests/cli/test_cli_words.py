@@ -74,7 +74,7 @@ def sentences() -> tuple[tuple[str, str], ...]:
 
 
 def _sentences() -> Iterator[tuple[str, str]]:
-    for path in sorted([*(ROOT / "rig").rglob("*.py"), *(ROOT / "rig_campaign").rglob("*.py")]):
+    for path in sorted((ROOT / "rig").rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         nodes = list(ast.walk(tree))
         docstrings = {
@@ -122,7 +122,7 @@ def test_every_command_and_option_that_is_named_is_there() -> None:
 
 def test_every_key_that_is_named_is_there() -> None:
     named = [(place, key) for place, text in sentences() for key in named_keys(text)]
-    elsewhere = ("rig_campaign/", "rig/backends/modbus/", "rig/backends/serial/emulated/")
+    elsewhere = ("rig/campaign/", "rig/backends/modbus/", "rig/backends/serial/emulated/")
     assert [
         (place, key)
         for place, key in named

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, GUARD, LIMITS, PERIOD_S, BenchModel, break_away, simulated_bench
 
+from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
@@ -25,7 +26,6 @@ from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector, DetectedCycle
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig_campaign.grid import draw
 
 # ---------------------------------------------------------------------- the rules by themselves
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from evidence import evidence
 
+from rig.campaign.grid import Draw, draw
 from rig.config.campaign import Campaign
 from rig.control.motion import Swings
 from rig.control.relay import DualChannelRelay
@@ -15,7 +16,6 @@ from rig.control.rising_gains import RisingGains, SwingRoom
 from rig.control.simulation import Sampling, simulate
 from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
-from rig_campaign.grid import Draw, draw
 
 GRID = Campaign(name="grid", experiments=1)
 PERIOD_S = 0.01

@@ -22,6 +22,7 @@ from rig import config
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.simulated.backend import SIMULATED
 from rig.backends.simulated.driver import SimulatedDriver
+from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelayGainsSection, RelaySection, UntilSection
@@ -38,7 +39,6 @@ from rig.run_folder.recording.reader import read_run
 from rig.running.experiment import stages, until
 from rig.running.experiment.stages import armed_check, prepared
 from rig.running.session import Session
-from rig_campaign.grid import Draw, draw
 from stopping.in_memory import driven
 from stopping.rows import Asked, checked, row
 

@@ -12,11 +12,11 @@ from test_hil_pulses import LIMITS, driver_on
 from virtual_host import HELD
 
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
 from rig.core.faults import Fault
 from rig.running.preflight.breakaway_strokes import UNSEEN_RAD
 from rig.running.preflight.room_to_stop import longest_watchdog_s, room_rad, stopping_terms
-from rig_campaign.grid import draw
 from stalls.hostile_host import HostileHost, Stalls
 from stalls.rows import config_of, row
 

@@ -11,6 +11,7 @@ from evidence import evidence
 from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
 from campaign_real.departing_motor import Bench
 from campaign_real.kinds import KINDS, departures_of
+from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
 from rig.control.law import Rest
@@ -19,7 +20,6 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
 from rig.running.experiment import until
-from rig_campaign.grid import draw
 from stopping import __main__ as command
 from stopping.in_memory import driven
 from stopping.rows import Asked, row

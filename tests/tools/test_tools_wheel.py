@@ -38,7 +38,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a wheel is built from."""
     tree = tmp_path_factory.mktemp("tree") / "rig"
     ignored = shutil.ignore_patterns("__pycache__", "node_modules")
-    for name in ("rig", "rig_campaign", "firmware", "config"):
+    for name in ("rig", "firmware", "config"):
         shutil.copytree(ROOT / name, tree / name, ignore=ignored)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree / name)

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.benchmark import options, tell
+from rig.campaign.grid import LONGEST_CYCLE, Draw, draw
 from rig.config import load_campaign
 from rig.config.campaign import Campaign
 from rig.identification import sampled_data, triple_relay
@@ -27,7 +28,6 @@ from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries
-from rig_campaign.grid import LONGEST_CYCLE, Draw, draw
 from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "campaign.yaml"

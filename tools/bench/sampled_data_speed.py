@@ -16,13 +16,13 @@ from scipy.optimize import least_squares
 
 from bench.benchmark import options, tell
 from bench.solver_peer import Array, positions
+from rig.campaign.grid import draw, simulate
 from rig.config.campaign import Campaign
 from rig.identification import sampled_data
 from rig.identification.cycles import find_cycle
 from rig.identification.mean_cycle import Cycle
 from rig.identification.starts import Start, ridge_starts
 from rig.run_folder.recording.series import TimeSeries
-from rig_campaign.grid import draw, simulate
 
 STARTS = 3  # that are iterated, as our own fit does
 

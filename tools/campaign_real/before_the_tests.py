@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign_real.departing_motor import Bench, Departures, MovingShaft, PlainMotor
+from rig.campaign.grid import Draw
 from rig.config import Experiment
 from rig.config.load import load
 from rig.config.schema import BreakawaySection
@@ -25,7 +26,6 @@ from rig.core.signals import Sample
 from rig.model.cycle_detector import CycleDetector
 from rig.running.experiment.stages import breakaway_check
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
-from rig_campaign.grid import Draw
 
 Array = NDArray[np.float64]
 

@@ -16,13 +16,13 @@ from campaign_real.departing_motor import Bench, Departures, MovingShaft, PlainM
 from rig.backends.clock import VirtualClock
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.campaign.grid import Draw
 from rig.config import Experiment
 from rig.config.load import load
 from rig.model.bench import BenchParameters
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
-from rig_campaign.grid import Draw
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "quick.yaml"
 REACH_RAD, FASTEST_RAD_S, LARGEST_V = 0.55, 4.9, 3.0  # room of every motor

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.campaign.grid import Draw, draw
 from rig.config.campaign import Campaign
 from rig.control.relay import DualChannelRelay
 from rig.control.simulation import Sampling, simulate
@@ -20,7 +21,6 @@ from rig.model.motor import Motor
 from rig.output.compare.compared_run import ComparedRun, NotComparableError, of_result
 from rig.output.compare.comparison import compare_runs
 from rig.run_folder.results import RunMeta, RunResult
-from rig_campaign.grid import Draw, draw
 
 SAME, DRIFTED, LAWS = "same", "drifted", "laws"
 RUNS = {SAME: 4, DRIFTED: 2, LAWS: 2}  # of each motor

@@ -19,6 +19,7 @@ from rig.backends.driver import Timeouts
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.load import load
@@ -34,7 +35,6 @@ from rig.running.experiment.until import drive_until
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
 from rig.running.preflight.room_to_stop import room_rad, stopping_terms
 from rig.running.session import Session
-from rig_campaign.grid import Draw, draw
 from stalls.hostile_host import HostileHost, Stalls
 from stopping.in_memory import driven
 from stopping.rows import checked

@@ -15,6 +15,7 @@ from campaign_real.departing_motor import Bench, Departures
 from campaign_real.kinds import Kind, departures_of, truth_of
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.simulated.driver import SimulatedDriver
+from rig.campaign.grid import Draw, draw
 from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
@@ -27,7 +28,6 @@ from rig.running.experiment.stages import identify_recorded
 from rig.running.experiment.until import drive_until
 from rig.running.preflight.breakaway_strokes import breakaway_strokes
 from rig.running.session import Session
-from rig_campaign.grid import Draw, draw
 from stopping.in_memory import driven
 from stopping.shown import expected_gain
 

@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
+from rig.campaign.grid import CampaignError
+from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
 from rig.core.package import FOLDER, VERSION
 from rig.core.plain_file import open_plain, read_plain
@@ -29,8 +31,6 @@ from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, META, write_config, write_meta
 from rig.run_folder.recording.reader import read_object
 from rig.run_folder.results import JsonObject
-from rig_campaign.grid import CampaignError
-from rig_campaign.trial import COLUMNS, Row
 
 RESULTS: Final = "results.csv"
 _MOST_BYTES: Final = 2**30  # of it: millions of experiments
@@ -49,7 +49,7 @@ def program_hash() -> str:
     """Hash of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
     room = FOLDER
     files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identification").rglob("*.py"))]
-    files += [Path(__file__).with_name("grid.py"), Path(__file__).with_name("trial.py")]
+    files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
     return _sha256(b"\0".join(file.read_bytes() for file in files))
 
 

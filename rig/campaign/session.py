@@ -10,11 +10,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.campaign import results, runner, summary
+from rig.campaign.grid import BrokenOffError, CampaignError
+from rig.campaign.trial import FAILED, Row
 from rig.config import Campaign
 from rig.run_folder.recording.folder import CONFIG, json_text, write_whole
-from rig_campaign import results, runner, summary
-from rig_campaign.grid import BrokenOffError, CampaignError
-from rig_campaign.trial import FAILED, Row
 
 SUMMARY = "summary.json"
 SYSTEMATIC = 16  # experiments: if the first 16 all fail, the rest will fail too
@@ -93,7 +93,7 @@ def run(
             **sums,
             "repeat": repeated_by(folder, sums["failed"][0]) if sums["failed"] else None,
         }
-        from rig_campaign.report import write_report  # here: matplotlib loads slowly
+        from rig.campaign.report import write_report  # here: matplotlib loads slowly
 
         write_whole(folder / SUMMARY, json_text(found).encode("utf-8"))
         write_report(folder, campaign, table, found)

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
+from rig.campaign.results import Table
+from rig.campaign.summary import MAIN, VERDICTS, covered, error, over_bound, relative_error, rms
 from rig.config import Campaign
 from rig.output.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, style
-from rig_campaign.results import Table
-from rig_campaign.summary import MAIN, VERDICTS, covered, error, over_bound, relative_error, rms
 
 Array = NDArray[np.float64]
 

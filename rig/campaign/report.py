@@ -6,13 +6,13 @@ import base64
 import math
 from pathlib import Path
 
+from rig.campaign import picture
+from rig.campaign.results import Table
+from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
 from rig.core.package import VERSION
 from rig.output.report.style import templates
 from rig.run_folder.recording.folder import write_whole
-from rig_campaign import picture
-from rig_campaign.results import Table
-from rig_campaign.summary import MAIN, ParameterSums, Summary, Sums
 
 PICTURE = "campaign.png"
 REPORT = "report.html"

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.campaign.grid import CampaignError, Draw, draw, simulate
 from rig.config.campaign import Campaign
 from rig.identification import IdentifyError, identify, sampled_data
 from rig.identification.cramer_rao import PositionNoise, cramer_rao
@@ -24,7 +25,6 @@ from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.recording import Recording, from_columns
 from rig.run_folder.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.run_folder.results import RunMeta
-from rig_campaign.grid import CampaignError, Draw, draw, simulate
 
 Array = NDArray[np.float64]
 Row = dict[str, int | float | str]  # COLUMNS says of which kind each is

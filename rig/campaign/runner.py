@@ -17,9 +17,9 @@ from typing import Any, Literal
 
 import joblib
 
+from rig.campaign.grid import BrokenOffError, CampaignError
+from rig.campaign.trial import Row, row_of
 from rig.config import Campaign
-from rig_campaign.grid import BrokenOffError, CampaignError
-from rig_campaign.trial import Row, row_of
 
 Backend = Literal["joblib", "dask"]
 

@@ -16,9 +16,9 @@ from typing import NotRequired, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.campaign.results import Table
+from rig.campaign.trial import FAILED
 from rig.identification.estimate import PARAMETERS
-from rig_campaign.results import Table
-from rig_campaign.trial import FAILED
 
 Array = NDArray[np.float64]
 
