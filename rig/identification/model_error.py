@@ -62,7 +62,10 @@ class ModelError(NamedTuple):
     of_each: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     def with_rounding(self, grown: Array) -> ModelError:
-        """The same, with no less scatter than the sensor's rounding makes: (3,) by how much a variance is larger."""
+        """The same, with no less scatter than a sensor's rounding makes.
+
+        grown   (3,) by how much it makes a variance larger, 1
+        """
         of_all = float(np.exp(np.mean(np.log(grown))))
         return self._replace(effect=max(self.effect, of_all), of_each=tuple(np.maximum(self.of_each, grown).tolist()))
 

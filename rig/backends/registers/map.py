@@ -82,7 +82,10 @@ class Register(NamedTuple):
         return self.signed(value)
 
     def signed(self, raw: float) -> float:
-        """The value of what its type holds, where a bit is the sign. Raises ValueError for bits above it."""
+        """The value, in the register's steps, of what its type holds, where a bit is the sign.
+
+        Raises ValueError for bits above it.
+        """
         if self.sign_bit is None:
             return raw
         if int(raw) >> self.sign_bit > 1:
