@@ -82,7 +82,7 @@ class Register(NamedTuple):
         return self.signed(value)
 
     def signed(self, raw: float) -> float:
-        """The value, in the register's steps, of what its type holds, where a bit is the sign.
+        """The value of ``raw``, what its type holds, where a bit is the sign; both in the register's steps.
 
         Raises ValueError for bits above it.
         """
