@@ -7,18 +7,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import Bench, dcr, motor, record, simulate
+from synthetic import Bench, motor, record, simulate
 
+from rig.identification import sampled_data
+from rig.identification.departures.budget import TYPE_A
 from rig.identification.departures.fit import CORE, Fit, Problem, limits_of, solve, start, unit
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Cut
 from rig.identification.departures.rounding import by_rounding
+from rig.identification.motor_law import motor_law
 from rig.model.real_motor import RealMotor
 from rig.run_folder.recording.series import TimeSeries
 
 STEP_RAD = 2.0 * math.pi / 1024
 PHASES = 40
 AT = [CORE.index(name) for name in OF]
+
+
+def square() -> TimeSeries:
+    """Cycles of a whole number of rows."""
+    drawn = simulate(motor(), lambda t_s, _y, _z: 1.2 if t_s % 1.2 < 0.6 else -1.2, 1080, Bench())
+    return record(drawn, True, 120)
+
+
+def rounded(test: TimeSeries, phase: float) -> np.ndarray:
+    return np.asarray((np.round(test.y_rad / STEP_RAD + phase) - phase) * STEP_RAD)
 
 
 def fitted(test: TimeSeries, y_rad: np.ndarray) -> Fit:
@@ -40,12 +53,8 @@ def variances(fit: Fit) -> np.ndarray:
 
 def test_the_scatter_by_rounding_is_that_over_all_places_of_the_steps() -> None:
     """Cycles that come again: to take each row for new makes the intervals much too narrow."""
-    square = simulate(motor(), lambda t_s, _y, _z: 1.2 if t_s % 1.2 < 0.6 else -1.2, 1080, Bench())
-    test = record(square, True, 120)
-    fits = []
-    for phase in np.arange(PHASES) / PHASES:
-        y_rad = (np.round(test.y_rad / STEP_RAD + phase) - phase) * STEP_RAD
-        fits.append(fitted(test, y_rad))
+    test = square()
+    fits = [fitted(test, rounded(test, phase)) for phase in np.arange(PHASES) / PHASES]
     numbers = np.array([[math.log(f.motor.tau_s), math.log(f.motor.K_rad_s_V), f.motor.fc_V] for f in fits])
     seen = numbers.var(axis=0)
     as_new = np.mean([variances(fit) for fit in fits], axis=0)
@@ -55,7 +64,22 @@ def test_the_scatter_by_rounding_is_that_over_all_places_of_the_steps() -> None:
 
 
 def test_noise_of_half_a_step_leaves_nothing_of_it_and_so_does_a_step_that_is_not_known() -> None:
-    test = record(simulate(motor(), dcr(0.8, 1.0), 500, Bench(noise_rad=0.6 * STEP_RAD, lsb_rad=STEP_RAD)), True, 100)
-    fit = fitted(test, test.y_rad)
+    test = square()
+    noise_rad = 0.6 * STEP_RAD * np.random.default_rng(1).standard_normal(test.y_rad.size)
+    fit = fitted(test, rounded(replace(test, y_rad=test.y_rad + noise_rad), 0.3))
     assert by_rounding(fit, STEP_RAD) == pytest.approx(1.0, abs=0.05)
     assert np.all(by_rounding(fit, 0.0) == 1.0)
+
+
+def test_the_answer_counts_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    test = square()
+    test = replace(test, y_rad=rounded(test, 0.3))
+    plain = sampled_data.fit([test])
+
+    def scatter() -> list[float]:
+        (line,) = (one for one in motor_law([test], plain, [None]).budget.entries if one.source == TYPE_A)
+        return [getattr(line, name) for name in OF]
+
+    told = scatter()
+    monkeypatch.setattr("rig.identification.motor_law.by_rounding", lambda fit, _: np.ones(len(fit.problem.free)))
+    assert max(np.divide(told, scatter())) > 1.5
