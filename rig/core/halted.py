@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import time
@@ -23,9 +22,10 @@ class Halts:
         """Whether it is stopped now; False for one that has ended, and where the system does not tell."""
         if not hasattr(os, "waitid"):  # not on macOS before Python 3.13
             return False
-        with contextlib.suppress(ChildProcessError):
+        try:
             return os.waitid(os.P_PID, self._pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
-        return False
+        except ChildProcessError:
+            return False
 
     @property
     def is_for_good(self) -> bool:

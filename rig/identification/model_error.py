@@ -68,6 +68,14 @@ class ModelError(NamedTuple):
     effect: float = 1.0
     of_each: tuple[float, ...] = (1.0, 1.0, 1.0)
 
+    def with_rounding(self, grown: Array) -> ModelError:
+        """The same, with no less scatter than a sensor's rounding makes.
+
+        grown   (3,) by how much it makes a variance larger, 1
+        """
+        of_all = float(np.exp(np.mean(np.log(grown))))
+        return self._replace(effect=max(self.effect, of_all), of_each=tuple(np.maximum(self.of_each, grown).tolist()))
+
 
 def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelError:
     """The lines of the budget for what pieces, and low and high drives, differ by; none where they do not.

@@ -25,10 +25,11 @@ from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known,
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.in_place import bare_fits, gained, in_place, nearly_as_good
 from rig.identification.departures.laws import DRIFT_EACH, LEVEL_EACH, SOFT_COUPLING, level_each
-from rig.identification.departures.nuisances import Nuisances
+from rig.identification.departures.nuisances import OF, Nuisances
 from rig.identification.departures.outside import INSTEAD_OF, instead_of_sag, outside
 from rig.identification.departures.pieces import Cut
 from rig.identification.departures.profile import profiles
+from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
@@ -442,7 +443,9 @@ def motor_law(
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)
-    of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws))
+    of_model = model_error(parts, blocks.cut, predicts.error, len(choice.laws)).with_rounding(
+        by_rounding(fit, begun.chooser.step_rad)[[fit.problem.free.index(name) for name in OF]]
+    )
     of_levels = levels_line(parts, level) if any(law.name == LEVEL_EACH for law in choice.laws) else ()
     bench = begun.chooser.bench
     hidden = [law for law in begun.chooser.candidates if law.may_hide]

@@ -35,6 +35,7 @@ from faults.backends import (
     PLAIN,
     SEPARATE,
     SERVO,
+    SERVO_FEETECH,
     TCP,
     Backend,
 )
@@ -70,6 +71,7 @@ def share() -> list[tuple[Row, Backend]]:
     cases += [(row, LINKS[k % len(LINKS)]) for k, row in enumerate(plain) if not is_alike(row)]
     cases += [(row, CHIP_ENCODER) for row in ROWS if row.only == ("encoder",)]
     cases += [(row, SERVO) for row in ROWS]
+    cases += [(row, SERVO_FEETECH) for row in ROWS if "feetech" in row.other]
     return [(row, backend) for row, backend in cases if _cycle_or_start(row, backend)]
 
 

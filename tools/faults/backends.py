@@ -33,8 +33,9 @@ from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import BLOCK_ROWS, Kind
 from rig.backends.serial.link_budget import block_share
-from rig.backends.servo import dynamixel
+from rig.backends.servo.bus import Bus, bus_of
 from rig.backends.servo.line import emulated_bus, servo_of, setup_of
+from rig.backends.servo.models import ServoModel
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
 from rig.control.motion import CycleWatch
@@ -66,7 +67,6 @@ _MODBUS_UNITS = 10000
 _STOP_BYTES = 8  # of FC06
 _BYTE_BITS = 11
 _BITS_PER_BYTE = 10
-_FASTEST = 255  # of a servo's slope
 _BROWN_OUT, _BOOT_S = 4, 0.05
 _LOOKS_APART = 25  # ticks between two looks at the recorder
 _STEP_S = 0.002  # of the model
@@ -441,15 +441,23 @@ def _block_language(experiment: Experiment) -> ModbusLanguage:
 
 
 def _servo_stop_s(experiment: Experiment) -> float:
-    """With the ramp of the duty, from the largest drive to 0."""
-    slope = servo_of(experiment.device).table.role("slope")
-    ramp_s = experiment.drive.max_V / (_FASTEST * slope.scale)
-    return dynamixel.request_bytes(2 + 2) * _BITS_PER_BYTE / experiment.daq.baud + ramp_s
+    """With the ramp of the duty, from the largest drive to 0, as the servo comes."""
+    table, bus = _servo_bus(experiment)
+    slope = table.role("slope") if "slope" in table.roles else None
+    ramp_s = 0.0 if slope is None else experiment.drive.max_V / ((slope.shipped or 0) * slope.scale)
+    drive = table.role("drive")
+    return bus.wire_s(len(bus.writing(drive.address, drive.pack(0), "").data)) + ramp_s
 
 
 def _servo_language(experiment: Experiment) -> ServoLanguage:
-    table = servo_of(experiment.device).table
-    return ServoLanguage(table, experiment.drive.supply_V / table.full_drive, setup_of(experiment.device).zero_counts)
+    table, bus = _servo_bus(experiment)
+    unit_V = experiment.drive.supply_V / table.full_drive
+    return ServoLanguage(table, bus, unit_V, setup_of(experiment.device).zero_counts)
+
+
+def _servo_bus(experiment: Experiment) -> tuple[ServoModel, Bus]:
+    servo = servo_of(experiment.device)
+    return servo.table, bus_of(servo.table, servo.id, experiment.daq.baud)
 
 
 _SERIAL = {"daq": {"port": "emulated-chip", "timeout_s": 0.02}}
@@ -614,6 +622,19 @@ SERVO = Backend(
     base="servo.yaml",
     told=told_by_driver,
 )
+SERVO_FEETECH = replace(
+    SERVO,
+    key="servo-feetech",
+    title="a Feetech STS3215 on its bus",
+    traits=("servo", "feetech"),
+    remark=(
+        "[config/servo-sts3215.yaml](../../config/servo-sts3215.yaml), 1 Mbaud: no watchdog, no clock, a check sum of\n"
+        "one byte. What ends with the loop alive is tried; a host or a cable that is gone is the keeper's, in\n"
+        "`tests/backends/servo/test_servo_keeper.py`, or nobody's."
+    ),
+    base="servo-sts3215.yaml",
+)
+SERVOS = (SERVO, SERVO_FEETECH)
 PLAIN = (CHIP, BOARD, MODBUS)
 OTHERS = (
     CHIP_RELAY,
@@ -625,6 +646,6 @@ OTHERS = (
     PICO,
     CHIP_ENCODER,
     PICO_ENCODER,
-    SERVO,
+    *SERVOS,
 )  # which differ from these in the link, in the board or the sensor, or in where the test runs
 BACKENDS = PLAIN + OTHERS

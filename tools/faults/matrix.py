@@ -19,7 +19,7 @@ from faults.backends import (
     PICO,
     PICO_ENCODER,
     PLAIN,
-    SERVO,
+    SERVOS,
     TCP,
     Backend,
 )
@@ -77,7 +77,7 @@ def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
     """
     is_own = any(trait in ("encoder", "pico") for trait in (*row.only, *row.other))
     is_for_one = is_alike(row) and "encoder" not in row.only
-    if backend is SERVO:
+    if backend in SERVOS:
         return (CYCLE,) if row.name in OF_SERVO and row.is_for(CYCLE.traits(backend.traits)) else ()
     if row.name in strangers.ACTS and backend not in (BOARD, CHIP):
         stages: tuple[Stage, ...] = ()

@@ -1,4 +1,4 @@
-"""A Dynamixel on its emulated bus, as fault injection looks at it: its wire, and what is done to it."""
+"""A servo on its emulated bus, as fault injection looks at it: its wire, and what is done to it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 from faults.language import Reading
-from rig.backends.servo import dynamixel
+from rig.backends.registers.bus import Damaged
+from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.before import BeforeStore
+from rig.backends.servo.bus import Bus, bus_of
 from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.models import ServoModel
+from rig.backends.servo.packets import Instruction, Skipped
 from rig.backends.servo.registers import servo_map
 from rig.core.signals import Sample
 
@@ -71,7 +74,10 @@ class InjectableServo:
 
     def another_master(self) -> None:
         """Somebody else on the bus asks for a servo that is not there."""
-        self._bus.bus.another_master(dynamixel.read(_STRANGER, 132, 4), self._bus.now_s())
+        model = self._servo.model
+        position, stranger = model.role("position"), bus_of(model, _STRANGER, self._servo.options.baud)
+        asks = stranger.reading(position.address, position.size, "").data
+        self._bus.bus.another_master(asks, self._bus.now_s())
 
     def forget(self) -> None:
         """Drop the log of packets and all but the last of the output's changes, which the bus keeps."""
@@ -92,23 +98,24 @@ def talk(injector: FaultInjector) -> None:
 
 
 class ServoLanguage:
-    """Protocol 2.0. Which reading is a sample, and which duty of 0 a stop, the frames do not say: the driver tells.
+    """Both protocols. Which reading is a sample, and which duty of 0 a stop, the frames do not say: the driver tells.
 
+    bus         to the servo
     unit_V      what a step of the duty is
     zero_counts register of the position at 0 counts of the recording
     key         of the sample that the driver is about to ask for; None: what it reads is none
     is_stopping a duty of 0 is a stop
     """
 
-    def __init__(self, model: ServoModel, unit_V: float, zero_counts: int) -> None:
+    def __init__(self, model: ServoModel, bus: Bus, unit_V: float, zero_counts: int) -> None:
         self.key: int | None = None
         self.is_stopping = False
         self._unit_V = unit_V
         self._zero_counts = zero_counts
         self._drive, self._torque = model.role("drive"), model.role("torque")
         read = servo_map(model).read
-        self._read = read.address.to_bytes(2, "little") + read.words.to_bytes(2, "little")
-        self._words = read.words
+        self._bus, self._read = bus, bus.reading(read.address, read.words, "")
+        self._is_dynamixel = model.protocol == "dynamixel"
         self._position = model.role("position")
         self._at = self._position.address - read.address
         self._asked = 0
@@ -123,16 +130,14 @@ class ServoLanguage:
 
     def asked(self, request: bytes) -> int | None:
         """The read of all that a tick needs, where the driver asks for a sample."""
-        frame = _frame(request)
-        is_read = frame is not None and frame.instruction == dynamixel.Instruction.READ
-        if self.key is None or frame is None or not is_read or frame.parameters != self._read:
+        if self.key is None or request != self._read.data:
             return None
         self._asked = self.key
         return self.key
 
     def drive_V(self, request: bytes) -> float | None:
         """The duty; torque off is 0 V."""
-        written = _written(request)
+        written = self._written(request)
         if written is None:
             return None
         address, data = written
@@ -142,14 +147,14 @@ class ServoLanguage:
 
     def is_stop(self, request: bytes) -> bool:
         """Torque off; a duty of 0 where the driver stops."""
-        written = _written(request)
+        written = self._written(request)
         if written is None or any(written[1]):
             return False
         return written[0] == self._torque.address or (self.is_stopping and written[0] == self._drive.address)
 
     def is_arm(self, request: bytes) -> bool:
         """Torque on."""
-        return _written(request) == (self._torque.address, b"\1")
+        return self._written(request) == (self._torque.address, b"\1")
 
     def hands_over(self, request: bytes) -> bool:
         """Never."""
@@ -157,12 +162,26 @@ class ServoLanguage:
 
     def readings(self, reply: bytes) -> list[Reading]:
         """A status with as many bytes as a sample's."""
-        frame = _frame(reply)
-        if frame is None or not frame.is_status or len(frame.parameters) != 1 + self._words:
+        try:
+            answer = self._bus.answer(reply)
+        except Damaged:
+            return []
+        if answer is None or len(answer.pdu) != 1 + (self._read.replies or 0):
             return []
         at = 1 + self._at
-        counts = self._position.unpack(frame.parameters[at : at + self._position.size]) - self._zero_counts
+        counts = self._position.unpack(answer.pdu[at : at + self._position.size]) - self._zero_counts
         return [Reading(self._asked, counts, reply)]
+
+    def _written(self, request: bytes) -> tuple[int, bytes] | None:
+        """Address and data of a write; None of anything else."""
+        found = (dynamixel.Stream() if self._is_dynamixel else feetech.Stream()).feed(request)
+        if not found or isinstance(found[0], Skipped):
+            return None
+        _, instruction, parameters = found[0]
+        address_bytes = 2 if self._is_dynamixel else 1
+        if instruction != Instruction.WRITE:
+            return None
+        return int.from_bytes(parameters[:address_bytes], "little"), parameters[address_bytes:]
 
 
 @contextmanager
@@ -193,16 +212,3 @@ def told_by_driver(injector: FaultInjector) -> Iterator[None]:
         patch("rig.backends.servo.line.BeforeStore", lambda: store),
     ):
         yield
-
-
-def _frame(data: bytes) -> dynamixel.Frame | None:
-    found = dynamixel.Stream().feed(data)
-    return found[0] if found and isinstance(found[0], dynamixel.Frame) else None
-
-
-def _written(request: bytes) -> tuple[int, bytes] | None:
-    """Address and data of a write; None of anything else."""
-    frame = _frame(request)
-    if frame is None or frame.instruction != dynamixel.Instruction.WRITE:
-        return None
-    return int.from_bytes(frame.parameters[:2], "little"), frame.parameters[2:]

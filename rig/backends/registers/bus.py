@@ -215,9 +215,10 @@ class BusClient(Generic[Req]):
         """Throw away what came unasked, and let the line be silent as long as it must; how many bytes."""
         thrown, self._heard = self._heard, 0
         while True:
-            data = self._transport.read(max(self._quiet_until_s - self._transport.now_s(), 0.0))
+            left_s = self._quiet_until_s - self._transport.now_s()
+            data = self._transport.read(max(left_s, 0.0))
             if not data:
-                if self._transport.now_s() >= self._quiet_until_s:
+                if left_s <= 0.0:
                     return thrown
                 continue
             thrown += len(data)

@@ -10,6 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Generic
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
@@ -263,7 +264,7 @@ class RegisterDriver(ABC, Generic[Req]):
         until_s = self._transport.now_s() + self._open_timeout_s
         while True:
             try:
-                self._values(self._read_span, self._client.asked(self._reading(self._read_span), self._unhurried_s))
+                self._values(self._read_span, self._client.asked(self._sampling, self._unhurried_s))
                 return
             except Fault as fault:
                 if fault.code in ("LINK_LOST", self._refusal) or self._transport.now_s() >= until_s:
@@ -324,7 +325,7 @@ class RegisterDriver(ABC, Generic[Req]):
             return
         until_s = self._transport.now_s() + self._unhurried_s
         while True:
-            reply = self._client.patiently(self._reading(self._read_span), self._unhurried_s)
+            reply = self._client.patiently(self._sampling, self._unhurried_s)
             values = self._values(self._read_span, reply)
             if values["status"] != OFF or self._transport.now_s() >= until_s:
                 self._check_status(values)
@@ -388,7 +389,7 @@ class RegisterDriver(ABC, Generic[Req]):
         if self._map.applied is None and self._map.status is None:
             return True
         while True:
-            reply = self._client.asked(self._reading(self._read_span), self._timeout_s)
+            reply = self._client.asked(self._sampling, self._timeout_s)
             values = self._values(self._read_span, reply)
             driven, status = values.get("applied", 0.0) != 0.0, values.get("status", OFF)
             stopped = not driven and not self._is_armed_by(status)
@@ -454,17 +455,22 @@ class RegisterDriver(ABC, Generic[Req]):
 
     # ------------------------------------------------------------------ requests
 
+    @cached_property
+    def _sampling(self) -> Req:
+        """Reads all that a tick needs: made once."""
+        return self._reading(self._read_span)
+
     @property
     def _unhurried_s(self) -> float:
         return max(self._timeout_s, UNHURRIED_S)
 
     def _unhurried_reading(self) -> Reply:
         """A reading while disarmed: there is time to repeat it."""
-        return self._client.patiently(self._reading(self._read_span), self._unhurried_s)
+        return self._client.patiently(self._sampling, self._unhurried_s)
 
     def _tick_reading(self) -> Reply:
         """The reading of a tick."""
-        return self._exchange(self._reading(self._read_span))
+        return self._exchange(self._sampling)
 
     def _tick_writing(self, units: int) -> None:
         """The drive of a tick."""

@@ -79,12 +79,19 @@ class Register(NamedTuple):
         cells = words[::-1] if self.low_first else words
         data = b"".join(cell.to_bytes(self.cell_bytes, "big") for cell in cells)
         value: int | float = struct.unpack(f">{_LETTERS[self.type]}", data)[0]
+        return self.signed(value)
+
+    def signed(self, raw: float) -> float:
+        """The value of ``raw``, what its type holds, where a bit is the sign; both in the register's steps.
+
+        Raises ValueError for bits above it.
+        """
         if self.sign_bit is None:
-            return value
-        if int(value) >> self.sign_bit > 1:
-            raise ValueError(f"{self} holds {value:#x}, with bits above its sign")
-        size = int(value) & ((1 << self.sign_bit) - 1)
-        return -size if int(value) >> self.sign_bit & 1 else size
+            return raw
+        if int(raw) >> self.sign_bit > 1:
+            raise ValueError(f"{self} holds {int(raw):#x}, with bits above its sign")
+        size = int(raw) & ((1 << self.sign_bit) - 1)
+        return -size if int(raw) >> self.sign_bit & 1 else size
 
     @property
     def _kind(self) -> str:
@@ -116,9 +123,29 @@ class RegisterSpan:
         return max(r.address + r.words for r in self.registers) - self.address
 
     def values(self, words: Sequence[int]) -> dict[str, float]:
-        """What they hold, by name."""
+        """What they hold, by name. Raises ValueError for another number of cells, and as ``Register.unpack``."""
+        if self._bytes is not None:
+            if len(words) != self.words:
+                raise ValueError(f"{len(words)} bytes where {self} has {self.words}")
+            held = self._bytes.unpack(bytes(words))
+            return {r.name: r.signed(raw) for r, raw in zip(self._in_order, held, strict=True)}
         first = self.address
         return {r.name: r.unpack(words[r.address - first : r.address - first + r.words]) for r in self.registers}
+
+    @cached_property
+    def _in_order(self) -> tuple[Register, ...]:
+        return tuple(sorted(self.registers, key=lambda r: r.address))
+
+    @cached_property
+    def _bytes(self) -> struct.Struct | None:
+        """How all of it lies in bytes, low first: taken apart at once in each tick. None where cells are no bytes."""
+        if not all(r.cell_bytes == 1 and r.low_first for r in self.registers):
+            return None
+        form, at = "<", self.address
+        for r in self._in_order:
+            form += f"{r.address - at}x{_LETTERS[r.type]}"
+            at = r.address + r.words
+        return struct.Struct(form)
 
     def pack(self, values: Mapping[str, float]) -> list[int]:
         """Cells for values by name; raises ValueError where a register cannot hold its value."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from typing_extensions import override
 
@@ -12,13 +12,16 @@ from rig.backends.registers.bus import BusClient, Damaged, Protocol
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.link_budget import BITS_PER_BYTE, TURNAROUND_S
 from rig.backends.servo.models import ServoModel
-from rig.backends.servo.packets import Skipped
+from rig.backends.servo.packets import PacketStream, Skipped
 from rig.core.faults import Fault
 
 REFUSAL = "SERVO_REFUSED"
 PING_S = 0.004  # in which a servo that is there begins to answer a ping
 _FEETECH_ID = 5  # address of a servo's id
 _PING_BYTES = 10 + 14  # of a ping and its answer
+_DYNAMIXEL, _FEETECH = dynamixel.Stream(), feetech.Stream()  # each answer is looked at by itself
+
+F = TypeVar("F")
 
 
 class Ask(NamedTuple):
@@ -40,6 +43,14 @@ class Answer(NamedTuple):
     id: int
     pdu: bytes
     length: int
+
+
+def _first(stream: PacketStream[F], data: bytes) -> tuple[F, int] | None:
+    """The packet that bytes begin with, and its length; None while it is not whole. Raises Damaged."""
+    found = stream.first(data)
+    if isinstance(found, Skipped):
+        raise Damaged(f"{found.why}: {found.data[:24].hex(' ')}")
+    return found
 
 
 class Bus(Protocol[Ask]):
@@ -128,15 +139,12 @@ class DynamixelBus(Bus):
 
     @override
     def answer(self, data: bytes) -> Answer | None:
-        found = dynamixel.Stream().feed(data)
-        if not found:
+        if (found := _first(_DYNAMIXEL, data)) is None:
             return None
-        first = found[0]
-        if isinstance(first, Skipped):
-            raise Damaged(f"{first.why}: {first.data[:24].hex(' ')}")
-        if not first.is_status or not first.parameters:
-            raise Damaged(f"no answer, but instruction {first.instruction:#04x}")
-        return Answer(first.id, first.parameters, len(first.encode()))
+        frame, length = found
+        if not frame.is_status or not frame.parameters:
+            raise Damaged(f"no answer, but instruction {frame.instruction:#04x}")
+        return Answer(frame.id, frame.parameters, length)
 
     @override
     def check_error(self, error: int, request: Ask) -> None:
@@ -175,13 +183,10 @@ class FeetechBus(Bus):
 
     @override
     def answer(self, data: bytes) -> Answer | None:
-        found = feetech.Stream().feed(data)
-        if not found:
+        if (found := _first(_FEETECH, data)) is None:
             return None
-        first = found[0]
-        if isinstance(first, Skipped):
-            raise Damaged(f"{first.why}: {first.data[:24].hex(' ')}")
-        return Answer(first.id, bytes((first.code,)) + first.parameters, len(first.encode()))
+        frame, length = found
+        return Answer(frame.id, bytes((frame.code,)) + frame.parameters, length)
 
     @override
     def alerts(self, pdu: bytes) -> bool:

@@ -118,6 +118,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
         self._ways: deque[_Way] = deque(maxlen=_WAYS)  # the latest drives since it was armed
+        self._drives: dict[int, Ask] = {}  # what writes each drive
         self._position: int | None = None  # as last read
         self._errors = 0  # error byte of the last answer
         self._strange = 0  # readings in a row of a duty that is not what was written
@@ -142,6 +143,13 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def _writing(self, what: Register | RegisterSpan, cells: list[int]) -> Ask:
         return self._bus.writing(what.address, bytes(cells), str(what))
+
+    @override
+    def _writing_drive(self, units: int) -> Ask:
+        """Made once for each drive: a servo has two thousand at most."""
+        if units not in self._drives:
+            self._drives[units] = super()._writing_drive(units)
+        return self._drives[units]
 
     @override
     def _cells(self, reply: Reply) -> Sequence[int]:
@@ -364,7 +372,7 @@ class ServoDriver(RegisterDriver[Ask]):
         until_s = self._transport.now_s() + _COASTS_S
         stood_s, stood = self._transport.now_s(), math.nan
         while (now_s := self._transport.now_s()) < until_s:
-            values = self._values(self._read_span, self._client.asked(self._reading(self._read_span), self._timeout_s))
+            values = self._values(self._read_span, self._client.asked(self._sampling, self._timeout_s))
             if not abs(values["position"] - stood) <= _REST_COUNTS:
                 stood_s, stood = now_s, values["position"]
             elif now_s - stood_s >= _REST_S:
@@ -440,14 +448,13 @@ class ServoDriver(RegisterDriver[Ask]):
     def _may_act(self) -> tuple[float, float]:
         """Least and largest duty that a reading of now may tell, steps: by each drive of the last milliseconds."""
         now_s = self._transport.now_s()
-        since_s, ways = now_s - _STAMPED_S, list(self._ways)
-        ends_s = [*(way.begins_s for way in ways[1:]), now_s + STEP_S]  # a servo may be a step ahead on its ramp
-        duties = [
-            duty
-            for way, end_s in zip(ways, ends_s, strict=True)
-            if end_s > since_s
-            for duty in (way.at(max(way.begins_s, since_s)), way.at(end_s))
-        ]
+        since_s, end_s = now_s - _STAMPED_S, now_s + STEP_S  # a servo may be a step ahead on its ramp
+        duties = []
+        for way in reversed(self._ways):
+            duties += [way.at(max(way.begins_s, since_s)), way.at(end_s)]
+            end_s = way.begins_s
+            if end_s <= since_s:
+                break
         return min(duties), max(duties)
 
     @override

@@ -124,7 +124,7 @@ class Stream(PacketStream[Frame]):
         super().__init__(_HEADER, _take)
 
 
-def _take(data: bytearray, at: int) -> tuple[Frame, int] | str | None:
+def _take(data: bytes | bytearray, at: int) -> tuple[Frame, int] | str | None:
     """As ``packets.Take``."""
     packet = whole_packet(data, at, header=len(_HEADER), length_bytes=2, shortest=SHORTEST, longest=LONGEST)
     if not isinstance(packet, bytes):

@@ -11,7 +11,7 @@ LAST_ID = 252
 
 F = TypeVar("F")
 # The packet whose header is at a place, and its length; why it is none; None while that is open
-Take = Callable[[bytearray, int], "tuple[F, int] | str | None"]
+Take = Callable[["bytes | bytearray", int], "tuple[F, int] | str | None"]
 
 
 class Skipped(NamedTuple):
@@ -41,6 +41,15 @@ class PacketStream(Generic[F]):
         """What ``data`` completes, in the order of the bytes."""
         self._data += data
         return self._parsed(ends=False)
+
+    def first(self, data: bytes) -> tuple[F, int] | Skipped | None:
+        """Of bytes alone the packet that they begin with, and its length; else what is none; None while it is open."""
+        if data.startswith(self._header):
+            took = self._take(data, 0)
+            if not isinstance(took, str):
+                return took
+        found = PacketStream(self._header, self._take).feed(data)
+        return next((one for one in found if isinstance(one, Skipped)), None)
 
     def flush(self) -> list[F | Skipped]:
         """Nothing more comes: what is pending is no packet. A whole one behind its damaged header is told."""
@@ -106,7 +115,7 @@ def is_id(id: int) -> bool:
 
 
 def whole_packet(
-    data: bytearray, at: int, *, header: int, length_bytes: int, shortest: int, longest: int
+    data: bytes | bytearray, at: int, *, header: int, length_bytes: int, shortest: int, longest: int
 ) -> bytes | str | None:
     """The packet whose header is at ``at``, check sum not tried; why it is none; None while that is open.
 

@@ -19,7 +19,7 @@ class Servo(Section):
     model: str = Field(description="as `rig servo scan` prints it", examples=["xl330-m288", "sts3215"])
     id: Annotated[int, Field(ge=0, le=252)] = Field(1, description="of the servo on its bus")
     pwm_slope: Literal["fastest", "leave"] = Field(
-        "fastest", description="of a 330 servo, which ramps its duty: `fastest`, put back at the end, or `leave`"
+        "leave", description="of a 330 servo, which ramps its duty: `leave`, or `fastest`, put back at the end"
     )
     on_stop: Literal["brake", "coast"] = Field(
         "brake", description="brake: duty 0 until the shaft rests, then torque off; coast: torque off at once"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import dynamixel_easy_sdk
 import pytest
 
 from rig.backends.servo.models import MODELS, Register, ServoModel, models_of
+from rig.backends.servo.registers import servo_map
 
 FOLDER = Path(dynamixel_easy_sdk.__file__).parent / "control_table"
 # The e-Manual has them; the files have not.
@@ -109,3 +111,22 @@ def test_a_span_is_one_read() -> None:
     assert model.span("present_position", "present_current") == model.telemetry
     with pytest.raises(KeyError):
         model.span("goal_pwm")
+
+
+@pytest.mark.parametrize("name", ["xl330-m288", "sts3215"])
+def test_a_reading_taken_apart_at_once_says_what_each_register_says(name: str) -> None:
+    span, rng, refused = servo_map(MODELS[name]).read, random.Random(1), 0
+    for _ in range(200):
+        data = rng.randbytes(span.words)
+        cells = {r: data[r.address - span.address :][: r.words] for r in span.registers}
+        try:
+            said = {r.name: r.unpack(own) for r, own in cells.items()}
+        except ValueError:
+            refused += 1  # bits above a sign
+            with pytest.raises(ValueError, match="above its sign"):
+                span.values(data)
+        else:
+            assert span.values(data) == said
+    assert (refused > 0) == (name == "sts3215")
+    with pytest.raises(ValueError, match="bytes where"):
+        span.values(data[:-1])

@@ -17,8 +17,8 @@ from rig.core.faults import Fault
 
 NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
 MOST_WRITES = 2  # of each register of the EEPROM: changed, and put back
-# of the EEPROM in a run on a servo as shipped: mode, limit and slope; a Feetech's lock keeps all of it out of there
-ALL_WRITES = {"dynamixel": 6, "feetech": 0}
+# of the EEPROM in a run on a servo as shipped: mode and limit; a Feetech's lock keeps all of it out of there
+ALL_WRITES = {"dynamixel": 4, "feetech": 0}
 LAST_STEP = 60  # of the writes of an opening and a run: all of them are fewer
 
 
@@ -76,12 +76,11 @@ def test_a_second_run_writes_no_more_than_the_first(protocol: str) -> None:
 @pytest.mark.parametrize(
     ("shipped", "setup", "writes"),
     [
-        ({}, {}, {"operating_mode", "pwm_limit", "pwm_slope"}),
-        ({}, {"longest_delay_s": 0.0}, {"operating_mode", "pwm_limit", "pwm_slope", "return_delay_time"}),
-        ({"return_delay_time": 0}, {"longest_delay_s": 0.0}, {"operating_mode", "pwm_limit", "pwm_slope"}),
-        ({}, {"fastest_slope": False}, {"operating_mode", "pwm_limit"}),
-        ({"pwm_slope": 255}, {}, {"operating_mode", "pwm_limit"}),
-        ({"pwm_slope": 255, "operating_mode": 16}, {}, {"pwm_limit"}),
+        ({}, {"fastest_slope": True}, {"operating_mode", "pwm_limit", "pwm_slope"}),
+        ({}, {"longest_delay_s": 0.0}, {"operating_mode", "pwm_limit", "return_delay_time"}),
+        ({"return_delay_time": 0}, {"longest_delay_s": 0.0}, {"operating_mode", "pwm_limit"}),
+        ({"pwm_slope": 255}, {"fastest_slope": True}, {"operating_mode", "pwm_limit"}),
+        ({"operating_mode": 16}, {}, {"pwm_limit"}),
     ],
 )
 def test_only_what_differs_is_written_and_put_back(

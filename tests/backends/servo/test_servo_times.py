@@ -31,7 +31,7 @@ def acted_s(outputs: list[tuple[float, float]], about_s: float) -> float | None:
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_drive_acts_when_the_sample_says_in_the_mean(protocol: str, phase_s: float) -> None:
     """Wherever within the servo's step the loop's ticks are; a servo that tells its clock is known in each tick."""
-    bench, rng = Bench(protocol), random.Random(1)
+    bench, rng = Bench(protocol, setup={"fastest_slope": True}), random.Random(1)
     bench.armed()
     bench.bus.sleep_until(bench.bus.now_s() + phase_s)
     told = [bench.tick(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)).t_u_s for _ in range(300)][2:]
