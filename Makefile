@@ -26,12 +26,15 @@ SHARED := --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 MARKED = $$(grep -lrE 'mark\.($(1))' tests --include='test_*.py')
 
 # some wait for processes of theirs, and what runs in real time waits more than it computes: so there are more workers than cores; what measures how late something is runs alone, after the rest
-test: .venv/.ready  ## check, then every test but the long evidence, the firmware's own included
-	@$(MAKE) --no-print-directory -j$$(nproc) -O check firmware compiled
-	$(PYTEST) -m "not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED)
+# mypy has one core for longer than all other checks have the other one: it runs beside the tests, and what it says comes after them
+test: .venv/.ready  ## check, and every test but the long evidence, the firmware's own included
+	@$(MAKE) --no-print-directory -j$$(nproc) -O $(CHECKS) firmware compiled
+	@mkdir -p build; .venv/bin/mypy >build/types.txt 2>&1 & types=$$!; \
+	    $(PYTEST) -m "not (alone or evidence)" -n $$((2 * $$(nproc))) $(SHARED); tests=$$?; \
+	    wait $$types || tests=1; cat build/types.txt; exit $$tests
 	$(PYTEST) -m "alone and not evidence" $(call MARKED,alone)
 
-# once, beside mypy, which takes longest, and not in each worker: what the tests load; a test that does not load shows after it
+# once, and not in each worker: what the tests load; a test that does not load shows after it
 compiled: .venv/.ready firmware
 	@$(PYTEST) --collect-only -qq >/dev/null || true
 
@@ -43,7 +46,8 @@ search: .venv/.ready firmware  ## the properties among the tests, with other ran
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; $(PYTEST) \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
-check: lint types pages analysis  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
+CHECKS := lint pages analysis
+check: types $(CHECKS)  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
 
 lint: .venv/.ready
 	.venv/bin/ruff format --check .
