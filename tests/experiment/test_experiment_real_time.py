@@ -54,7 +54,7 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
 
 @pytest.mark.alone
 @pytest.mark.parametrize(
-    ("name", "is_short"), [("demo", True), ("modbus-tcp", True), *evidence(("modbus-rtu", True), ("demo", False))]
+    ("name", "is_short"), [("demo", True), *evidence(("modbus-tcp", True), ("modbus-rtu", True), ("demo", False))]
 )
 def test_a_run_beside_a_quiet_witness_ends_whole(
     name: str, is_short: bool, tmp_path: Path, record_property: Callable[[str, object], None]

@@ -18,8 +18,8 @@ pytestmark = [pytest.mark.realtime, pytest.mark.long]
     ("name", "device"),
     [
         ("law hangs in C, SIGINT twice", NO_WATCHDOG),
-        ("law hangs in C", DEVICES[0]),
         *evidence(
+            ("law hangs in C", DEVICES[0]),
             ("law hangs", NO_WATCHDOG),
             ("law sleeps", NO_WATCHDOG),
             ("law hangs, SIGTERM", NO_WATCHDOG),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from evidence import evidence
 
 from rig.cli import main
 from rig.run_folder.live.lease import NAME, Leaser
@@ -29,7 +30,7 @@ def await_(view: LiveView, what: Callable[[Snapshot], bool], process: subprocess
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("port", ["emulated", "emulated-realtime"])
+@pytest.mark.parametrize("port", ["emulated-realtime", *evidence("emulated")])
 def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_gone(tmp_path: Path, port: str) -> None:
     config = tmp_path / "bench.yaml"
     text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")

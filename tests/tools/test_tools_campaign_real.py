@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from rig.identification.departures.choice import ASKED, Asked
 from rig.identification.measurements import measurements
 from rig.identification.motor_law import Beginning
 from shared import rows_file
+from shared.cases import spread
 from shared.rows_file import RowsFile
 
 pytestmark = pytest.mark.long
@@ -220,6 +222,7 @@ def test_rows_of_other_code_count_if_some_of_them_come_out_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rows_file, "ROOT", tmp_path)
+    monkeypatch.setattr(command, "spread", partial(spread, jobs=1))  # to start processes takes longer than all the rest
     (tmp_path / "law.py").write_text("a = 1\n", encoding="utf-8")
     old = RowsFile("c", ["law.py"])
     for k in range(5):
