@@ -28,7 +28,7 @@ replay: $(HARNESSES:%=$(FUZZ)/replay_%)
 	@for harness in $(HARNESSES); do $(FUZZ)/replay_$$harness tests/corpus/$$harness/* || exit 1; done
 
 $(FUZZ)/fuzz_%: tests/fuzz_%.c $(FUZZ_SOURCES) | $(FUZZ)
-	$(CLANG) $(CPPFLAGS) -Itests $(CFLAGS) $(SANITIZE) -fsanitize=fuzzer -o $@ $< $(CORE)
+	$(CLANG) $(CPPFLAGS) -Itests $(CFLAGS) -O1 $(SANITIZE) -fsanitize=fuzzer -o $@ $< $(CORE)
 
 $(FUZZ)/replay_%: tests/fuzz_%.c tests/replay.c $(FUZZ_SOURCES) | $(FUZZ)
 	$(CC) $(CPPFLAGS) -Itests -g -O1 $(CFLAGS) -o $@ $< tests/replay.c $(CORE) $(LDFLAGS)
