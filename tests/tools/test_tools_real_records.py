@@ -96,14 +96,21 @@ def test_records_of_real_motors_have_their_published_numbers(tmp_path: Path) -> 
     tau, gain = (found.answer.grade[name] for name in ("tau_s", "K_rad_s_V"))
     assert tau.value is not None and gain.value is not None
     assert tau.value == pytest.approx(0.465, abs=tau.u95) and gain.value == pytest.approx(30.1, abs=gain.u95)
-    loaded, _, _ = command.identified(entries["bam_square100"])  # a servo with a pendulum of about 5 V
-    assert loaded is not None and loaded.answer is not None
-    assert loaded.answer.verdict == "doubtful"
-    assert "force_over_position" in [law.name for law in loaded.answer.law or ()]
     pulses, _, _ = command.identified(entries["DATA_EMPS_PULSES"])
     assert pulses is not None and pulses.answer is not None and pulses.answer.predicts is not None
     assert "viscous_by_direction" in [law.name for law in pulses.answer.law or ()]
     assert (pulses.answer.predicts.error or 1.0) < 0.5 * (pulses.answer.predicts.linear_error or 0.0)
+
+
+@WITH_DATA
+@pytest.mark.evidence  # make test has such a force in a motor that is known, in tests/identify
+@pytest.mark.laws
+def test_a_servo_with_a_pendulum_of_about_5_V_is_doubtful_and_its_force_is_found(tmp_path: Path) -> None:
+    entries = {one.name: one for one in command.entries("real", DATA, tmp_path)}
+    loaded, _, _ = command.identified(entries["bam_square100"])
+    assert loaded is not None and loaded.answer is not None
+    assert loaded.answer.verdict == "doubtful"
+    assert "force_over_position" in [law.name for law in loaded.answer.law or ()]
 
 
 def _record(seed: int, motor: RealMotor) -> Identification:
