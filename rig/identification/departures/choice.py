@@ -62,6 +62,9 @@ CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
+Ends = dict[frozenset[str], tuple[float, tuple["Fit", tuple[Departure, ...]] | None]]  # by names of laws: cost, end
+
+
 class Asked(NamedTuple):
     """What a law must bring, in units of twice the log likelihood; beyond Schwarz's criterion, where nothing is said.
 
@@ -302,10 +305,11 @@ class Chooser:
         first = self._steps(fit, laws, set())
         if not first:
             return fit, laws
-        end = self._greedy(*first[0])
+        seen: Ends = {}
+        end = self._greedy(*first[0], seen)
         if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
             return end  # it leaves nothing: another start would need two laws for as much
-        ends = [end, *(self._greedy(*step) for step in first[1:])]
+        ends = [end, *(self._greedy(*step, seen) for step in first[1:])]
         finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
@@ -315,16 +319,26 @@ class Chooser:
 
         return min(ends, key=worth)
 
-    def _greedy(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
-        """One law after the other, the best each time."""
+    def _greedy(self, fit: Fit, laws: tuple[Departure, ...], seen: Ends) -> tuple[Fit, tuple[Departure, ...]]:
+        """One law after the other, the best each time; ``seen``: where the laws of other ways led, which it adds to.
+
+        Two ways that come to the same laws go on alike, but for one whose fit is better by as much as a law.
+        """
         left: set[str] = set()
+        passed: list[tuple[frozenset[str], float]] = []
         while True:
             before = {law.name for law in laws}
             fit, laws = self._dropped(fit, laws)
-            left |= before - {law.name for law in laws}
-            steps = self._steps(fit, laws, left)
-            if not steps:
-                return fit, laws
+            names = frozenset(law.name for law in laws)
+            left |= before - names
+            cost, end = seen.get(names, (math.inf, None))
+            if end is None or cost - fit.cost > self.asked.stay * unit(fit):
+                passed.append((names, fit.cost))
+                steps = self._steps(fit, laws, left)
+                end = None if steps else (fit, laws)
+            if end is not None:
+                seen.update((names, (cost, end)) for names, cost in passed)
+                return end
             fit, laws = steps[0]
 
     def is_rounding(self, fit: Fit) -> bool:
