@@ -46,6 +46,7 @@ NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeati
 PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
 BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
 ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
+ROWS_OF_STEPS = 8000  # of a coarse sensor, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
@@ -104,7 +105,7 @@ def fit(
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
     given = periods_s or [None] * len(tests)
     periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
-    of_step = min(map(of_one_step, tests)) if sum(map(len, tests)) > MOST_ROWS else 1
+    of_step = min(sum(map(len, tests)) // ROWS_OF_STEPS, *map(of_one_step, tests))
     if of_step > 1:  # a coarse sensor
         found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free))
         if found.tau_s >= ROWS_OF_TAU * of_step * max(test.period_s for test in tests):
