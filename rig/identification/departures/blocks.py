@@ -146,7 +146,7 @@ def share_cut(full: Array, bare: Array, noise: Array) -> float:
     """The share of the error in blocks that laws take away, at most 1; below 0 they add to it.
 
     full, bare   (p,) sums of squares of each block with and without them, beyond the sensor's noise, rad^2
-    noise        (p,) what the sensor's noise is of each, rad^2, > 0
+    noise        (p,) by how much what the sensor's noise is of each differs by chance, rad^2, > 0
     It is the smaller one of two: of all blocks together, which a single large one may decide, and of their geometric
     mean, which the small ones may. A law of the motor cuts both. A block at rest, which noise alone fills with and
     without laws, has nothing to cut: where the other blocks say more than chance does, each counts by the share of its
