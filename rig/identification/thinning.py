@@ -14,7 +14,7 @@ COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 OF_COARSEST = 0.8  # mean way of several rows as one, at most, of that beyond which no law over the angle is looked for
 OF_STEP = 0.25  # mean way from one kept row to the next, at most, of a step of the sensor
 MOST_OF_STEP = 10  # rows that are taken as one for it
-EVEN_DRIVE = 0.04  # of the largest drive: a drive that changes by less meanwhile acts as its mean
+EVEN_DRIVE = 0.005  # of the largest drive: a drive that changes by less meanwhile acts as its mean
 
 
 def showing_the_angle(test: TimeSeries, rows: int) -> int:
@@ -76,7 +76,7 @@ def _mean_V(test: TimeSeries, first: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def _where_it_changes(u_V: NDArray[np.float64], first: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """Those of the rows ``first`` from which on a drive is another one, or that are ``most`` rows after the last one."""
+    """Those of the rows ``first`` from which on the drive is another, or that are ``most`` rows after the last one."""
     bound_V = EVEN_DRIVE * float(np.abs(u_V).max())
     kept, low_V, high_V = [0], math.inf, -math.inf
     for row, stop in zip(first.tolist(), [*first[1:].tolist(), u_V.size], strict=True):
