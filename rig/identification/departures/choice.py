@@ -261,7 +261,7 @@ class Chooser:
         together. A coarse sensor leaves its steps, which are never white.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
-        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad:
+        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self._within_steps:
             return fit, laws
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         rows = np.array(blocks.cut.lengths)
