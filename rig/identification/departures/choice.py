@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import (
+    ENOUGH,
     Enough,
     Fit,
     Known,
@@ -42,7 +43,7 @@ ORDER = "cogging_per_rad"  # of a wave over the angle: without its size it has n
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
-NEAR = 0.05  # of what a law must bring: a trial that gains less in a step is near its end
+NEAR = 0.05  # of what a law must bring: far above noise a trial that gains less in a step is near its end
 RESHAPED = 2  # starts of a law's shape that are fitted again on longer pieces
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
@@ -266,9 +267,10 @@ class Chooser:
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         rows = np.array(blocks.cut.lengths)
         noise = rows * self.sigma_rad**2
-        # within a step of a coarse sensor rows are no further readings
-        per_row = min(self.bench.path_per_row_rad / self.step_rad, 1.0) if self.step_rad > 0.0 else 1.0
-        chance = noise * np.sqrt(2.0 / np.maximum(rows * per_row, 1.0))
+        chance = noise
+        if self._within_steps:  # rows within a step are no further readings
+            steps = np.maximum(rows * self.bench.path_per_row_rad / self.step_rad, 1.0)
+            chance = noise * np.minimum(np.sqrt(2.0 / steps), 1.0)
         known: dict[tuple[Departure, ...], Array] = {}
 
         def left(laws: tuple[Departure, ...], motor: RealMotor) -> Array:
@@ -404,7 +406,7 @@ class Chooser:
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
-        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0)
+        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if fit.rms_rad > FAR * self.sigma_rad else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
         trials = side_by_side(tried, wanted, fit.residual_rad.size)
