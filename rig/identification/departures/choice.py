@@ -43,7 +43,7 @@ ORDER = "cogging_per_rad"  # of a wave over the angle: without its size it has n
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
-NEAR = 0.05  # of what a law must bring: far above noise a trial that gains less in a step is near its end
+NEAR = 0.05  # of what a law must bring: above noise or behind steps a trial that gains less in a step is near its end
 RESHAPED = 2  # starts of a law's shape that are fitted again on longer pieces
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
@@ -406,7 +406,8 @@ class Chooser:
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
-        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if fit.rms_rad > FAR * self.sigma_rad else ENOUGH
+        is_far = self._within_steps or fit.rms_rad > FAR * self.sigma_rad
+        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
         trials = side_by_side(tried, wanted, fit.residual_rad.size)
