@@ -28,7 +28,7 @@ from rig.identification.repetition import repeated_share, repetitions, with_repe
 from rig.identification.sampled_data_verdict import NEGLIGIBLE, confounding, judge
 from rig.identification.side_by_side import side_by_side
 from rig.identification.starts import Start, grid_starts, ridge_starts
-from rig.identification.thinning import thinned
+from rig.identification.thinning import of_one_step, thinned
 from rig.identification.verdict import spread_rad as test_spread_rad
 from rig.model.real_motor import RealMotor
 from rig.model.sensitivity import Theta, position
@@ -46,6 +46,7 @@ NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeati
 PIECES_FROM = 3.0  # residual over the sensor's noise from which on pieces of the tests are tried
 BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of the whole tests' motor: then it counts
 ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
+ROWS_OF_STEPS = 8000  # of a coarse sensor, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
@@ -102,16 +103,39 @@ def fit(
     Raises IdentifyError if there is nothing to fit.
     """
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
-    problem = _problem(tests, free)
-    guesses = list(starts) if starts else grid_starts(problem.windows)
     given = periods_s or [None] * len(tests)
     periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
-    cycles_s = [period for period in periods if period is not None]
+    of_step = min(sum(map(len, tests)) // ROWS_OF_STEPS, *map(of_one_step, tests))
+    if of_step > 1:  # a coarse sensor
+        found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free))
+        if found.tau_s >= ROWS_OF_TAU * of_step * max(test.period_s for test in tests):
+            first, last = min(test.first_row for test in tests), max(test.first_row + len(test) for test in tests)
+            return replace(found, rows=(first, last - 1))
+    return _fitted(tests, starts, periods, _delays_s(tests, free))
+
+
+def _fitted(
+    tests: Sequence[TimeSeries],
+    starts: Sequence[Start] | None,
+    periods_s: Sequence[float | None],
+    delay_s: tuple[float, float] | None,
+) -> Estimate:
+    """``fit`` to these rows; ``delay_s``: bounds of the delay, s; None: it is known."""
+    problem = _problem(tests, delay_s)
+    guesses = list(starts) if starts else grid_starts(problem.windows)
+    cycles_s = [period for period in periods_s if period is not None]
     best = _of_fewer_rows(problem, tests, guesses, cycles_s)
     if best is None:
         best = _extended(problem, _candidates(problem, guesses), cycles_s)
     problem, best = _with_noise(problem, best)
-    return _estimate(problem, best, tests, periods)
+    return _estimate(problem, best, tests, periods_s)
+
+
+def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, float] | None:
+    """Bounds of a delay that is fitted, s. 0 must not lie at one: a column that is off by a row is a negative delay."""
+    if not free_delay:
+        return None
+    return min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests)
 
 
 def _of_fewer_rows(
@@ -122,10 +146,9 @@ def _of_fewer_rows(
     if rows < 2:
         return None
     try:
-        thin = _problem([thinned(test, rows) for test in tests], problem.free[4])
+        thin = _problem([thinned(test, rows) for test in tests], problem.delay_bounds_s if problem.free[4] else None)
     except IdentifyError:
         return None
-    thin = replace(thin, delay_bounds_s=problem.delay_bounds_s)
     first = _extended(thin, _candidates(thin, starts), periods_s)
     if math.exp(first.x[0]) < ROWS_OF_TAU * max(window.period_s for window in thin.windows):
         return None
@@ -164,11 +187,12 @@ def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[fl
     return of_pieces(pieces, found, tests)
 
 
-def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProblem:
-    """The fit as a problem of least squares with white noise. Raises IdentifyError if nothing changes in a test."""
-    # A delay of 0 must not lie at a bound, and a column that is off by a row shows as a negative delay.
-    earliest = min(test.earliest_delay_s for test in tests)
-    bounds = (earliest, max(test.longest_delay_s for test in tests)) if free_delay else (0.0, 0.0)
+def _problem(tests: Sequence[TimeSeries], delay_s: tuple[float, float] | None) -> OutputErrorProblem:
+    """The fit as a problem of least squares with white noise, with ``delay_s`` as ``_fitted``.
+
+    Raises IdentifyError if nothing changes in a test.
+    """
+    bounds = delay_s or (0.0, 0.0)
     windows = tuple(test.predictable(bounds[1]) for test in tests)
     for test, window in zip(tests, windows, strict=True):
         still = "position" if np.ptp(window.y_rad) == 0.0 else "drive" if window.steps.u_V.size < 2 else None
@@ -177,7 +201,7 @@ def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProble
                 f"{test.name}: the {still} never changes",
                 "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
             )
-    return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), free_delay))
+    return OutputErrorProblem(windows, bounds, (True, True, True, not one_way(tests), delay_s is not None))
 
 
 def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:

@@ -36,7 +36,7 @@ from rig.identification.model_error import (
 )
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
-from rig.identification.thinning import COARSEST_PATH_RAD, showing_the_angle, thinned
+from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
 from rig.identification.verdict import by_prediction
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
@@ -466,6 +466,29 @@ def test_a_law_that_one_block_alone_shows_takes_nothing_away() -> None:
     assert share_cut(0.25 * bare, bare, noise) == pytest.approx(0.5, abs=0.01)
     assert share_cut(np.array([1.0, *[1.1] * 7]), bare, noise) < 0.25
     assert share_cut(np.array([8.0, *[0.1] * 7]), bare, noise) < 0.25
+
+
+def test_blocks_at_rest_do_not_hide_what_a_law_takes_from_the_others_unless_these_differ_by_chance() -> None:
+    noise, moving = np.full(16, 0.01), np.repeat([1.0, 0.0], [4, 12])
+    assert share_cut(0.25 * moving, moving, noise) == pytest.approx(0.5, abs=0.02)
+    by_chance = np.array([0.02, 3.0, 0.02, 0.2, *[0.0] * 12])
+    assert share_cut(by_chance, moving + by_chance * 0.2, noise) < 0.25
+
+
+def test_rows_within_a_step_of_the_sensor_are_one_and_an_even_drive_is_its_mean() -> None:
+    t_s = np.linspace(0.0, 7.998, 4000)
+    y_rad = np.round(np.sin(0.5 * t_s) / 0.06) * 0.06
+    u_V = np.where(t_s % 1.0 < 0.5, 6.0, -6.0) + 0.01 * np.sin(300.0 * t_s)
+    series = TimeSeries(t_s, y_rad, t_s, u_V)
+    assert of_one_step(series) == 10
+    assert of_one_step(replace(series, y_rad=np.sin(0.5 * t_s))) == 1
+    thin = thinned(series, 10, 1)
+    assert len(thin) == 400
+    assert 0.1 * len(series) <= thin.steps.edge_s.size < 0.15 * len(series)
+    jumps_s = t_s[1:][np.abs(np.diff(u_V)) > 1.0]
+    assert np.all(np.isin(jumps_s, thin.steps.edge_s))
+    ends_s = np.array([0.0, t_s[-1] + 0.002])
+    assert np.diff(thin.steps.area_V_s(ends_s)) == pytest.approx(np.diff(series.steps.area_V_s(ends_s)), abs=1e-9)
 
 
 @pytest.mark.evidence

@@ -32,6 +32,7 @@ FOLDS = 4
 FEWEST_RECORDINGS = 3  # of two, one alone would say all
 TURNS = 0.05  # of the whole travel: a recording that moves so far one way turns that way
 FOLD_ITERATIONS = 6
+SURE = 1.64  # standard errors: one side of 95 %
 MOST_ERROR = 0.5  # of a motor that predicts
 THAN_LINEAR, SMALL_ERROR = 1.1, 0.02  # times the linear model's error; smaller ones are no difference
 
@@ -145,12 +146,20 @@ def share_cut(full: Array, bare: Array, noise: Array) -> float:
     """The share of the error in blocks that laws take away, at most 1; below 0 they add to it.
 
     full, bare   (p,) sums of squares of each block with and without them, beyond the sensor's noise, rad^2
-    noise        (p,) what the sensor's noise is of each, rad^2, > 0
+    noise        (p,) by how much what the sensor's noise is of each differs by chance, rad^2, > 0
     It is the smaller one of two: of all blocks together, which a single large one may decide, and of their geometric
-    mean, which the small ones may. A law of the motor cuts both.
+    mean, which the small ones may. A law of the motor cuts both. A block at rest, which noise alone fills with and
+    without laws, has nothing to cut: where the other blocks say more than chance does, each counts by the share of its
+    squares that is more than noise.
     """
     of_all = math.sqrt(max(float(full.sum()), 1e-300) / max(float(bare.sum()), 1e-300))
-    of_each = math.exp(0.5 * float(np.mean(np.log((full + noise) / (bare + noise)))))
+    cuts = 0.5 * np.log((bare + noise) / (full + noise))
+    beyond = np.maximum(full, bare)
+    weight = np.maximum(beyond / (beyond + noise), 1e-12)
+    weight /= weight.sum()
+    mean = float(weight @ cuts)
+    error = math.sqrt(float(weight @ (cuts - mean) ** 2) / max(1.0 / float(weight @ weight) - 1.0, 1.0))
+    of_each = math.exp(-max(float(cuts.mean()), mean if mean > SURE * error else -math.inf))
     return 1.0 - max(of_all, of_each)
 
 

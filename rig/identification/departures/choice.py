@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import (
+    ENOUGH,
+    Enough,
     Fit,
     Known,
     Normal,
@@ -41,15 +43,18 @@ ORDER = "cogging_per_rad"  # of a wave over the angle: without its size it has n
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
+NEAR = 0.05  # of what a law must bring: above noise or behind steps a trial that gains less in a step is near its end
 RESHAPED = 2  # starts of a law's shape that are fitted again on longer pieces
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
+HIDDEN = 1.4  # residual over the noise of a coarse sensor's steps up to which they hide what a motor leaves
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 # of a step: the error of rounding is half a step at most, a start's comes on top; normal noise of its size leaves 98 %
 WITHIN_STEP, NEARLY_ALL = 0.65, 0.99
+OF_STEP = 0.5  # mean way from row to row, of a step of the sensor: below it rows lie within the steps
 STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coarse sensor's steps
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
 FINE = 1e-3  # error in blocks of a plain motor that needs no law
@@ -60,6 +65,9 @@ LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at 
 LEAP_ITERATIONS = 4
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
+
+
+Ends = dict[frozenset[str], tuple[float, tuple["Fit", tuple[Departure, ...]] | None]]  # by names of laws: cost, end
 
 
 class Asked(NamedTuple):
@@ -135,7 +143,10 @@ class Chooser:
     def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
         """From a motor near the true one: a plain one, or with laws, which then are the first."""
         laws = tuple(law for law in self.candidates if any(getattr(motor, name) for name in law.numbers))
+        if self.candidates and not laws and self._steps_hide(whole, motor):
+            return replace(self, candidates=()).choose(whole, motor, cycle_s)
         growth: list[tuple[float, float]] = []
+        hidden_rad = HIDDEN * self.sigma_rad if self._within_steps else 0.0
         fit: Fit | None = None
         for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
             cut = whole if math.isinf(length_s) else whole.every(length_s)
@@ -144,7 +155,7 @@ class Chooser:
             problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
             longer = self._at_best_shape(solve(start(problem, motor)), laws)
             longer, found = self._settle(longer, laws)
-            if fit is not None and longer.rms_rad > GROWN * max(fit.rms_rad, self.sigma_rad):
+            if fit is not None and longer.rms_rad > max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad):
                 growth.append((cut.longest_s, longer.rms_rad))
                 break
             fit, laws, motor = longer, found, longer.motor
@@ -165,6 +176,25 @@ class Chooser:
                 refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
             )
         return Choice(laws, fit, tuple(growth))
+
+    @property
+    def _within_steps(self) -> bool:
+        """Whether rows lie within the steps of a coarse sensor: then their errors are not white, whatever they seem."""
+        return self.bench.path_per_row_rad <= OF_STEP * self.step_rad
+
+    def _steps_hide(self, whole: Cut, motor: RealMotor) -> bool:
+        """Whether the steps of a coarse sensor hide any law.
+
+        In blocks the plain motor leaves so little beyond them that the best law could not take away half of what is
+        asked.
+        """
+        if not self._within_steps:
+            return False
+        blocks = Blocks.of(whole, motor.tau_s, LAW_BLOCK)
+        noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
+        squares = blocks.held_out(self.problem(blocks.cut, (), math.inf), motor, starts_known=True)
+        most = 1.0 - math.exp(-0.5 * float(np.mean(np.log(np.maximum(squares / noise, 1.0)))))
+        return most < 0.5 * self.asked.cuts
 
     def with_drift(self, law: Departure) -> Chooser:
         """The same, but friction drifts as ``law`` says: of records whose frames say so."""
@@ -229,13 +259,18 @@ class Chooser:
         so in few blocks alone. Nor is one where the plain motor predicts to a part in a thousand: what is left there is
         what the readings are off. Where a fit leaves white noise, likelihood is right; so it is where it tells whole
         tests, each from its start on, to the sensor's noise. Laws that only together take as much as is asked stay
-        together.
+        together. A coarse sensor leaves its steps, which are never white.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
-        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad:
+        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self._within_steps:
             return fit, laws
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
-        noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
+        rows = np.array(blocks.cut.lengths)
+        noise = rows * self.sigma_rad**2
+        chance = noise
+        if self._within_steps:  # rows within a step are no further readings
+            steps = np.maximum(rows * self.bench.path_per_row_rad / self.step_rad, 1.0)
+            chance = noise * np.minimum(np.sqrt(2.0 / steps), 1.0)
         known: dict[tuple[Departure, ...], Array] = {}
 
         def left(laws: tuple[Departure, ...], motor: RealMotor) -> Array:
@@ -244,7 +279,7 @@ class Chooser:
                 known[laws] = np.maximum(blocks.held_out(problem, motor, starts_known=True) - noise, 0.0)
             return known[laws]
 
-        if laws and not fit.problem.noise.white:
+        if laws and self._asks_blocks(fit):
             none = fit.motor
             for law in laws:
                 none = without(none, law)
@@ -252,10 +287,10 @@ class Chooser:
             if math.sqrt(float(left((), none).sum()) / max(stays, 1e-300)) < FINE:
                 return self._last(refitted(fit, self.problem(fit.problem.cut, (), math.inf), none), ())
         first = fit, laws
-        while laws and not fit.problem.noise.white:
+        while laws and self._asks_blocks(fit):
             full = left(laws, fit.motor)
             cuts = {
-                law: share_cut(full, left(tuple(o for o in laws if o is not law), without(fit.motor, law)), noise)
+                law: share_cut(full, left(tuple(o for o in laws if o is not law), without(fit.motor, law)), chance)
                 for law in laws
                 if not self._is_shown_beside(fit, law)
             }
@@ -268,8 +303,11 @@ class Chooser:
             )
         if laws == first[1]:
             return first
-        together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), noise)
+        together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), chance)
         return first if together >= self.asked.cuts else (fit, laws)
+
+    def _asks_blocks(self, fit: Fit) -> bool:
+        return self._within_steps or not fit.problem.noise.white
 
     def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
         """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
@@ -302,10 +340,11 @@ class Chooser:
         first = self._steps(fit, laws, set())
         if not first:
             return fit, laws
-        end = self._greedy(*first[0])
+        seen: Ends = {}
+        end = self._greedy(*first[0], seen)
         if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
             return end  # it leaves nothing: another start would need two laws for as much
-        ends = [end, *(self._greedy(*step) for step in first[1:])]
+        ends = [end, *(self._greedy(*step, seen) for step in first[1:])]
         finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
@@ -315,16 +354,26 @@ class Chooser:
 
         return min(ends, key=worth)
 
-    def _greedy(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
-        """One law after the other, the best each time."""
+    def _greedy(self, fit: Fit, laws: tuple[Departure, ...], seen: Ends) -> tuple[Fit, tuple[Departure, ...]]:
+        """One law after the other, the best each time; ``seen``: where the laws of other ways led, which it adds to.
+
+        Two ways that come to the same laws go on alike, but for one whose fit is better by as much as a law.
+        """
         left: set[str] = set()
+        passed: list[tuple[frozenset[str], float]] = []
         while True:
             before = {law.name for law in laws}
             fit, laws = self._dropped(fit, laws)
-            left |= before - {law.name for law in laws}
-            steps = self._steps(fit, laws, left)
-            if not steps:
-                return fit, laws
+            names = frozenset(law.name for law in laws)
+            left |= before - names
+            cost, end = seen.get(names, (math.inf, None))
+            if end is None or cost - fit.cost > self.asked.stay * unit(fit):
+                passed.append((names, fit.cost))
+                steps = self._steps(fit, laws, left)
+                end = None if steps else (fit, laws)
+            if end is not None:
+                seen.update((names, (cost, end)) for names, cost in passed)
+                return end
             fit, laws = steps[0]
 
     def is_rounding(self, fit: Fit) -> bool:
@@ -353,10 +402,12 @@ class Chooser:
         def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
             law = promise.law
             motor = fit.motor._replace(**promise.first)
-            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS, near)
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
+        is_far = self._within_steps or fit.rms_rad > FAR * self.sigma_rad
+        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
         trials = side_by_side(tried, wanted, fit.residual_rad.size)
