@@ -169,9 +169,9 @@ def laid_out(figure: Figure) -> Figure:
 
 
 def save(file: Path, title: str, height_in: float, draw: Callable[[Figure], None]) -> None:
-    """Write what ``draw`` puts into an empty figure; the file's suffix, one of ``FORMATS``, names the format.
+    """Write what ``draw`` puts into an empty figure, ``height_in`` inches high.
 
-    Raises CannotWriteError.
+    The file's suffix, one of ``FORMATS``, names the format. Raises CannotWriteError.
     """
     suffix = file.suffix.lower()
     with style():

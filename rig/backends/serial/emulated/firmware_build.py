@@ -159,6 +159,8 @@ def make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -
     """Make the targets, as ``build`` does; the folder that they are in.
 
     tools  what they need besides a C compiler, and its cure
+
+    Raises EmulationError.
     """
     try:
         import fcntl  # not everywhere
