@@ -1,4 +1,4 @@
-/* Motion under Stribeck friction by Taylor series, with a bound on the truncation at every step.
+/* The step of plain_motor.h: its events, and motion under Stribeck friction by Taylor series of bounded truncation.
  *
  * The right side of x' = e - x - b expm1(-x) is analytic, so x is a power series in time. So are position and integral
  * of position, its integrals.

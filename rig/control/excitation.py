@@ -1,4 +1,4 @@
-"""The two laws of the relay experiment: the gain search, and the relay test at fixed gains (docs/theory.md 4.2)."""
+"""The relay experiment's laws: the search for both tests' gains, and the test at fixed gains (docs/theory.md 4.2)."""
 
 from __future__ import annotations
 

@@ -35,9 +35,9 @@ from rig.run_folder.live.stop_flag import request_stop
 from rig.run_folder.recording.errors import RecordingError
 from rig.running.experiment import law_watch
 from rig.running.experiment.law_watch import WatchedLaw
-from rig.running.keeper import process as law_keeper
+from rig.running.keeper import hung_law as law_keeper
+from rig.running.keeper.hung_law import LOOK_EVERY_S, Charge
 from rig.running.keeper.law_times import LawTimes, asks, law_times
-from rig.running.keeper.process import LOOK_EVERY_S, Charge
 
 ROOT = Path(__file__).resolve().parents[2]
 HUNG_S = 180.0  # far beyond what a loaded machine needs

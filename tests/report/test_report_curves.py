@@ -16,7 +16,7 @@ from synthetic_run import write_run
 
 from rig.identification import Identification, identify
 from rig.identification.estimate import Array
-from rig.output.report import fit, fitted, write_report
+from rig.output.report import fitted, model_curves, write_report
 from rig.output.report.source import load
 from rig.output.report.style import AbsentError
 from rig.run_folder.recording.curves import read_curves, write_curves
@@ -56,7 +56,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
         asked.extend(recording.source for recording in recordings)
         return identify(recordings, *arguments, **options)
 
-    monkeypatch.setattr(fit, "identify", counted)
+    monkeypatch.setattr(model_curves, "identify", counted)
     return asked
 
 
@@ -177,5 +177,5 @@ def test_identify_answers_where_the_folder_takes_no_file(run: Path) -> None:
 def test_a_run_without_rows_or_motor_has_no_curves(run: Path) -> None:
     (run / "samples.csv").unlink()
     with pytest.raises(AbsentError):
-        fit.kept_or_fitted(load(run))
+        model_curves.kept_or_fitted(load(run))
     assert Identification().curves is None

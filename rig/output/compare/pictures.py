@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rig.core.estimators import LEADING
-from rig.output.report.fit import average, cycles_of, kept_or_fitted
 from rig.output.report.fitted import LABELS, autocorrelation
+from rig.output.report.model_curves import average, cycles_of, kept_or_fitted
 from rig.output.report.source import Array, ReportedRun
 from rig.output.report.style import COLOURS, INK, LINES, MUTED, AbsentError, Picture, new_figure, plain, render
 from rig.run_folder.recording.errors import IdentifyError, RecordingError

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from rig.backends.emulated.errors import EmulationError
-from rig.backends.serial.emulated.firmware_build import source_folder
 from rig.control.observer import MotorObserver
-from rig.core.package import FOLDER
+from rig.core.package import FOLDER, firmware_folders
 from rig.model.real_motor import PARTS
 from rig.output.export.motor import IdentifiedMotor
 from rig.output.export.tool import NOT_RIGID, Tool, constant, rendered
@@ -50,10 +48,10 @@ _CONTROLLER: Final = ("rig_controller.h", "rig_controller.c")
 
 def _motion(name: str) -> bytes:
     """A file of the emulated boards' motor. Raises RecordingError where rig was installed without it."""
-    try:
-        return (source_folder() / "motor" / name).read_bytes()
-    except (EmulationError, OSError) as error:
-        raise RecordingError(FOLDER, f"has no {name}, which --to c copies: {error}", "install rig again") from error
+    found = next((folder for folder in firmware_folders() if (folder / "motor" / name).is_file()), None)
+    if found is None:
+        raise RecordingError(FOLDER, f"has no {name}, which --to c copies", "install rig again")
+    return (found / "motor" / name).read_bytes()
 
 
 def _of_controller(motor: IdentifiedMotor, run: ExportedRun) -> list[tuple[str, str, str]]:

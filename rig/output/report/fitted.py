@@ -1,4 +1,4 @@
-"""Figures of a run's estimates, from the curves of ``fit``: averaged cycle and model, residual, side by side."""
+"""Figures of measured against simulated: averaged cycle and model, residual, estimates side by side."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from rig.model.real_motor import FramedMotor
 from rig.output.report.budget import budget_in_words
-from rig.output.report.fit import PARAMETERS, average, cycles_of, models, predict_cycles
+from rig.output.report.model_curves import PARAMETERS, average, cycles_of, models, predict_cycles
 from rig.output.report.source import Array, ReportedRun, Span
 from rig.output.report.style import (
     FAINT,

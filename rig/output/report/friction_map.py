@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rig.identification.friction_map import FrictionMap, MapSpeed
-from rig.output.report.fit import answer_motor
+from rig.output.report.model_curves import answer_motor
 from rig.output.report.source import ReportedRun
 from rig.output.report.style import INK, MUTED, AbsentError, Picture, new_figure, render
 from rig.run_folder.results import FrictionMapResult, known

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
 from rig.core.estimators import ESTIMATORS
-from rig.output.report.fit import central_difference, cycles_of, models, predict_cycles
+from rig.output.report.model_curves import central_difference, cycles_of, models, predict_cycles
 from rig.output.report.source import Array, ReportedRun, Span
 from rig.output.report.style import (
     BANDS,

@@ -15,7 +15,7 @@ from rig.core.package import VERSION
 from rig.identification import Identification, IdentifyError, identify
 from rig.identification.verdict import PROMISE, RISK
 from rig.output.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
-from rig.output.report.fit import curves_of
+from rig.output.report.model_curves import curves_of
 from rig.output.report.source import ReportedRun, load
 from rig.output.report.style import AbsentError, Picture, colour, style, templates
 from rig.output.report.words import driven, headline, rounded

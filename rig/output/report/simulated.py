@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rig.identification.identification import Identification
 from rig.identification.known_model import model_of
 from rig.identification.preprocessing import from_recording
-from rig.output.report.fit import predicted
+from rig.output.report.model_curves import predicted
 from rig.output.report.source import Array
 from rig.output.report.style import (
     INK,

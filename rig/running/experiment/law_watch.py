@@ -1,7 +1,7 @@
 """A law of a user's own under watch: how long each step takes, and what happens to one that never returns.
 
 In the loop's process a step's CPU time is compared with its bound when it has returned. While it has not, another
-process watches: the keeper (``rig.running.keeper.process``). It asks first: a signal of its own raises out of the law,
+process watches: the keeper (``rig.running.keeper.hung_law``). It asks first: a signal of its own raises out of the law,
 as Ctrl-C does. If the law heeds no signal, the keeper takes the link, stops the device, and ends this process.
 """
 
@@ -153,7 +153,7 @@ class Keeper:
             descriptors = (memory, heard) if link is None else (memory, heard, link)
             try:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "rig.running.keeper.process", str(memory), str(heard)],
+                    [sys.executable, "-P", "-m", "rig.running.keeper.hung_law", str(memory), str(heard)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     bufsize=0,

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from rig.backends.emulated.errors import EmulationError
-from rig.core.package import FOLDER
+from rig.core.package import FOLDER, firmware_folders
 
 GOES_ON: Final = "rig: building {0}, once after an installation or a change of its sources: {1:.0f} s so far"
 SAY_AFTER_S, SAY_EVERY_S = 2.0, 5.0
@@ -102,7 +102,7 @@ def source_folder() -> Path:
 
     Raises EmulationError if neither is there.
     """
-    candidates = (_PACKAGE.parent / "firmware", _PACKAGE / "_firmware")
+    candidates = firmware_folders(_PACKAGE)
     for folder in candidates:
         if (folder / "Makefile").is_file() and (folder / "core" / "rig_core.c").is_file():
             return folder

@@ -1,4 +1,4 @@
-"""Curves for figures, no figure: the cycles of a relay test, and what a model predicts under the recorded drive."""
+"""What the figures draw of a model, no figure: its cycles, and what it predicts under the recorded drive."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The keeper of a run: a process that stops the device where a law of a user's own never returns (docs/safety.md).
 
-``python -m rig.running.keeper.process MEMORY SIGNALS`` gets its settings as one line on standard input, and says that
+``python -m rig.running.keeper.hung_law MEMORY SIGNALS`` gets its settings as one line on standard input, and says that
 it is ready on standard output. MEMORY is the descriptor of the ``LawLease``. From the descriptor SIGNALS it reads the
 number of each signal of the loop's process: the system writes it there even where the law holds the interpreter.
 It looks at the run's stop flag, too, which the loop cannot while the law is at work.
