@@ -31,6 +31,7 @@ from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResul
 from rig.run_folder.results.design import DesignResult
 from rig.run_folder.results.listed import ListedRun
 from rig.run_folder.results.meta import REHEARSAL
+from rig.run_folder.results.result import NO_ESTIMATE
 from rig.run_folder.results.tuned import TunedResult
 
 if TYPE_CHECKING:  # each loads slowly
@@ -163,16 +164,22 @@ def show_run(outcome: Outcome, *, verbose: bool = True) -> None:
 
 
 def tracking_words(tracking: Mapping[str, TrackingResult]) -> str:
-    """The RMS error with the model of each method, in brackets that of the emulated shaft; then what did not run."""
+    """The RMS error with the model of each method, in brackets that of the emulated shaft; then what did not run.
+
+    A method that these tests are not for has no estimate, and nothing to say.
+    """
     ran, others = [], []
     for method, one in tracking.items():
         if one.rms_rad is None:
-            others.append(f"{method} ({one.not_run or 'no outcome was recorded'})")
+            if one.not_run != NO_ESTIMATE:
+                others.append(f"{method} ({one.not_run or 'no outcome was recorded'})")
         else:
             shaft = "" if one.true_rms_rad is None else f" ({1e3 * one.true_rms_rad:.1f})"
             ran.append(f"{method} {1e3 * one.rms_rad:.1f}{shaft}")
     true = " (in brackets the true shaft's)" if any(one.true_rms_rad is not None for one in tracking.values()) else ""
     parts = [f"tracking error, mrad RMS{true}: {', '.join(ran)}"] if ran else []
+    if tracking and not ran and not others:
+        return "tracking not run: no method of tracking.methods has an estimate of these tests"
     return "; ".join(parts + ([f"{'' if ran else 'tracking '}not run: {', '.join(others)}"] if others else []))
 
 
@@ -458,7 +465,7 @@ def show_estimates(
     off = " (in brackets: error against the emulated motor)" if truth else ""
     show_table(f"the plain motor by each method, ± the scatter of its fit alone{off}", headings, rows)
     for method, check_run in (tracking or {}).items():
-        if check_run.not_run is not None:
+        if check_run.not_run not in (None, NO_ESTIMATE):
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
         if check_run.law:
             names = " and ".join(name.replace("_", " ") for name in check_run.law)

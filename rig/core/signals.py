@@ -44,6 +44,11 @@ def plain(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def percent(share: float) -> str:
+    """A share in whole percent, as the pages write it: ``10 %``."""
+    return f"{100.0 * share:.0f} %"
+
+
 LEAST_SHOWN_S = 0.005  # least lower end of a further delay: play and an electrical lag look like one of some ms
 
 

@@ -26,7 +26,7 @@ from rig.run_folder.results import (
     TrackingResult,
     TrueMotor,
 )
-from rig.run_folder.results.result import Quantiles
+from rig.run_folder.results.result import NO_ESTIMATE, Quantiles
 from rig.running.session import Outcome
 from rig.terminal import plain_table, show_details, show_estimates, show_run, tracking_words
 
@@ -98,12 +98,15 @@ def test_a_run_is_summed_up_in_fewer_than_ten_lines_and_verbose_tells_the_rest(
 
 
 def test_what_did_not_track_stands_after_what_did_with_its_reason() -> None:
-    ran, left = TrackingResult(rms_rad=0.0036, true_rms_rad=0.0017), TrackingResult(not_run="no estimate")
+    ran, left = TrackingResult(rms_rad=0.0036, true_rms_rad=0.0017), TrackingResult(not_run="its estimate was refused")
+    error = "tracking error, mrad RMS (in brackets the true shaft's): sampled-data 3.6 (1.7)"
     assert tracking_words({"triple-relay": left, "sampled-data": ran}) == (
-        "tracking error, mrad RMS (in brackets the true shaft's): sampled-data 3.6 (1.7); "
-        "not run: triple-relay (no estimate)"
+        f"{error}; not run: triple-relay (its estimate was refused)"
     )
-    assert tracking_words({"triple-relay": left}) == "tracking not run: triple-relay (no estimate)"
+    assert tracking_words({"triple-relay": left}) == "tracking not run: triple-relay (its estimate was refused)"
+    none = TrackingResult(not_run=NO_ESTIMATE)  # these tests are not for that method
+    assert tracking_words({"triple-relay": none, "sampled-data": ran}) == error
+    assert "no method of tracking.methods has an estimate" in tracking_words({"triple-relay": none})
 
 
 def test_a_doubt_to_record_anew_is_followed_by_what_to_type(capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,7 @@ from synthetic_run import BACKEND, write_run
 
 from rig.cli import main
 from rig.core.faults import FAULTS, Fault
-from rig.output.report import fitted, write_report
+from rig.output.report import fitted, tables, write_report
 from rig.output.report.page import render_page
 from rig.output.report.source import load
 from rig.output.report.style import style
@@ -407,6 +407,9 @@ def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path)
     assert "dead band of the drive 0.0520 V 95 %: 0.0480 to 0.0560 none a bridge" in words
     missed = words[words.index("lag of the drive not found 0.0512 V") :]
     assert "an inductance" not in missed and "or, as likely" not in words
+    assert tables.AT_REST not in words
+    edit(run / "meta.json", lambda m: m["truth"]["law"].append(true[0] | {"name": "static"}))
+    assert tables.AT_REST in page_of(run).words  # the headline has breakaway levels
 
 
 @pytest.mark.usefixtures("figureless")

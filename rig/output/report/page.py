@@ -113,6 +113,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
             tracking=tables.tracking(run),
             tracking_heads=tables.tracking_heads(run),
             law_used=tables.law_used(run),
+            at_rest=tables.at_rest(run),
             tuned=tuned_loop.rows(run),
             loop_cells=tables.loop(run),
             facts=tables.facts(run),

@@ -14,10 +14,14 @@ from rig.output.report.source import PREFERRED, ReportedRun
 from rig.output.report.style import short
 from rig.output.report.words import PARAMETERS, Quantity, quantity, rounded
 from rig.run_folder.results import Quantiles, TrackingResult, TrueLaw, known
+from rig.run_folder.results.result import NO_ESTIMATE
 
+_STATIC = next(law.title for law in DEPARTURES if law.name == "static")
+AT_REST = (
+    "Static friction is by how much more drive it takes at rest than in motion: these tests do not show that, and the "
+    "levels at the top, to move the shaft from rest, are the breakaway check's."
+)
 Cell = tuple[float | None, str]
-
-NO_ESTIMATE = "no estimate"  # why a check did not run, where there is nothing else to say of its method
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,12 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
             title, _ = causes.get(missed.name, (missed.name.replace("_", " "), ""))
             rows.append(MotorLawRow(title, (None, "not found"), "", "", "", "", _true_size(missed), found=False))
     return rows
+
+
+def at_rest(run: ReportedRun) -> str:
+    """What a true static friction that was not found is beside the breakaway levels of the headline; else empty."""
+    missed = any(line.law == _STATIC and not line.found for line in motor_law(run))
+    return AT_REST if missed and run.result.breakaway is not None else ""
 
 
 def _true_size(law: TrueLaw | None) -> str:

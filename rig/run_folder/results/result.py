@@ -29,6 +29,9 @@ class FaultReport(Part):
     t_s: Sometimes[Number] = Field(None, description="when, s since the run's start; only in an event")
 
 
+NO_ESTIMATE = "no estimate"  # why a check did not run: the tests are not for its method, and no more is to be said
+
+
 class TrackingResult(Part):
     """A tracking check: its errors, or why there are none."""
 

@@ -31,7 +31,7 @@ from rig.control.trajectory import SumOfSines
 from rig.control.unshown import STILL_S, Flicker, UnshownMotion
 from rig.core.estimators import LEADING
 from rig.core.faults import Fault
-from rig.core.signals import BenchDelay
+from rig.core.signals import BenchDelay, percent
 from rig.identification import identify
 from rig.identification.known_model import model_of, plain_motor
 from rig.identification.preprocessing import from_recording
@@ -46,6 +46,7 @@ from rig.run_folder.recording.folder import write_meta
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JogResult, RealTimeReport, TrackingResult
 from rig.run_folder.results.answer_words import beyond_drive
+from rig.run_folder.results.result import NO_ESTIMATE
 from rig.running.experiment.in_device import relay_in_device
 from rig.running.experiment.which_way import strokes_move_against
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
@@ -350,8 +351,9 @@ def check_breakaway(session: Session) -> None:
     if differ > FRICTION_DIFFERS:
         session.found.notes.append(
             f"the shaft broke away at {check.plus_V:.2f} V in one direction and at {check.minus_V:.2f} V in the other, "
-            f"{differ:.0%} from their mean; `rig check` bounds unseen travel for at most {FRICTION_DIFFERS:.0%}. With "
-            "a stuck or uncoupled sensor this shaft could turn farther than `rig check` says: lower breakaway.max_V"
+            f"{percent(differ)} from their mean; `rig check` bounds unseen travel for at most "
+            f"{percent(FRICTION_DIFFERS)}. With a stuck or uncoupled sensor this shaft could turn farther than "
+            "`rig check` says: lower breakaway.max_V"
         )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
 
@@ -580,7 +582,7 @@ def verify_models(session: Session) -> None:
             # if the best estimator refuses the recording, a reference method's model must not drive the bench either
             model, reason = None, "no estimate is good enough for the simulation before the run"
         elif estimate is None or estimate.verdict == "refused":
-            model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
+            model, reason = None, NO_ESTIMATE if estimate is None else "its estimate was refused"
         else:
             model = plain_motor(estimate)
             reason = _why_not(session, model, trusted)
