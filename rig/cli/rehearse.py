@@ -54,8 +54,7 @@ def rehearse(
     """
     sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
     document = config.read(config_path, takes_pipe=True)
-    experiment, _ = preflight.check(document, ("emulated",))
-    experiment = preflight.rehearsed(document, experiment, sheet, pace)
+    experiment = preflight.rehearsed(document, sheet, pace)
     if not as_json:
         _show_motor(experiment)
     from rig.running import experiment as script

@@ -681,6 +681,15 @@ class EmulatedParts(_PartsOfMotor):
     centre_rad: float = Field(0.0, description="middle of the travel that the parts over position refer to")
     half_travel_rad: Positive = Field(1.0, description="half the width of that travel")
 
+    @model_validator(mode="after")
+    def _cogs_have_an_order(self) -> Self:
+        if (self.cogging_sin_V or self.cogging_cos_V) and not self.cogging_per_rad:
+            raise ValueError(
+                "cogging_sin_V and cogging_cos_V do nothing without cogging_per_rad: give it, the cogs for each radian "
+                "of the shaft, or leave all three out"
+            )
+        return self
+
 
 class EmulatedMotor(_Section):
     """The true motor behind an emulated or simulated device."""

@@ -173,6 +173,10 @@ BROKEN = {
     "tag": (
         "seed: 1", "seed: !!python/object/apply:os.getcwd []", "!!python", "", "tags (`!...`) are not supported", ""
     ),
+    "cogging without its order": (
+        "bias_V: 0.01", "bias_V: 0.01\n    parts: {cogging_cos_V: 0.05}", "{cogging", "emulated.motor.parts",
+        "do nothing without cogging_per_rad", "",
+    ),
     "control character": ("name: demo", "name: de\x07mo", "\x07mo", "", "control character U+0007", "delete it"),
     "half a character": ("name: demo", 'name: "de\\ud800mo"', '"de', "name", "half of a surrogate pair", ""),
 }  # fmt: skip

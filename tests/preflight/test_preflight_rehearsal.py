@@ -24,7 +24,7 @@ def rehearsal(name: str, sheet: DataSheet = NOTHING, values: Mapping[Key, Value]
     """A ready config, with these values, rehearsed."""
     document = config.read(ROOT / "config" / f"{name}.yaml")
     document = replace(document, data=changed(document.data, values or {}))
-    return rehearsed(document, check(document, ("emulated",))[0], sheet)
+    return rehearsed(document, sheet)
 
 
 def no_load_rad_s(e: Experiment) -> float:
@@ -92,6 +92,15 @@ def test_each_device_has_its_emulated_one_in_virtual_time(name: str, port: str, 
     assert (found.daq.port, found.daq.usb_serial) == (becomes, None)
     if name == "pico":
         assert found.emulated is not None and found.emulated.drive_counts == 6250
+
+
+@pytest.mark.parametrize("name", ["uno", "modbus-rtu", "servo"])
+def test_a_bench_whose_port_is_not_known_yet_is_rehearsed(name: str) -> None:
+    document = config.read(ROOT / "config" / f"{name}.yaml")
+    daq = {key: value for key, value in document.data["daq"].items() if key != "port"}
+    assert rehearsed(replace(document, data={**document.data, "daq": daq}), NOTHING) == rehearsal(name)
+    with pytest.raises(ConfigError, match=r"daq.port: no emulated-none"):
+        rehearsal(name, values={("daq", "port"): "emulated-none"})
 
 
 def test_a_device_that_rig_does_not_emulate_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

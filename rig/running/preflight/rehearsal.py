@@ -98,15 +98,17 @@ def made_motor(sheet: DataSheet, e: Experiment) -> dict[str, float]:
     return {name: float(f"{value:.4g}") for name, value in made.items()}
 
 
-def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float | None = None) -> Experiment:
+def rehearsed(document: Document, sheet: DataSheet, pace: float | None = None) -> Experiment:
     """The checked experiment on an emulated device in virtual time: all but the device is the config's own.
 
-    document  the config as it was read, and ``e`` what it says
+    document  the config as it was read; it needs no ``daq.port``
     sheet     of the motor; where nothing is given the motor of section ``emulated``, if there is one
     pace      in place of loop.pace; None: as the config says
-    Raises ConfigError, with line and key, where rig emulates no such device, or where the config's limits do not fit
-    the motor; SheetError.
+    Raises ConfigError, with line and key, as ``check``, where rig emulates no such device, or where the config's limits
+    do not fit the motor; SheetError.
     """
+    no_port = () if "port" in _section(document.data, "daq") else ("daq.port",)
+    e, _ = check(document, ("emulated", *no_port))
     keys = backend_of(e.device).rehearsed(e.device)
     if keys is None:
         problem = wrong(
@@ -140,7 +142,7 @@ def rehearsed(document: Document, e: Experiment, sheet: DataSheet, pace: float |
 
 
 def _section(data: JsonObject, name: str) -> JsonObject:
-    """A section of a config that was checked; empty where it is not there."""
+    """A section of a config; empty where it is not there, or is none."""
     found = data.get(name)
     return found if isinstance(found, dict) else {}
 
