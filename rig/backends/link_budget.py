@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from rig.config.problems import Problem, wrong
+from rig.core.signals import percent
 
 LINK_SHARE = 0.8  # of the period: for the exchange by the sum, or for the whole tick as measured
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
@@ -46,7 +47,7 @@ class LinkBudget(NamedTuple):
     def beside(self, period_s: float) -> str:
         """The sum beside its largest allowed value, for people."""
         return (
-            f"{self.written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms "
+            f"{self.written}; {percent(LINK_SHARE)} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms "
             "(the host needs the rest to wake, decide and record)"
         )
 

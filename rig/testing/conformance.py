@@ -27,7 +27,7 @@ from rig.backends.link_budget import LINK_SHARE
 from rig.backends.plug_in import PlugIn
 from rig.backends.registry import backend_of, unopened
 from rig.core.faults import Fault
-from rig.core.signals import Limits, Sample
+from rig.core.signals import Limits, Sample, percent
 from rig.running.preflight import check
 
 TEST_SHARE = 0.1  # of drive.max_V: the default of drive_V
@@ -285,7 +285,7 @@ class Suite:
         require(
             median_s <= LINK_SHARE * period_s,
             f"read() and write() take {median_s * 1e3:.2f} ms; the period is {period_s * 1e3:g} ms, of which they may "
-            f"take {LINK_SHARE:.0%}",
+            f"take {percent(LINK_SHARE)}",
         )
 
     def test_its_failsafe_is_declared(self) -> None:

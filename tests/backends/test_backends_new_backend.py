@@ -103,7 +103,7 @@ def test_check_asks_it_and_says_what_it_says(tmp_path: Path) -> None:
     done = rig("check", written(tmp_path, {"channel": 1}))
     assert done.exit_code == 0, done.stderr
     assert "backend: channel 1 of an oscilloscope, nothing moves, every 10 ms" in done.stdout
-    assert "link: 2 conversions = 1.00 ms; 80% of the period is 8.00 ms" in done.stdout
+    assert "link: 2 conversions = 1.00 ms; 80 % of the period is 8.00 ms" in done.stdout
     assert "failsafe: the device sets 0 V after 100 ms of silence" in done.stdout
 
 
@@ -136,7 +136,7 @@ TACHOMETER = {"tachometer": {"rad_s_per_count": 0.1}}
             {"channel": 1, "conversion_s": 0.006},
             {},
             "conversion_s: 0.006",
-            "daq.options.conversion_s: too slow for the period: 2 conversions = 12.00 ms; 80% of the period is "
+            "daq.options.conversion_s: too slow for the period: 2 conversions = 12.00 ms; 80 % of the period is "
             "8.00 ms (the host needs the rest to wake, decide and record); period_s of 0.015 and more",
         ),
     ],

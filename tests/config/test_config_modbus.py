@@ -275,7 +275,7 @@ def test_what_does_not_fit_is_refused_and_the_hint_fits(baud: int) -> None:
     e = example(daq={"baud": baud})
     found = next(problem for problem in preflight(e).problems if problem.path == ("daq", "baud"))
     assert f"{baud} baud" in found.message
-    assert "80% of the period is 8.00 ms" in found.message
+    assert "80 % of the period is 8.00 ms" in found.message
     assert found.hint.startswith("daq.baud 115200 fits")
     assert "daq.baud" not in problems(example(daq={"baud": 115200}))
 

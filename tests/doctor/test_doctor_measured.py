@@ -33,7 +33,7 @@ def test_late_and_exchange_are_told_apart() -> None:
     assert ticks.skipped == 0
     assert ticks.longest_s == pytest.approx(0.0043)
     assert measured.verdict(ticks).state == "good"
-    assert "margin 57%" in measured.verdict(ticks).words
+    assert "margin 57 %" in measured.verdict(ticks).words
 
 
 def test_an_exchange_longer_than_the_period_is_not_held_and_a_period_that_fits_is_proposed() -> None:
@@ -53,7 +53,7 @@ def test_what_a_run_does_besides_reading_counts_for_the_period() -> None:
     assert measured.verdict(ticks).state == "good"
     found = measured.verdict(ticks, 0.004)
     assert found.state == "poor"
-    assert "by the config a tick that drives takes 4.00 ms more, margin 10%" in found.words
+    assert "by the config a tick that drives takes 4.00 ms more, margin 10 %" in found.words
     assert measured.verdict(ticks, 0.006).state == "bad"
 
 
@@ -62,7 +62,7 @@ def test_tight_is_said_before_it_breaks() -> None:
     ticks = measured.run_ticks(clock, 0.01, 10, exchange_of(clock, 0.009))
     found = measured.verdict(ticks)
     assert found.state == "poor"
-    assert "margin 10%" in found.words
+    assert "margin 10 %" in found.words
     assert found.cure.startswith("period_s: 0.012 "), "longer than the one that is tight"
 
 

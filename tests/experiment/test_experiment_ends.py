@@ -208,7 +208,7 @@ def test_friction_that_differs_by_more_than_the_bound_reckons_with_is_said(
     text["emulated"]["motor"]["fs_plus_V"] = plus_V
     path.write_text(yaml.safe_dump(text), encoding="utf-8")
     notes = json.loads(rig("relay", path, "--out", tmp_path / "runs", "--json").stdout)["notes"]
-    assert any("bounds unseen travel for at most 10%" in n for n in notes) is differs
+    assert any("bounds unseen travel for at most 10 %" in n for n in notes) is differs
 
 
 def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_9600_baud_is_refused_with_the_sum(tmp_path: Path) -> None:
         text = " ".join(result.output.split())
         assert (
             "too slow for the period: FC23 request 17 + FC23 reply 13 = 30 bytes x 10 bits / 9600 baud = 31.25 ms, "
-            "+ 7.29 ms (2 silences) + 0.5 ms (turnaround) = 39.04 ms; 80% of the period is 8.00 ms" in text
+            "+ 7.29 ms (2 silences) + 0.5 ms (turnaround) = 39.04 ms; 80 % of the period is 8.00 ms" in text
         )
         assert "daq.baud 115200 fits" in text
     assert not (tmp_path / "runs").exists()

@@ -128,7 +128,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "amplitude at the soft limit": (
         {"relay__target__amplitude_rad": 1.0, "relay__target__period_s": 2.0},
         "relay.target.amplitude_rad",
-        "1 rad + 15% tolerance = 1.15 rad leaves the soft limits (1.1 rad",
+        "1 rad + 15 % tolerance = 1.15 rad leaves the soft limits (1.1 rad",
     ),
     "second amplitude at the soft limit": (
         {"relay__second_ratio": 2.0, "relay__target__period_s": 2.0},
@@ -138,7 +138,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "amplitude below the sensor": (
         {"relay__target__amplitude_rad": 0.13},  # the search may end 15 % below it
         "relay.target.amplitude_rad",
-        "the smaller test's 0.091 rad - 15% tolerance = 0.0774 rad is less than 20 counts",
+        "the smaller test's 0.091 rad - 15 % tolerance = 0.0774 rad is less than 20 counts",
     ),
     "cycle too short": (
         {"relay__target__period_s": 0.29, "relay__target__amplitude_rad": 0.15},
@@ -189,7 +189,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         {"daq__baud": 9600},
         "daq.baud",
         "READ 8 + STATE 32 + DRIVE 10 = 50 bytes x 11 bits / 9600 baud = 57.29 ms, + 1 ms (turnaround) = 58.29 ms; "
-        "80% of the period is 8.00 ms",
+        "80 % of the period is 8.00 ms",
     ),
     "time-out too short for a reading": (
         {"daq__timeout_s": 0.006},

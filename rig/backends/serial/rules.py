@@ -21,6 +21,7 @@ from rig.backends.serial.link_budget import (
 from rig.backends.serial.ports import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
+from rig.core.signals import percent
 
 _SLACK = 1e-9  # relative
 
@@ -120,7 +121,8 @@ def _device_relay(d: DeviceSetup) -> Iterator[Problem]:
         fitting = next(baud for baud in BAUD_RATES if block_share(baud) <= LINK_SHARE)
         yield wrong(
             "daq.baud",
-            f"too slow for the samples of a relay in the device: {block_sum(d.daq.baud)}; {LINK_SHARE:.0%} may be used",
+            f"too slow for the samples of a relay in the device: {block_sum(d.daq.baud)}; "
+            f"{percent(LINK_SHARE)} may be used",
             f"daq.baud {fitting} fits, or relay.where: host",
         )
     points = d.sensor.points

@@ -21,6 +21,7 @@ from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_up
 from rig.core.faults import Fault
+from rig.core.signals import percent
 
 _STILL_STEPS: Final = 3  # of the drive: far below what breaks a shaft away
 _TURNS_SHARE: Final = 0.12  # of full duty, under which a free horn turns
@@ -233,7 +234,7 @@ def _moves(link: ServoLink, guardian: Guardian | None) -> Fact:
     t_s, counts = np.array(times), np.array(ways, dtype=np.float64)
     counts *= np.sign(counts.sum()) or 1.0  # the sign of a duty is not known here
     if counts.max() < 10.0:
-        return Fact(name, None, f"the horn did not turn under {_TURNS_SHARE:.0%} of full duty")
+        return Fact(name, None, f"the horn did not turn under {percent(_TURNS_SHARE)} of full duty")
 
     def off(x: Floats) -> Floats:
         since = np.maximum(t_s - x[0], 0.0)
@@ -262,7 +263,7 @@ def _stops(link: ServoLink, guardian: Guardian | None, *, has_watchdog: bool) ->
         slowed_s = _slowed_s(link, stop, guardian, silent=name == "watchdog")
         key = f"slows_s_{name.replace(' ', '_')}"
         if slowed_s is None:
-            yield Fact(key, None, f"the horn did not turn under {_TURNS_SHARE:.0%} of full duty")
+            yield Fact(key, None, f"the horn did not turn under {percent(_TURNS_SHARE)} of full duty")
         else:
             yield Fact(key, round(slowed_s, 4), f"{name}: its speed fell to 37 % within {1e3 * slowed_s:.0f} ms")
 

@@ -19,6 +19,7 @@ from rig.backends.serial.frames import BOARDS, BRIDGES, Code, Hello, code_name
 from rig.backends.serial.loopback import REPEATS, WATCHDOG_MS, Measured, Share, Trip, measure
 from rig.core.faults import Fault
 from rig.core.package import VERSION
+from rig.core.signals import percent
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.running.doctor.finding import Finding
 
@@ -180,7 +181,7 @@ def _output(shares: Sequence[Share], bridge: str, end: int, wire: Wire) -> Findi
     wanted = [expected(bridge, share.drive) for share in shares]
     topic = f"drive {wire.output}"
     rows = list(zip(shares, wanted, strict=True))
-    told = ", ".join(f"{share.ends[end]:.1%} at {share.drive:+.0%}" for share in shares)
+    told = ", ".join(f"{100.0 * share.ends[end]:.1f} % at {100.0 * share.drive:+.0f} %" for share in shares)
     if all(_fits(share.ends[end], want[end]) for share, want in rows):
         return Finding(topic, "good", f"high for {told} of full duty")
     if all(_fits(share.outputs[end], want[end]) for share, want in rows):
@@ -192,8 +193,9 @@ def _output(shares: Sequence[Share], bridge: str, end: int, wire: Wire) -> Findi
             words = f"{wire.output} itself is right, but {wire.end} sees something else: {told}"
         return Finding(topic, "bad", words, f"put a wire from {wire.output} to {wire.end}")
     seen = [share.outputs[end] for share in shares]
-    told = ", ".join(f"{high:.1%} at {share.drive:+.0%}" for high, share in zip(seen, shares, strict=True))
-    right = ", ".join(f"{want[end]:.0%}" for want in wanted)
+    pairs = zip(seen, shares, strict=True)
+    told = ", ".join(f"{100.0 * high:.1f} % at {100.0 * share.drive:+.0f} %" for high, share in pairs)
+    right = ", ".join(percent(want[end]) for want in wanted)
     driven = [(high, want[end]) for high, want in zip(seen, wanted, strict=True) if 0.0 < want[end] < 1.0]
     if driven and all(_fits(high, 1.0 - want) for high, want in driven):
         words = f"the PWM is inverted: high for {told}; right is {right}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from rig.backends.driver import Clock
 from rig.backends.link_budget import LINK_SHARE
+from rig.core.signals import percent
 from rig.running.doctor.finding import Finding
 
 _SLOWER, _MACHINES_S = 1.2, 0.5e-3  # a round trip may exceed its sum by this factor plus this time
@@ -99,10 +100,10 @@ def verdict(ticks: Ticks, unmeasured_s: float = 0.0) -> Finding:
     if unmeasured_s > 0.0:
         words += f", and by the config a tick that drives takes {unmeasured_s * 1e3:.2f} ms more"
     if worst_s <= LINK_SHARE * ticks.period_s and not ticks.skipped:
-        return Finding("period", "good", f"held: {words}, margin {margin:.0%}")
+        return Finding("period", "good", f"held: {words}, margin {percent(margin)}")
     cure = f"period_s: {_rounded_up(worst_s / LINK_SHARE):g} or longer leaves room; or follow the hints above"
     if worst_s <= ticks.period_s and not ticks.skipped:
-        return Finding("period", "poor", f"held, but tight: {words}, margin {margin:.0%}", cure)
+        return Finding("period", "poor", f"held, but tight: {words}, margin {percent(margin)}", cure)
     return Finding("period", "bad", f"NOT held: {words}, {ticks.skipped} skipped", cure)
 
 

@@ -11,6 +11,7 @@ from rig.config.problems import bracketed
 from rig.config.schema import DeviceSetup, Experiment
 from rig.control.laws import OWN
 from rig.control.sweep_plan import TooShortError
+from rig.core.signals import percent
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.running.preflight.differences import differences
 from rig.running.preflight.room_to_stop import (
@@ -149,8 +150,9 @@ def _breakaway(e: Experiment) -> _Stage:
         f"stage breakaway: strokes to and fro, {lengths}, each {1e3 * strokes.step_V:.3g} mV stronger than the one "
         f"before, up to {b.max_V:g} V; at most about {longest_s:.0f} s",
         f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
-        f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
-        f"of both ways. That holds {_check_ends_by(strokes.watchdog_s, e.device)}",
+        "if motor.no_load_speed_rad_s is true and friction each way is within "
+        f"{percent(FRICTION_DIFFERS)} of the mean of both ways. That holds "
+        f"{_check_ends_by(strokes.watchdog_s, e.device)}",
     )
     return _Stage(lines, longest_s)
 
@@ -174,7 +176,7 @@ def _relay_tests(e: Experiment) -> _Stage:
         speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
         lines = (
             f"stage search: searches gains for {amplitudes[0]:.3g} rad every {r.target.period_s:g} s, "
-            f"+-{r.target.tolerance:.0%}, and for {amplitudes[1]:.3g} rad; at most {r.search.timeout_s:g} s each",
+            f"+-{percent(r.target.tolerance)}, and for {amplitudes[1]:.3g} rad; at most {r.search.timeout_s:g} s each",
             f"stage relay: {r.cycles} settled cycles with each, up to about {speed:.2g} rad/s; about {tests_s:.0f} s "
             "and the settling",
         )

@@ -20,7 +20,7 @@ from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection, RelayT
 from rig.control.laws import OptionError, construct, registered
 from rig.control.sweep_plan import TooShortError
 from rig.core.plug_ins import PlugInError
-from rig.core.signals import plain
+from rig.core.signals import percent, plain
 from rig.running.preflight.attached import attached_rules
 from rig.running.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes, has_strokes
 from rig.running.preflight.plan import plan
@@ -308,8 +308,8 @@ def _target(e: Experiment) -> Iterator[Problem]:
     if within_rad < least_rad:
         yield wrong(
             "relay.target.amplitude_rad",
-            f"the smaller test's {smallest_rad:.3g} rad - {target.tolerance:.0%} tolerance = {within_rad:.3g} rad is "
-            f"less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad), which is delay hunting",
+            f"the smaller test's {smallest_rad:.3g} rad - {percent(target.tolerance)} tolerance = {within_rad:.3g} rad "
+            f"is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad), which is delay hunting",
             f"at least {target.amplitude_rad * least_rad / within_rad:.3g} rad",
         )
     if not limits_are_ordered(d):
@@ -320,8 +320,8 @@ def _target(e: Experiment) -> Iterator[Problem]:
     if largest_rad > soft_rad:
         yield wrong(
             "relay.target.amplitude_rad",
-            f"the larger test's {amplitude_rad:.3g} rad + {target.tolerance:.0%} tolerance = {largest_rad:.3g} rad "
-            f"leaves the soft limits ({soft_rad:g} rad from the centre of travel)",
+            f"the larger test's {amplitude_rad:.3g} rad + {percent(target.tolerance)} tolerance = {largest_rad:.3g} "
+            f"rad leaves the soft limits ({soft_rad:g} rad from the centre of travel)",
             "lower the amplitude",
         )
         return
