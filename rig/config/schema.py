@@ -38,7 +38,7 @@ from rig.core.calibration import (
     TachometerScale,
 )
 from rig.core.estimators import ESTIMATORS
-from rig.core.motor_numbers import NUMBERS, Number, of_every_bench
+from rig.core.motor_numbers import NUMBERS, PARTS, Number, of_every_bench
 from rig.core.section import Interval, NonNegative, Positive
 from rig.core.section import Section as _Section
 from rig.core.signals import Limits
@@ -683,7 +683,8 @@ class EmulatedParts(_PartsOfMotor):
 
     @model_validator(mode="after")
     def _cogs_have_an_order(self) -> Self:
-        if (self.cogging_sin_V or self.cogging_cos_V) and not self.cogging_per_rad:
+        *sizes_V, per_rad = (getattr(self, name) for name in PARTS["cogging"])
+        if any(sizes_V) and not per_rad:
             raise ValueError(
                 "cogging_sin_V and cogging_cos_V do nothing without cogging_per_rad: give it, the cogs for each radian "
                 "of the shaft, or leave all three out"

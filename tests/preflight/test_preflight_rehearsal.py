@@ -14,6 +14,7 @@ from rig import config
 from rig.config import ConfigError, Experiment
 from rig.config.edit import Value, changed
 from rig.config.problems import Path as Key
+from rig.run_folder.results import JsonObject
 from rig.running.preflight import DataSheet, SheetError, check, rehearsed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,7 +98,9 @@ def test_each_device_has_its_emulated_one_in_virtual_time(name: str, port: str, 
 @pytest.mark.parametrize("name", ["uno", "modbus-rtu", "servo"])
 def test_a_bench_whose_port_is_not_known_yet_is_rehearsed(name: str) -> None:
     document = config.read(ROOT / "config" / f"{name}.yaml")
-    daq = {key: value for key, value in document.data["daq"].items() if key != "port"}
+    own = document.data["daq"]
+    assert isinstance(own, dict)
+    daq: JsonObject = {key: value for key, value in own.items() if key != "port"}
     assert rehearsed(replace(document, data={**document.data, "daq": daq}), NOTHING) == rehearsal(name)
     with pytest.raises(ConfigError, match=r"daq.port: no emulated-none"):
         rehearsal(name, values={("daq", "port"): "emulated-none"})
