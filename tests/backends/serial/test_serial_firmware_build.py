@@ -18,7 +18,7 @@ from rig.backends.serial.emulated import firmware_build
 def test_an_installed_rig_builds_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     package = tmp_path / "site-packages" / "rig"
     sources = firmware_build.source_folder()
-    for part in ("core", "boards"):  # what pyproject.toml packs into the wheel
+    for part in ("boards", "core", "motor"):  # what pyproject.toml packs into the wheel
         shutil.copytree(sources / part, package / "_firmware" / part)
     shutil.copy(sources / "Makefile", package / "_firmware" / "Makefile")
     monkeypatch.setattr(firmware_build, "_PACKAGE", package)
