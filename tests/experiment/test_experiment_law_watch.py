@@ -448,6 +448,7 @@ def test_a_law_that_heeds_no_signal_is_ended_and_its_run_is_read_also_where_the_
     for number in numbers:
         host.send_signal(number)
     said = "" if is_gone else host.stderr.read()
+    host.stderr.close()
     assert host.wait(HUNG_S) == -signal.SIGKILL
     wait_until(lambda: not alive(keeper))
     [folder] = (tmp_path / "runs").iterdir()
