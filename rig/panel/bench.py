@@ -323,6 +323,10 @@ class Bench:
             hold = self._hold = self._hold or _Hold(holder, self._leaser(), now_s)
             hold.at_s = now_s
             try:
+                if hold.leaser.is_anothers:  # what this one has given is not the newest: there is nothing to give back
+                    hold.leaser.close()
+                    self._hold = None
+                    raise RefusedError(409, "another panel holds the jog", "let go there")
                 hold.leaser.drive(min(max(share, -1.0), 1.0) * self._jog_V)
             except OSError as error:
                 self._drop()

@@ -58,6 +58,25 @@ def test_a_lease_drives_until_it_runs_out_is_renewed_or_given_back(
     assert held.refused == 0
 
 
+def test_who_gives_leases_sees_that_another_does_until_the_others_run_out(
+    tmp_path: Path, held: HeldLease, clock: Clock
+) -> None:
+    mine, others = Leaser(tmp_path, clock), Leaser(tmp_path, clock)
+    assert not mine.is_anothers
+    mine.drive(0.8)
+    assert (mine.is_anothers, others.is_anothers) == (False, True)
+    others.drive(-0.8)  # at the same moment: their numbers are the same
+    mine.drive(0.8)
+    assert others.is_anothers and held.u_V() == 0.8
+    mine.release()
+    assert not others.is_anothers
+    mine.drive(0.8)
+    clock.ns += LONGEST_NS
+    assert not others.is_anothers
+    mine._write(0.8, clock.ns + 2**61)  # it drives nothing: nobody holds by it
+    assert not others.is_anothers
+
+
 @pytest.mark.parametrize(
     ("u_V", "ahead_ns"), [(0.8, LONGEST_NS + 1), (0.8, 2**62), (math.nan, 1_000_000), (math.inf, 1_000_000)]
 )

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from rig.panel.processes import StartedProcess
 from rig.panel.watch import ALIVE_S, PERIOD_S, Follower
 from rig.run_folder.live import running as running_module
 from rig.run_folder.live.born import born
+from rig.run_folder.live.lease import HeldLease, Leaser
 from rig.run_folder.live.own_folder import NAME
 from rig.run_folder.live.running import Running, running
 from rig.run_folder.live.stop_flag import Runner, StopFlag
@@ -82,6 +84,8 @@ def test_each_confirmation_starts_once_and_only_the_config_that_was_checked(
 class Lease:
     """Takes what a hold gives."""
 
+    is_anothers = False
+
     def __init__(self, folder: Path) -> None:
         self.given: list[float | None] = GIVEN
 
@@ -122,6 +126,25 @@ def test_one_page_holds_the_jog_and_what_comes_after_a_pause_drives_nothing(
     bench.release("one")
     bench.jog("one", 0.25)
     assert GIVEN == [1.0, -2.0, None, 2.0, None, 0.5]
+
+
+def test_of_two_panels_one_holds_the_jog_and_the_other_takes_nothing_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "Leaser", partial(Leaser, now_ns=lambda: 1_000_000_000))
+    monkeypatch.setattr("rig.panel.bench.time.monotonic", lambda: 1.0)
+    one, other = Bench(None, tmp_path), Bench(None, tmp_path)
+    for bench in (one, other):
+        bench._running, bench._jog_V = [Running(tmp_path, Runner(1, 0.0, 0.01))], 1.0
+    with HeldLease(tmp_path, lambda: 1_000_000_000) as held:
+        for _ in range(3):
+            one.jog("page", 0.5)
+            assert "another panel" in refused(lambda: other.jog("its page", -1.0))
+            other.release("its page")
+            assert held.u_V() == 0.5
+        one.release("page")
+        other.jog("its page", -1.0)
+        assert held.u_V() == -1.0
 
 
 def test_a_run_whose_flag_is_gone_is_known_and_stopped_by_a_signal_until_it_ends(

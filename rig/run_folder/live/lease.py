@@ -101,6 +101,19 @@ class Leaser:
         self._page = OthersPage(path, writes=True, folder=within)
         self._now_ns = now_ns
         self._number = _LEASE.unpack(self._page.read(0, _LEASE.size))[0]
+        self._own = 0  # number of the last lease that it gave
+
+    @property
+    def is_anothers(self) -> bool:
+        """Whether somebody else has given the newest lease, and it has not run out: he holds the jog.
+
+        Raises OSError as a read does.
+        """
+        data = self._page.read(0, _LEASE.size)
+        if len(data) < _LEASE.size:
+            return False
+        number, _, expires_ns, _ = _LEASE.unpack(data)
+        return bool(number != self._own and 0 < expires_ns - self._now_ns() <= LONGEST_NS)
 
     def drive(self, u_V: float, for_s: float = 0.15) -> Lease:
         """Promise to be there for ``for_s`` from now, at most 0.15 s: the shaft is driven with ``u_V`` until then.
@@ -130,6 +143,7 @@ class Leaser:
 
     def _write(self, u_V: float, expires_ns: int) -> Lease:
         self._number += 1
+        self._own = self._number
         lease = Lease(self._number, u_V, expires_ns)
         self._page.write(0, _LEASE.pack(*lease, self._number))
         return lease
