@@ -227,9 +227,9 @@ def _flash_uno(options: Variant, port: str | None, hex_file: Path | None, *, dry
         if avrdude is None:
             click.echo(f"avrdude is missing here. {uno.no_avrdude().cure}")
         return
-    uno.check_port(port)
-    click.echo(f"running: {shlex.join(command)}")
-    uno.write(command, port, partial(click.echo, nl=False, err=True))
+    with uno.held(port) as holds:
+        click.echo(f"running: {shlex.join(command)}")
+        uno.write(command, port, partial(click.echo, nl=False, err=True), holds)
     click.echo("written; waiting for the board to answer ...")
     hello = uno.meet(port, options.baud)
     click.echo(f"{port}: {uno.in_words(hello)}")

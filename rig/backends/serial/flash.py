@@ -11,7 +11,7 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -183,39 +183,42 @@ def avrdude_command(avrdude: str, port: str, hex_file: Path) -> list[str]:
     return [avrdude, "-p", "atmega328p", *boot_loader, "-D", "-U", f"flash:w:{hex_file}:i"]
 
 
-def check_port(port: str) -> None:
-    """Raise FlashError where the port cannot be opened, or a program holds it as rig does.
+@contextlib.contextmanager
+def held(port: str) -> Iterator[int]:
+    """Hold a port as rig does, for the block; its descriptor: who has that holds it, too.
 
-    avrdude itself does not check that. Opening the port restarts an Uno.
+    avrdude neither looks nor locks: another rig could open the port meanwhile, which restarts an Uno amid its program.
+    Raises FlashError where the port cannot be opened, or a program holds it. Opening the port restarts an Uno.
     """
     try:
         import fcntl  # not everywhere
     except ImportError as error:
         raise FlashError("flashing works on Linux only", "`rig flash --dry-run` shows the command") from error
-    try:
-        handle = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    with contextlib.ExitStack() as stack:
         try:
+            handle = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            stack.callback(os.close, handle)
             if not os.isatty(handle):
                 raise FlashError(f"{port} is no serial port", "`ls /dev/serial/by-id/` lists the ports")
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        finally:
-            os.close(handle)
-    except OSError as error:
-        why = os.strerror(error.errno or 0)
-        what, cure = _CANNOT_OPEN.get(why, (f"cannot be opened: {why}", "check the cable and the port's name"))
-        raise FlashError(f"{port} {what}", cure.format(port=port)) from error
+        except OSError as error:
+            why = os.strerror(error.errno or 0)
+            what, cure = _CANNOT_OPEN.get(why, (f"cannot be opened: {why}", "check the cable and the port's name"))
+            raise FlashError(f"{port} {what}", cure.format(port=port)) from error
+        yield handle
 
 
-def write(command: list[str], port: str, show: Callable[[str], None]) -> None:
-    """Run avrdude and pass its output on to ``show`` as it comes.
+def write(command: list[str], port: str, show: Callable[[str], None], holds: int) -> None:
+    """Run avrdude and pass its output on to ``show`` as it comes. With ``holds`` it holds the port, whatever ends rig.
 
     Raises FlashError, as ``failure`` has it, where avrdude fails: cause, cure and exit status (128 + n after signal n).
     """
     said: list[str] = []
     environment = os.environ | {"LC_ALL": "C"}
     with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment
-    ) as avrdude:
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment,
+        pass_fds=(holds,),
+    ) as avrdude:  # fmt: skip
         assert avrdude.stdout is not None
         try:
             while chunk := os.read(avrdude.stdout.fileno(), 4096):

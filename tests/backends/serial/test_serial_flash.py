@@ -28,6 +28,7 @@ from rig.backends.serial.emulated.firmware_build import Variant, source_folder
 from rig.backends.serial.flash import FlashError, Port
 from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
 from rig.cli import main
+from rig.core.faults import Fault
 from rig.core.package import VERSION
 
 HELLO = Hello(2, 0, 1, 0, 1023, 400, 0, 0, f"uno {VERSION}".encode().ljust(16, b"\0"))
@@ -347,6 +348,22 @@ def test_ctrl_c_ends_avrdude_and_says_what_state_the_board_may_be_in(avrdude: Pa
     assert process.returncode == 130
     cause, cure = said.strip().splitlines()
     assert "half a program" in cause and "supply off" in cure
+
+
+def test_no_rig_opens_a_port_that_avrdude_writes_to_not_even_once_rig_flash_was_killed(avrdude: Path) -> None:
+    (avrdude.parent / "say").write_text("Writing | #### \n")
+    (avrdude.parent / "hang").touch()
+    with board() as port:
+        command = [sys.executable, "-m", "rig", "flash", "--port", port]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stderr is not None
+            assert process.stderr.readline().startswith("Writing")
+            writes = int(Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text())
+            process.kill()
+            process.wait()
+            with pytest.raises(Fault, match="holds it"):
+                SerialPort(port)
+            os.kill(writes, signal.SIGTERM)
 
 
 def test_a_built_hex_takes_no_build_options(avrdude: Path, tmp_path: Path) -> None:
