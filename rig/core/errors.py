@@ -1,5 +1,9 @@
 """The classes above the errors that rig raises on purpose, and the error of the physics; it imports nothing of rig."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class RigError(Exception):
     """An error with a message for people: what happened, where, and what to do.
@@ -7,6 +11,14 @@ class RigError(Exception):
     Its subclasses are ``Fault``, ``ConfigError``, ``RecordingError``, ``IdentifyError``, ``PlugInError`` and others.
     A call that makes no sense, such as one with a negative time constant, raises ValueError instead.
     """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it is, whatever its class is made of: the pool of a worker that could not hand it over would break."""
+        return _again, (type(self), self.args), self.__dict__
+
+
+def _again(kind: type[RigError], args: tuple[object, ...]) -> RigError:
+    return kind.__new__(kind, *args)
 
 
 class CauseError(RigError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -121,4 +122,6 @@ def test_ranges_without_a_slow_cycle_are_refused_in_two_lines() -> None:
     campaign = GRID.model_copy(update={"relay": CampaignRelay(least_samples=5000)})
     with pytest.raises(CampaignError, match="5000 samples") as caught:
         grid.draw(campaign, 0)
-    assert "widen" in caught.value.cure
+    again = pickle.loads(pickle.dumps(caught.value))  # as a worker hands it over: else its pool counts as killed
+    assert (str(again), again.cause) == (str(caught.value), caught.value.cause)
+    assert "widen" in again.cure
