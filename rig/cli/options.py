@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
@@ -79,7 +80,7 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obje
 
 
 def require_new(path: Path | None, endings: Sequence[str], *, force: bool | None = None) -> None:
-    """Refuse a file of another kind, one that no folder holds, and one that is there already, before the work.
+    """Refuse a file of another kind, one that no folder holds or takes, and one that is there, before the work.
 
     force  whether such a file may be replaced; None: the command has no --force
     """
@@ -89,6 +90,8 @@ def require_new(path: Path | None, endings: Sequence[str], *, force: bool | None
         fail(EXIT_BAD_INPUT, f"{path}: this file is of another kind", f"give a name that ends in {', '.join(endings)}")
     if not path.parent.is_dir():
         fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
+    if not os.access(path.parent, os.W_OK):
+        fail(EXIT_BAD_INPUT, f"{path.parent} takes no file of yours", "name a file in another folder")
     if path.exists() and not force:
         other = "give another name, or " + ("remove it" if force is None else "--force")
         fail(EXIT_BAD_INPUT, f"{path} is there already", other)

@@ -98,6 +98,7 @@ def tune(
 
     with patience("loading"):
         from rig.output.report import tuned_loop
+        from rig.run_folder.recording.errors import CannotWriteError
         from rig.run_folder.results.meta import REHEARSAL
         from rig.running.run_tuning import Asked, tune_run, written_up
 
@@ -112,20 +113,25 @@ def tune(
         if record is not None:
             result = found.result(record)
             written_up(outcome.folder, outcome.result, result)
+    unsaved = ""  # why the picture is not there: what was found, and driven, is told all the same
     if file is not None:
-        tuned_loop.save(result, f"{loop} loop for the motor of {run_folder.name}", file)
+        try:
+            tuned_loop.save(result, f"{loop} loop for the motor of {run_folder.name}", file)
+        except CannotWriteError as error:
+            unsaved = str(error)
+            click.echo(f"rig: {unsaved}", err=True)
     failure = "" if outcome is None else outcome.failure
     if as_json:
         tried = {} if outcome is None else {"bench_run": str(outcome.folder), "bench_failure": failure}
         made_up = {"rehearsal": True} if found.made_up else {}
-        click.echo(json_text({"ok": not failure, **made_up, **result.as_json(), **tried}), nl=False)
+        click.echo(json_text({"ok": not (failure or unsaved), **made_up, **result.as_json(), **tried}), nl=False)
     else:
         if found.made_up:
             click.echo(f"{run_folder.name}: {REHEARSAL}")
         show_tuned(result)
-        if file is not None:
+        if file is not None and not unsaved:
             click.echo(f"picture: {file}")
-    if failure:
+    if failure or unsaved:
         sys.exit(EXIT_FAILED)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tuned_run import GOLDEN, few_draws, tuned_run
 
 import rig
 from rig import config
+from rig.run_folder.recording.errors import CannotWriteError
 from rig.running.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
 
 CONFIG = rig.ready("simulated")
@@ -110,6 +112,23 @@ def test_a_trial_that_would_leave_the_soft_limits_does_not_drive_a_bench(run: Pa
 def test_what_cannot_be_is_refused_with_what_can(run: Path, options: tuple[str, ...], status: int, words: str) -> None:
     done = command("tune", run, *options)
     assert done.exit_code == status and words in done.stderr
+
+
+def test_what_was_found_is_told_whatever_becomes_of_the_picture(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: Path, data: bytes) -> None:
+        raise CannotWriteError(file, "No space left on device", "free some")
+
+    few_draws(monkeypatch)
+    monkeypatch.setattr("rig.output.report.style.write_whole", full)
+    done = command("tune", run, "--draws", 39, "--to", tmp_path / "x.png", "--json")
+    assert done.exit_code == 1 and "x.png: No space left on device" in done.stderr
+    said = json.loads(done.stdout)
+    assert not said["ok"] and said["margins"]["worst"]["phase_deg"] >= 45.0
+    monkeypatch.setattr("rig.cli.options.os.access", lambda path, mode: mode != os.W_OK)
+    done = command("tune", run, "--to", tmp_path / "x.png", "--try", tmp_path / "not read")
+    assert done.exit_code == 2 and "takes no file of yours" in done.stderr
 
 
 def test_a_folder_without_a_motor_is_refused(tmp_path: Path) -> None:
