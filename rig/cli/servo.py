@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, written
-from rig.cli.options import JSON
+from rig.cli.options import JSON, require_new
 from rig.run_folder.recording.folder import json_text
 
 if TYPE_CHECKING:  # pyserial comes with it
@@ -155,6 +155,8 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
 
     with opened(port, baud) as line:
         link = known_servo(line, id, baud)
+        file = to or Path(f"facts-{link.model.name}.json")
+        require_new(file, (".json",))
         _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
         found = []
         watched = starter(line.descriptor, _SILENCE_S)
@@ -162,10 +164,13 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
             click.echo(fact.words)
             found.append(fact)
         firmware = link.value(link.model.roles["firmware"])
-    file = to or Path(f"facts-{link.model.name}.json")
-    told = {"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found}
+    text = json_text({"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found})
     with written(file):
-        file.write_text(json_text(told), encoding="utf-8")
+        try:
+            file.write_text(text, encoding="utf-8")
+        except OSError:
+            click.echo(text)  # nobody has to turn the servo again
+            raise
     click.echo(f"{file}: written; send it in (docs/driven.md)")
 
 

@@ -73,6 +73,12 @@ def test_a_reboot_and_nobody_to_reboot(port: str) -> None:
     assert "no servo 3 answers" in said("servo", "reboot", port, "3", "--yes", status=1)
 
 
+def test_facts_that_no_file_would_take_are_refused_before_the_servo_turns(port: str, tmp_path: Path) -> None:
+
+    for file, words in ((tmp_path / "none" / "x.json", "is no folder"), (tmp_path, "is a directory")):
+        assert words in said("servo", "facts", port, "1", "--to", str(file), status=2)
+
+
 def test_there_is_nothing_to_put_back(port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert "nothing to put back" in said("servo", "restore", port, "1")

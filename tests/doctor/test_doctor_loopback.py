@@ -1,11 +1,14 @@
 """`rig doctor --loopback` on bare emulated boards: all wires, some wires, and defects put into the firmware."""
 
+import errno
 import json
 import os
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -16,6 +19,7 @@ from chips.opening import bare_chip
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.cli import main
+from rig.running.doctor.finding import Finding
 from rig.running.doctor.loopback import Visit, visit_board
 
 CORE, BOARDS = "core/rig_core.c", {"uno": "emulated-chip", "pico": "emulated-pico"}
@@ -118,3 +122,18 @@ def test_an_inverted_pwm(board: str, build_with: Callable[[str, tuple[str, str, 
     topic = {"uno": "drive D9", "pico": "drive GP16"}[board]
     assert set(found) == {topic}
     assert "the PWM is inverted" in found[topic]
+
+
+def test_what_a_board_has_shown_is_told_where_no_report_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> Path:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    visit = SimpleNamespace(findings=[Finding("reset", "good", "it was back")], ok=True)
+    monkeypatch.setattr("rig.running.doctor.loopback.bare_board", lambda *_: nullcontext())
+    monkeypatch.setattr("rig.running.doctor.loopback.visit_board", lambda *_, **__: visit)
+    monkeypatch.setattr("rig.running.doctor.loopback.write_report", full)
+    done = CliRunner().invoke(main, ["doctor", "--loopback", "emulated", "--out", str(tmp_path)])
+    assert done.exit_code == 1 and "it was back" in done.stdout
+    assert done.stderr == f"rig: {tmp_path}: no report can be written there: No space left on device\n"
