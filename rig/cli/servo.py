@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, fail, written
-from rig.cli.options import JSON, require_new
+from rig.cli.options import JSON, OUT, require_new
+from rig.core.faults import Fault
 from rig.run_folder.recording.folder import json_text
 
 if TYPE_CHECKING:  # pyserial comes with it
     from rig.backends.links.serial_port import SerialPort
+    from rig.backends.servo.guardian import Guardian
     from rig.backends.servo.scan import Seen
+    from rig.run_folder.live.stop_flag import StopFlag
 
 _SILENCE_S = 0.2  # after which the keeper stops a horn that turns
 _BAUD = click.option("--baud", type=int, default=1_000_000, show_default=True, help="Of the bus.")
@@ -136,16 +139,19 @@ def restore(port: str, id: int, baud: int) -> None:
 @_ID
 @_BAUD
 @click.option("--to", type=click.Path(path_type=Path, dir_okay=False), help="File to write. Default: facts-MODEL.json.")
+@OUT
 @_YES
-def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
+def facts(port: str, id: int, baud: int, to: Path | None, out: Path, yes: bool) -> None:
     """Try on a servo what no manual says, and write one file to send in.
 
     Take everything off the horn: it turns, slowly. Of a Feetech it asks you to cut the supply once; not with --yes.
+    No run folder is made: --out is the folder of the panels that can stop it.
     """
     from rig.backends.servo.before import store_of
     from rig.backends.servo.facts import facts as tried
     from rig.backends.servo.keeper import starter
     from rig.backends.servo.scan import known_servo
+    from rig.run_folder.live.unrecorded import told
 
     def powered() -> None:
         click.prompt(
@@ -160,9 +166,21 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
         _ask(f"{link.model.name}, id {id}: is its horn free? It will turn", yes=yes)
         found = []
         watched = starter(line.descriptor, _SILENCE_S)
-        for fact in tried(link, store_of(port, id), None if yes else powered, watched):
-            click.echo(fact.words)
-            found.append(fact)
+        with told(out, "servo") as flag:
+            flag.tell_drive(is_on=True)
+            trying = tried(
+                link, store_of(port, id), None if yes else powered, lambda *of: _Stoppable(watched(*of), flag)
+            )
+            try:
+                with closing(trying):  # the registers are put back while the port is open, whatever happens here
+                    for fact in trying:
+                        click.echo(fact.words)
+                        found.append(fact)
+            except Fault as fault:
+                if fault.code == "INTERRUPTED":  # else nobody knows
+                    flag.tell_drive(is_on=False)
+                raise
+            flag.tell_drive(is_on=False)
         firmware = link.value(link.model.roles["firmware"])
     text = json_text({"model": link.model.name, "firmware": firmware} | {fact.name: fact.found for fact in found})
     with written(file):
@@ -172,6 +190,23 @@ def facts(port: str, id: int, baud: int, to: Path | None, yes: bool) -> None:
             click.echo(text)  # nobody has to turn the servo again
             raise
     click.echo(f"{file}: written; send it in (docs/driven.md)")
+
+
+class _Stoppable:
+    """A servo's keeper, as of ``Guardian``; a beat raises Fault INTERRUPTED once somebody has asked for a stop."""
+
+    def __init__(self, keeper: Guardian, flag: StopFlag) -> None:
+        self._keeper, self._flag = keeper, flag
+        self.rest, self.end = keeper.rest, keeper.end
+
+    @property
+    def has_acted(self) -> bool:
+        return self._keeper.has_acted
+
+    def beat(self) -> None:
+        if by := self._flag.asked_by():
+            raise Fault("INTERRUPTED", f"Stop by {by}")
+        self._keeper.beat()
 
 
 def _ask(question: str, *, yes: bool) -> None:

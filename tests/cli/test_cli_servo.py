@@ -13,6 +13,9 @@ from rig import config
 from rig.backends.servo.emulated.servo import ServoOptions
 from rig.backends.servo.emulated.servo_board import ServoBoard
 from rig.cli import main
+from rig.panel.bench import Bench
+from rig.run_folder.live.running import running
+from rig.run_folder.live.stop_flag import StopFlag
 from rig.running.preflight import check
 
 pytestmark = pytest.mark.realtime
@@ -77,6 +80,29 @@ def test_facts_that_no_file_would_take_are_refused_before_the_servo_turns(port: 
 
     for file, words in ((tmp_path / "none" / "x.json", "is no folder"), (tmp_path, "is a directory")):
         assert words in said("servo", "facts", port, "1", "--to", str(file), status=2)
+
+
+def test_a_stop_by_another_panel_reaches_a_horn_that_turns(
+    port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers: list[bool | None] = []
+
+    def asked_while_it_turns(flag: StopFlag) -> str:
+        (going,) = running(tmp_path)
+        if not answers:
+            assert Bench(None, tmp_path).stop().why == ""
+        answers.append(going.runner.drives)
+        return asked_by(flag)
+
+    asked_by = StopFlag.asked_by
+    monkeypatch.setattr(StopFlag, "asked_by", asked_while_it_turns)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    file = tmp_path / "facts.json"
+    arguments = ("servo", "facts", port, "1", "--yes", "--out", str(tmp_path), "--to", str(file))
+    assert "INTERRUPTED" in said(*arguments, status=1)
+    assert answers == [True] and not file.exists() and running(tmp_path) == []
+    registers = json.loads(said("servo", "show", port, "1", "--json"))["registers"]
+    assert registers["torque_enable"] == 0 and registers["operating_mode"] == 3
 
 
 def test_there_is_nothing_to_put_back(port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

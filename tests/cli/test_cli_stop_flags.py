@@ -42,7 +42,8 @@ DRIVES: dict[str, tuple[int, str]] = {
     "tune": (1, "{tuned} --try {simulated} --draws 39"),
     "doctor": (1, "--loopback emulated-chip"),
 }
-# Each other command opens no device, or reads one without arming it, or starts one of those above
+# Each other command opens no device, or reads one without arming it, or starts one of those above; `servo facts`, which
+# turns a horn, is tried with the others of `servo`
 DRIVES_NOT = {
     "campaign", "check", "compare", "config", "design", "emulate", "export", "flash", "identify", "init", "list",
     "newton-metres", "panel", "predict", "predict-run", "replay", "report", "schema", "servo",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -67,7 +67,7 @@ def facts(
     store: BeforeStore,
     powered: Powered | None = None,
     guardian: Callable[[ServoLink, BeforeStore], Guardian] | None = None,
-) -> Iterator[Fact]:
+) -> Generator[Fact, None, None]:
     """Try them one after the other; the registers are put back at the end, whatever happens.
 
     powered   None: what needs the supply cut is left out
