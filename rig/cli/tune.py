@@ -98,7 +98,7 @@ def tune(
 
     with patience("loading"):
         from rig.output.report import tuned_loop
-        from rig.run_folder.recording.errors import CannotWriteError
+        from rig.run_folder.recording.errors import CannotWriteError, RecordingError
         from rig.run_folder.results.meta import REHEARSAL
         from rig.running.run_tuning import Asked, tune_run, written_up
 
@@ -109,7 +109,12 @@ def tune(
     result = found.result()
     if bench is not None:
         outcome = _tried(found.config_with_law(bench), out, as_json)
-        record = found.record_of(outcome.folder)
+        try:
+            record = found.record_of(outcome.folder)
+        except RecordingError:
+            if not outcome.failure:
+                raise
+            record = None  # it ended before it had rows
         if record is not None:
             result = found.result(record)
             written_up(outcome.folder, outcome.result, result)
