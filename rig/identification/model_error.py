@@ -15,6 +15,10 @@ for what it is off.
 
 A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
 and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
+
+Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
+speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
+or a stage that gives less, and K and f_c are as uncertain as that share.
 """
 
 from __future__ import annotations
@@ -54,6 +58,8 @@ FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
 ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
 BENDS = "a bend of the drive"
 BY_SIZE = ("sag", "source")
+ONE_SIZE = "one size of drive"
+TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
 PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
 
@@ -139,14 +145,36 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
     return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
 
 
+def of_one_size(fit: Fit) -> tuple[Entry, ...]:
+    """The line for what acts of a drive of one size, each way; none where the drives have several."""
+    if not _is_one_size(fit.problem.cut):
+        return ()
+    return (Entry(ONE_SIZE, 0.0, TAKEN / (1.0 - TAKEN) * fit.motor.K_rad_s_V, TAKEN * abs(fit.motor.fc_V)),)
+
+
+def _is_one_size(cut: Cut) -> bool:
+    """Whether nearly all drives of a direction are alike, in both: a size more in one of them alone is its asymmetry's.
+
+    Drives at 0 and near it do not count.
+    """
+    u_V, last_s = _drives_of(cut)
+    one_V = ONE_DRIVE * float(np.abs(u_V).max())
+    for way in (1.0, -1.0):
+        chosen = way * u_V > one_V
+        of_way_V, of_way_s = np.abs(u_V[chosen]), last_s[chosen]
+        order = np.argsort(of_way_V)
+        since_s = np.cumsum(of_way_s[order])
+        if since_s.size:
+            middle_V = of_way_V[order][np.searchsorted(since_s, 0.5 * since_s[-1])]
+            if of_way_s[np.abs(of_way_V - middle_V) > one_V].sum() > OFTEN * since_s[-1]:
+                return False
+    return True
+
+
 def drive_sizes(cut: Cut) -> int:
     """How many sizes of drive the tests hold, beside 0: those that act for some time."""
-    sizes, lasts = [], []
-    for window in cut.windows:
-        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
-        sizes.append(np.abs(window.steps.u_V))
-        lasts.append(np.diff(edges))
-    u_V, last_s = np.concatenate(sizes), np.concatenate(lasts)
+    u_V, last_s = _drives_of(cut)
+    u_V = np.abs(u_V)
     one_V = ONE_DRIVE * float(u_V.max())
     order = np.argsort(u_V)
     order = order[u_V[order] > one_V]
@@ -156,6 +184,16 @@ def drive_sizes(cut: Cut) -> int:
         count += float(last_s[order[alike]].sum()) >= OFTEN * driven_s
         order = order[~alike]
     return count
+
+
+def _drives_of(cut: Cut) -> tuple[Array, Array]:
+    """Every drive of the tests, V, and for how long it acts, s."""
+    sizes, lasts = [], []
+    for window in cut.windows:
+        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
+        sizes.append(window.steps.u_V)
+        lasts.append(np.diff(edges))
+    return np.concatenate(sizes), np.concatenate(lasts)
 
 
 def beyond_noise(
