@@ -320,6 +320,29 @@ def test_a_size_for_each_sign_is_one_size_for_the_rest_is_asymmetry(minus: float
     assert len(found) == lines and all(line.K_rad_s_V > line.fc_V and line.tau_s == 0.0 for line in found)
 
 
+def test_a_motor_that_runs_free_at_0_V_is_known_no_better_than_its_driven_rows_say() -> None:
+    """A quarter of its damping is its own: the bridge brakes only while it drives."""
+    step_s, rows_of = 0.0005, 10
+    t_s, u_V, _ = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=1200)
+    y_rad, speed, at = np.empty(t_s.size), 0.0, 0.0
+    for k, drive_V in enumerate(u_V.tolist()):
+        y_rad[k] = at
+        tau_s = MOTOR.tau_s * (4.0 if drive_V == 0.0 else 1.0)
+        gain = MOTOR.K_rad_s_V * tau_s / MOTOR.tau_s
+        for _ in range(rows_of):
+            way = math.copysign(1.0, speed or drive_V)
+            steady = gain * (drive_V - MOTOR.fc_V * way)
+            after = steady + (speed - steady) * math.exp(-step_s / tau_s)
+            after = 0.0 if after * way < 0.0 else after
+            at, speed = at + 0.5 * step_s * (speed + after), after
+    answer = answered((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))
+    assert answer.grade is not None
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        half = answer.grade[name].u95
+        assert half is not None and abs(answer.value(name) - getattr(MOTOR, name)) < half
+    assert any("rows with a drive alone" in reason for reason in answer.reasons)
+
+
 @pytest.mark.evidence
 def test_where_a_law_of_another_kind_leaves_hardly_more_the_number_is_as_wide_as_both() -> None:
     """Friction that falls with the square of the speed, in a slow loop: a drag and K 80 % too large fit it, too."""
