@@ -122,8 +122,10 @@ class GainSearch(RelayLaw[DualChannelRelay]):
     settled (A, w) at known gains gives tau and K for the assumed f_c, and then the wanted (A, w) gives x and h1.
     From two settled pairs, if they differ enough, the search also estimates f_c. The second cycle needs that: f_c is a
     large part of h2, so with the breakaway level in its place x would hardly change, and A could grow where h1 falls.
-    No step changes x or h1 by more than a factor ``_STRIDE``. Raises Fault NO_CYCLE at the time-out.
+    No step changes x or h1 by more than a factor ``_STRIDE``. Where it gives up, as at the time-out, it raises Fault
+    NO_CYCLE; of the second cycle it ends with ``no_second`` instead, and has the gains of the first again.
 
+    no_second  why there is no second cycle; empty: it gave none up
     unshown  raises SENSOR_STUCK where the reading stands still under the drives; None: nothing does
     """
 
@@ -134,6 +136,7 @@ class GainSearch(RelayLaw[DualChannelRelay]):
     _CYCLES_OF_SECOND = 5  # from the larger cycle it shrinks by a few per cent a period, which counts as settled
     unshown: UnshownMotion | None = None
     first: SettledCycle | None = None  # once the second is searched
+    no_second = ""
 
     def __init__(
         self,
@@ -169,7 +172,8 @@ class GainSearch(RelayLaw[DualChannelRelay]):
             self._step_start_s = sample.t_s
         self._y_range = (min(self._y_range[0], sample.y_rad), max(self._y_range[1], sample.y_rad))
         if sample.t_s - self._start_s > self.search.timeout_s:
-            raise Fault("NO_CYCLE", self._story())
+            self._give_up(self._story())
+            return u_V
         # only when it leaves the reach: if it starts beyond, that is not due to the gains
         leaves, self._was_within = (
             self._was_within and abs(sample.y_rad) > self.reach_rad,
@@ -227,11 +231,20 @@ class GainSearch(RelayLaw[DualChannelRelay]):
         if self.first is not None:  # half the way back to gains that are known to give a cycle
             h1, h2 = 0.5 * (h1 + self.first.h1_V), 0.5 * (self.relay.h2_V + self.first.h2_V)
         if h2 > self.search.h_max_V or h2 + h1 > self.search.sum_max_V:
-            raise Fault("NO_CYCLE", f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
+            self._give_up(f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
+            return
         if self._sticks:
             self.relay.restart()  # the shaft sticks: the integral meanwhile means nothing
         self._set_gains(h1, h2)
         self._step_start_s = t_s
+
+    def _give_up(self, story: str) -> None:
+        """End without a cycle; without the second alone, the tests go on with the first's gains."""
+        if self.first is None:
+            raise Fault("NO_CYCLE", story)
+        self.no_second, self.finished = story, True
+        self.relay.restart()  # its integral is of a motion that was no cycle
+        self._set_gains(self.first.h1_V, self.first.h2_V)
 
     def _retreat(self, t_s: float, why: str) -> None:
         """Reduce h2 at once: the cycle exceeds its room, or the largest speed of the bench."""

@@ -15,10 +15,18 @@ for what it is off.
 
 A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
 and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
+
+Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
+speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
+or a stage that gives less, and K and f_c are as uncertain as that share.
+
+Behind a bridge that lets it run free at 0 V a motor has another tau there. Where it leaves far less of the rows with a
+drive alone than of all of them, these numbers and those are as far apart as either may be wrong.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -31,8 +39,9 @@ from rig.identification.departures.budget import COVERAGE, Entry
 from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.nuisances import OF
-from rig.identification.departures.pieces import Cut
+from rig.identification.departures.pieces import FEWEST_ROWS, Cut
 from rig.model.real_motor import is_plain
+from rig.run_folder.recording.series import Window
 
 Array = NDArray[np.float64]
 
@@ -54,6 +63,15 @@ FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
 ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
 BENDS = "a bend of the drive"
 BY_SIZE = ("sag", "source")
+ONE_SIZE = "one size of drive"
+TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
+AT_0_V = "rows at 0 V"
+FAR_LESS, COASTS = 0.25, 0.02  # of the residual; of the rows, at least
+NOT_SHOWN = {
+    ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
+    AT_0_V: "the rows with a drive alone say other numbers, and fit far better; does the bridge let the motor run free "
+    "at 0 V? Then it is no plain motor there: record drives without rests, or with a bridge that brakes",
+}
 PREDICTED = 0.005  # error in blocks of a plain motor that leaves nothing to share
 
 
@@ -139,14 +157,63 @@ def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
     return (Entry(BENDS, tau_s, K, fc_V, laws=tuple(bent)),)
 
 
+def of_one_size(fit: Fit) -> tuple[Entry, ...]:
+    """The line for what acts of a drive of one size, each way; none where the drives have several."""
+    if not _is_one_size(fit.problem.cut):
+        return ()
+    return (Entry(ONE_SIZE, 0.0, TAKEN / (1.0 - TAKEN) * fit.motor.K_rad_s_V, TAKEN * abs(fit.motor.fc_V)),)
+
+
+def _is_one_size(cut: Cut) -> bool:
+    """Whether nearly all drives of a direction are alike, in both: a size more in one of them alone is its asymmetry's.
+
+    Drives at 0 and near it do not count.
+    """
+    u_V, last_s = _drives_of(cut)
+    one_V = ONE_DRIVE * float(np.abs(u_V).max())
+    for way in (1.0, -1.0):
+        chosen = way * u_V > one_V
+        of_way_V, of_way_s = np.abs(u_V[chosen]), last_s[chosen]
+        order = np.argsort(of_way_V)
+        since_s = np.cumsum(of_way_s[order])
+        if since_s.size:
+            middle_V = of_way_V[order][np.searchsorted(since_s, 0.5 * since_s[-1])]
+            if of_way_s[np.abs(of_way_V - middle_V) > one_V].sum() > OFTEN * since_s[-1]:
+                return False
+    return True
+
+
+def of_rests(fit: Fit) -> tuple[Entry, ...]:
+    """The line for what the rows with a drive alone say otherwise; none where they leave hardly less than all rows."""
+    cut = fit.problem.cut
+    if fit.rms_rad <= LEAVES * fit.problem.sigma_rad:
+        return ()
+    one_V = ONE_DRIVE * float(np.abs(_drives_of(cut)[0]).max())
+    driven = [np.abs(_at_rows(window, max(fit.motor.delay_s, 0.0))) > one_V for window in cut.windows]
+    stretches = [
+        (Window(window.series, window.first + first, window.first + stop), frame, most_s)
+        for window, frame, most_s, on in zip(cut.windows, cut.frames, cut.most_s, driven, strict=True)
+        for first, stop in np.flatnonzero(np.diff(np.concatenate(([False], on, [False])))).reshape(-1, 2).tolist()
+        if stop - first >= FEWEST_ROWS
+    ]
+    at_rows = np.concatenate(driven)
+    if not stretches or at_rows.mean() > 1.0 - COASTS:
+        return ()
+    windows, frames, most_s = zip(*stretches, strict=True)
+    ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
+    alone = Cut(windows, frames, ones, most_s, coupling_rad_s=cut.coupling_rad_s).every(cut.longest_s)
+    if alone.begins.size < FEWEST_PIECES:
+        return ()
+    other = solve(begin(replace(fit.problem, cut=alone), fit.motor))
+    if not other.rms_rad < FAR_LESS * math.sqrt(float(np.mean(fit.residual_rad[at_rows] ** 2))):
+        return ()
+    return (Entry(AT_0_V, *(abs(getattr(other.motor, name) - getattr(fit.motor, name)) for name in OF)),)
+
+
 def drive_sizes(cut: Cut) -> int:
     """How many sizes of drive the tests hold, beside 0: those that act for some time."""
-    sizes, lasts = [], []
-    for window in cut.windows:
-        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
-        sizes.append(np.abs(window.steps.u_V))
-        lasts.append(np.diff(edges))
-    u_V, last_s = np.concatenate(sizes), np.concatenate(lasts)
+    u_V, last_s = _drives_of(cut)
+    u_V = np.abs(u_V)
     one_V = ONE_DRIVE * float(u_V.max())
     order = np.argsort(u_V)
     order = order[u_V[order] > one_V]
@@ -156,6 +223,16 @@ def drive_sizes(cut: Cut) -> int:
         count += float(last_s[order[alike]].sum()) >= OFTEN * driven_s
         order = order[~alike]
     return count
+
+
+def _drives_of(cut: Cut) -> tuple[Array, Array]:
+    """Every drive of the tests, V, and for how long it acts, s."""
+    sizes, lasts = [], []
+    for window in cut.windows:
+        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
+        sizes.append(window.steps.u_V)
+        lasts.append(np.diff(edges))
+    return np.concatenate(sizes), np.concatenate(lasts)
 
 
 def beyond_noise(
@@ -227,10 +304,15 @@ def _drive_V(cut: Cut) -> Array:
     """(p,) RMS drive of each piece, V."""
     found = []
     for window, rows in zip(cut.windows, cut.rows, strict=True):
-        steps = window.steps
-        u_V = steps.u_V[np.maximum(np.searchsorted(steps.edge_s, window.t_s, side="right") - 1, 0)]
+        u_V = _at_rows(window)
         found.append(np.sqrt(np.add.reduceat(u_V**2, rows) / np.diff(np.append(rows, u_V.size))))
     return np.concatenate(found)
+
+
+def _at_rows(window: Window, late_s: float = 0.0) -> Array:
+    """(n,) the drive that acts at each row, V."""
+    steps = window.steps
+    return steps.u_V[np.maximum(np.searchsorted(steps.edge_s, window.t_s - late_s, side="right") - 1, 0)]
 
 
 def _inverse(matrix: Array) -> Array:

@@ -33,7 +33,7 @@ from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
-from rig.identification.model_error import any_bend, model_error, only_like
+from rig.identification.model_error import NOT_SHOWN, any_bend, model_error, of_one_size, of_rests, only_like
 from rig.identification.noise import WHITE
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import one_way
@@ -206,7 +206,9 @@ class MotorLaw:
         known = known_to(name, shares[name])
         laws = [law for law in (*DEPARTURES, *OUTSIDE) if law.name in largest.laws]
         cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
-        if largest.source.startswith(OTHER):
+        if unshown := [NOT_SHOWN[entry.source] for entry in self.budget.entries if entry.source in NOT_SHOWN]:
+            yield f"{known}: {'; '.join(unshown)}"
+        elif largest.source.startswith(OTHER):
             what = " or ".join(law.title for law in laws)
             yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
         elif laws:
@@ -469,7 +471,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *any_bend(parts, bare), *of_levels),
+        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *of_rests(parts), *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))

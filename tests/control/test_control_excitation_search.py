@@ -349,3 +349,19 @@ def test_a_second_test_whose_shaft_sticks_goes_half_the_way_back() -> None:
     assert gains(search) == tried  # two and a half periods to show
     show(search, at_rest, t_s + 2.4, t_s + 2.6)
     assert gains(search) == pytest.approx((0.5 * (0.6 + tried[0]), 0.5 * (1.5 + tried[1])))
+
+
+@pytest.mark.parametrize(
+    ("largest_V", "why"), [(3.0, "3 pairs of gains of the second test"), (1.3, "h2 reached 1.28 V; 1 pairs of gains")]
+)
+def test_a_second_search_that_gives_up_ends_with_the_first_gains_and_why(largest_V: float, why: str) -> None:
+    search = new_search(replace(SEARCH, timeout_s=8.0))
+    t_s = settle(search, 0.6, 1.0, 0.0)
+    search.seek_second(0.8)
+    search.search = replace(search.search, h_max_V=largest_V)
+    while not search.finished:
+        assert not search.no_second and t_s < 30.0
+        show(search, lambda _: 0.0, t_s, t_s + PERIOD_S)
+        t_s += PERIOD_S
+    assert search.no_second.startswith(why)
+    assert gains(search) == (0.6, 1.5) and search.relay.z_rad_s == 0.0

@@ -196,6 +196,18 @@ def test_each_bad_bench_ends_in_its_fault_with_a_cure_and_a_readable_folder(
     assert any(json.loads(line)["kind"] == "stop" for line in (folder / "events.jsonl").read_text().splitlines())
 
 
+def test_a_second_gain_search_that_finds_no_cycle_leaves_the_first_test(tmp_path: Path) -> None:
+    search = {"h1_start_V": 0.17, "h2_start_V": 0.74, "timeout_s": 10.0}
+    config = written(tmp_path, relay__search=search, relay__second_ratio=0.31)
+    outcome = json.loads(rig("relay", config, "--out", tmp_path / "runs", "--json").stdout)
+    assert outcome["faults"] == []
+    assert [note for note in outcome["notes"] if note.startswith("no second relay test: ")]
+    stages = [stage for stage in read_run(Path(outcome["folder"])).stages() if stage not in ("rest", "breakaway")]
+    assert stages == ["search", "relay-1"]
+    done = json.loads(rig("replay", outcome["folder"], "--json").stdout)
+    assert done["ok"] and done["replayed"] == done["rows"]
+
+
 def test_jog_recovers_a_shaft_from_beyond_the_soft_limit_and_goes_no_farther_out(tmp_path: Path) -> None:
     config = written(tmp_path, emulated__motor__start_rad=1.5)
     inward = rig("jog", config, "--u-V", "-1.0", "--seconds", "0.5", "--out", tmp_path, "--json")

@@ -32,6 +32,7 @@ from rig.identification.model_error import (
     any_bend,
     beyond_noise,
     model_error,
+    of_one_size,
     only_like,
 )
 from rig.identification.noise import Noise
@@ -298,6 +299,48 @@ def test_three_sizes_of_drive_do_not_tell_a_sag_from_a_supply_that_gives_less(
     for line in found:
         assert line.K_rad_s_V == pytest.approx(0.4 * motor.K_rad_s_V) and line.fc_V == pytest.approx(motor.fc_V)
         assert line.tau_s == 0.0
+
+
+def test_a_record_of_one_size_of_drive_holds_a_dead_band_that_it_cannot_show() -> None:
+    """K times what acts, 5 V of 6 V, is all that speeds, reversals and coasting have in them."""
+    answer = answered(recorded(MOTOR._replace(dead_band_V=1.0), (6.0,), rows=1200))
+    assert answer.grade is not None and right(answer, MOTOR, 0.01, "tau_s")
+    assert answer.K_rad_s_V == pytest.approx(20.0 * 5.0 / 6.0, rel=0.01)
+    for name in ("K_rad_s_V", "fc_V"):
+        half = answer.grade[name].u95
+        assert half is not None and abs(answer.value(name) - getattr(MOTOR, name)) < half
+    assert any("one size" in reason for reason in answer.reasons)
+
+
+@pytest.mark.parametrize(("minus", "lines"), [(1.0, 1), (0.7, 1), (None, 0)])
+def test_a_size_for_each_sign_is_one_size_for_the_rest_is_asymmetry(minus: float | None, lines: int) -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (4.0, 6.0) if minus is None else (6.0,), rows=600)
+    _, problem, motor = _whole_fit((t_s, np.where(u_V < 0.0, (minus or 1.0) * u_V, u_V), y_rad))
+    found = of_one_size(start(problem, motor))
+    assert len(found) == lines and all(line.K_rad_s_V > line.fc_V and line.tau_s == 0.0 for line in found)
+
+
+def test_a_motor_that_runs_free_at_0_V_is_known_no_better_than_its_driven_rows_say() -> None:
+    """A quarter of its damping is its own: the bridge brakes only while it drives."""
+    step_s, rows_of = 0.0005, 10
+    t_s, u_V, _ = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=1200)
+    y_rad, speed, at = np.empty(t_s.size), 0.0, 0.0
+    for k, drive_V in enumerate(u_V.tolist()):
+        y_rad[k] = at
+        tau_s = MOTOR.tau_s * (4.0 if drive_V == 0.0 else 1.0)
+        gain = MOTOR.K_rad_s_V * tau_s / MOTOR.tau_s
+        for _ in range(rows_of):
+            way = math.copysign(1.0, speed or drive_V)
+            steady = gain * (drive_V - MOTOR.fc_V * way)
+            after = steady + (speed - steady) * math.exp(-step_s / tau_s)
+            after = 0.0 if after * way < 0.0 else after
+            at, speed = at + 0.5 * step_s * (speed + after), after
+    answer = answered((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))
+    assert answer.grade is not None
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        half = answer.grade[name].u95
+        assert half is not None and abs(answer.value(name) - getattr(MOTOR, name)) < half
+    assert any("rows with a drive alone" in reason for reason in answer.reasons)
 
 
 @pytest.mark.evidence

@@ -515,7 +515,8 @@ def search_gains(
     """Search gains for the wanted cycle, and for the second test's. Returns (h1, h2) of each, V, and their period, s.
 
     both  False: the second test is left out
-    Raises Fault NO_CYCLE; ValueError without relay.target or a breakaway check.
+    Where the search finds no second cycle the first test is all, with a note. Raises Fault NO_CYCLE without a first;
+    ValueError without relay.target or a breakaway check.
     """
     e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
     if target is None or breakaway is None:
@@ -547,6 +548,9 @@ def search_gains(
     if both:
         search.seek_second(e.relay.second_ratio)
         session.loop.run(search, "search", watch)
+        if search.no_second:
+            session.found.notes.append(f"no second relay test: {search.no_second}")
+            return gains_V, period_s
         gains_V.append((relay.h1_V, relay.h2_V))
         session.found.further_gains_V = search.further_gains(e.relay.second_ratio**2)
     return gains_V, period_s
