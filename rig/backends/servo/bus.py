@@ -239,6 +239,11 @@ class ServoLink:
         self._timeout_s = timeout_s
         self._pings = BusClient(transport, bus)  # of its own: that nobody answers a ping is no error of the link
 
+    @property
+    def stray_bytes(self) -> int:
+        """Bytes so far that were no awaited answer."""
+        return self._pings.statistics["stale_bytes"] + self.client.statistics["stale_bytes"]
+
     def value(self, name: str) -> int:
         """What a register holds."""
         register = self.model[name]

@@ -66,17 +66,25 @@ def scan(opened: Opened, bauds: Iterable[int] = USUAL_BAUDS, ids: Iterable[int] 
 def _who_answers(link: ServoLink, ids: Sequence[int]) -> Iterator[int]:
     """Those of these ids that answer a ping, each once.
 
-    Behind a slow adapter an answer may come while a later id is asked: then the last ones are asked again, patiently.
+    Behind a slow adapter, or where this machine stands still, an answer may come once nobody waits for it: while a
+    later id is asked, or before that. Then the last ones are asked again, patiently.
     """
     told: set[int] = set()
-    for at, id in enumerate(ids):
+    for at in range(1, len(ids) + 1):
+        strayed, there = link.stray_bytes, []
         try:
-            there = [id] if link.is_there(id) is not None else []
+            if link.is_there(ids[at - 1]) is not None:
+                there = [ids[at - 1]]
+            if at == len(ids):
+                link.client.wait(_LATE_S)
+            is_late = link.stray_bytes > strayed
         except Fault as fault:
             if fault.code != "LINK_UNIT":
                 raise
+            is_late = True
+        if is_late:
             link.client.wait(_LATE_S)  # what else is on its way is not of those that are asked now
-            there = [one for one in ids[max(at - _LATE_IDS, 0) : at + 1] if link.is_there(one, _LATE_S) is not None]
+            there = [one for one in ids[max(at - 1 - _LATE_IDS, 0) : at] if link.is_there(one, _LATE_S) is not None]
         for one in there:
             if one not in told:
                 told.add(one)

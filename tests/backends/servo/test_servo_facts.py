@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from servo_bench import PROTOCOLS, Bench
 
-from rig.backends.servo.bus import servo_link
+from rig.backends.servo.bus import PING_S, servo_link
 from rig.backends.servo.facts import Fact, facts
 from rig.backends.servo.scan import _who_answers
 
@@ -128,3 +128,19 @@ def test_a_scan_finds_each_servo_once_however_late_its_answer_comes(protocol: st
     ids = range(12)
     link = servo_link(bench.bus, bench.setup.model, 0, bench.own.baud)
     assert sorted(_who_answers(link, ids)) == [1, 4, 7]
+
+
+def test_a_scan_finds_a_servo_whose_answer_came_while_the_host_stood_still() -> None:
+    """The answer of id 1 before id 2 is asked; that of id 7, the last, after all."""
+    bench = Bench()
+    bench.bus.bus.line = dataclasses.replace(bench.bus.bus.line, adapter_s=0.006)
+    link = servo_link(bench.bus, bench.setup.model, 0, bench.own.baud)
+    asked = link.is_there
+
+    def late(id: int, patience_s: float = PING_S) -> tuple[int, ...] | None:
+        if id == 2:
+            bench.bus.sleep_until(bench.bus.now_s() + 0.03)
+        return asked(id, patience_s)
+
+    link.is_there = late  # type: ignore[method-assign]
+    assert sorted(_who_answers(link, range(8))) == [1, 4, 7]
