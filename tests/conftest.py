@@ -24,9 +24,10 @@ SHOWN = {"compare", "report"}
 
 
 def pytest_configure() -> None:
-    """A runner that was started in the background ignores Ctrl-C, and so would the processes that tests send it to."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """One in the background ignores Ctrl-C, one under nohup SIGHUP; so would the processes that tests signal."""
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, usual)
 
 
 @pytest.hookimpl(wrapper=True)
