@@ -177,7 +177,7 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     moved = _moved(estimate, tests)
     if abs(float(moved.x[4])) <= SLIPPED * max(test.period_s for test in tests):
         return math.inf
-    return math.sqrt(moved.cost / moved.residual.size)
+    return moved.rms_rad
 
 
 def late_s(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
@@ -200,7 +200,7 @@ def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
     tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
     reach = REACH_PERIODS * period
-    return min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_cost)
+    return min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_rms_rad)
 
 
 def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -213,7 +213,7 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
     period = max(test.period_s for test in tests)
     moved = _moved(estimate, tests)
     slip = float(moved.x[4])
-    gain = estimate.rms_rad**2 * moved.residual.size / moved.cost if moved.cost > 0.0 else math.inf
+    gain = (estimate.rms_rad / moved.rms_rad) ** 2 if moved.rms_rad > 0.0 else math.inf
     if abs(slip) > SLIPPED * period and gain > 1.02:
         way = "later" if slip > 0.0 else "earlier"
         return estimate.judged(
@@ -241,8 +241,8 @@ def _holds(estimate: Estimate, name: str, value: float) -> bool:
     return low <= value <= high
 
 
-def _cost(solution: Solution) -> float:
-    return solution.cost
+def _rms_rad(solution: Solution) -> float:
+    return solution.rms_rad
 
 
 def _sticking(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -277,17 +277,16 @@ def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         first = refit(tests[:1], theta, free, bounds)
         first_free = [*(PARAMETERS.index(name) for name in free), len(PARAMETERS), len(PARAMETERS) + 1]
         model = Theta(math.exp(first.x[0]), math.exp(first.x[1]), *(float(x) for x in first.x[2:5]))
-        scatter, _ = covariance_of(first.jacobian[:, first_free], first.residual)
+        scatter, _ = covariance_of(*map(first.counting, (first.jacobian[:, first_free], first.residual)))
         ratios = []
         for test in tests[1:]:
             own = refit([test], theta, free, bounds)
             given = refit([test], model)
-            rms = math.sqrt(given.cost / given.residual.size)
-            by_model = given.jacobian[:, first_free[:-2]]
+            by_model = given.counting(given.jacobian[:, first_free[:-2]])
             vague = float(np.einsum("ni,ij,nj", by_model, scatter[: len(by_model.T), : len(by_model.T)], by_model))
-            if rms > NEGLIGIBLE * spread_rad([test]):
-                expected = own.cost + (VAGUE * vague if math.isfinite(vague) else math.inf)
-                ratios.append(math.sqrt(given.cost / expected) if expected > 0.0 else math.inf)
+            if given.rms_rad > NEGLIGIBLE * spread_rad([test]):
+                expected = own.rms_rad**2 + (VAGUE * vague / len(by_model) if math.isfinite(vague) else math.inf)
+                ratios.append(given.rms_rad / math.sqrt(expected) if expected > 0.0 else math.inf)
     except IdentifyError:
         return estimate  # a test is too short for a fit of its own
     if ratios and max(ratios) > TRANSFER:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from rig.identification.departures.departure import Bench
 from rig.identification.departures.laws import DAMPING
-from rig.identification.motions import Motion, fitted_rows
+from rig.identification.motions import Motion, fitted_rows, repeats
+from rig.identification.noise import Noise, noise_of
 from rig.model.compiled.real_motion import Windows
 from rig.model.compiled.row_filter import filtered
 from rig.model.real_motor import Frame, Readings, RealMotor, readings_of, windows_of
@@ -45,7 +46,7 @@ class Cut:
     rows      for each, the first rows of its pieces; the first one is 0
     most_s    for each, the longest that its pieces may be, s
     resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
-    weight    (n,) of each row, 0 or 1; None: every row counts
+    weight    (n,) of each row, 0 where it does not count, else 1; None: every row counts
     of        for each window the name of its recording; empty: nobody said
     coupling_rad_s   frequency of a soft coupling between the shaft and what the sensor shows, rad/s; 0: it is stiff
     """
@@ -85,6 +86,11 @@ class Cut:
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         return cls(tuple(windows), tuple(Frame() for _ in windows), ones, tuple(math.inf for _ in windows))
 
+    def rests_once(self) -> Cut:
+        """The same, with each rest behind a sensor without noise as one chance; the same cut where there is none."""
+        repeated = np.concatenate([repeats(window) for window in self.windows])
+        return replace(self, weight=np.where(repeated, 0.0, 1.0)) if repeated.any() else self
+
     def each(self, of: Sequence[str]) -> Cut:
         """The same, with a course of time of its own for each recording; ``of``: for each window its recording."""
         begins = {name: min(w.t_s[0] for w, own in zip(self.windows, of, strict=True) if own == name) for name in of}
@@ -117,7 +123,7 @@ class Cut:
         """
         windows = tuple(series.predictable(longest_delay_s) for series, _ in further)
         frames = [*self.frames, *(self.frames[number] for _, number in further)]
-        return replace(
+        every = replace(
             self,
             windows=self.windows + windows,
             frames=_centred(self.windows + windows, frames),
@@ -127,6 +133,7 @@ class Cut:
             weight=None,
             of=() if further else self.of,
         )
+        return every if self.weight is None else every.rests_once()
 
     @classmethod
     def of_motions(cls, windows: Sequence[Window], frames: Sequence[Frame], found: Sequence[Sequence[Motion]]) -> Cut:
@@ -161,12 +168,13 @@ class Cut:
                 windows[-1] = Window(one, last.first, len(one))
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         endless = tuple(math.inf for _ in windows)
-        return Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
+        every = Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
+        return every if self.weight is None else every.rests_once()
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
         rows = (_first_rows(w, min(length_s, most_s)) for w, most_s in zip(self.windows, self.most_s, strict=True))
-        return replace(self, rows=tuple(rows), resting=None, weight=None)
+        return replace(self, rows=tuple(rows), resting=None)
 
     def only(self, chosen: NDArray[np.bool_]) -> Cut:
         """Some of its pieces, each as a window of its own; ``chosen``: (p,), at least one. Rows count as they do."""
@@ -226,6 +234,24 @@ class Cut:
         counts = np.add.reduceat(self.weight, self.begins) > 0.0
         speeds = counts if self.resting is None else counts & ~self.resting
         return int(np.count_nonzero(self.weight) - np.count_nonzero(counts) - np.count_nonzero(speeds))
+
+    def noise_of(self, residual_rad: Array) -> Noise:
+        """The most likely noise of a residual, (n,), rad, in the rows that count."""
+        if self.weight is None:
+            return noise_of(residual_rad, self.t_s, self.lengths)
+        residual_rad, t_s, lengths = self.counting(residual_rad), self.counting(self.t_s), self.counting_lengths
+        return noise_of(residual_rad, t_s, lengths, self.windows[0].period_s)
+
+    def counting(self, rows: Array) -> Array:
+        """Those of ``rows``, (n,) or (n, k), that count."""
+        return rows if self.weight is None else rows[self.weight > 0.0]
+
+    @cached_property
+    def counting_lengths(self) -> list[int]:
+        """Number of rows that count of each piece that has any."""
+        if self.weight is None:
+            return self.lengths
+        return [int(n) for n in np.add.reduceat(self.weight, self.begins) if n]
 
     @property
     def longest_s(self) -> float:
