@@ -9,7 +9,7 @@ for it, but not for a plain motor that predicts to a part in 200: what is left t
 velocity. It stands for three laws and more, too, whatever they leave: so many stand in for something that no law here
 describes.
 
-A law of the catalogue is not quite that of a bench. Where a fit with one or two laws leaves white noise, or the rounding
+A law of the catalogue is not quite that of a bench. Where a fit with one or two laws leaves white noise, or rounding
 to the sensor's steps, they are the bench's. Else three tenths of what each law moves a number by stand for what it is
 off. Friction may move by more than itself: without a law of friction f_c has in it what the law took.
 

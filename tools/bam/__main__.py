@@ -1,10 +1,10 @@
 """`make bam`: what `rig identify` says of servos with the friction that Rhoban/bam publishes, one line for each record.
 
-RIG_SHARED_DATA names the folder with `bam`. Errors are in % of the true numbers. f_c holds without load at the speeds of
-the record, so the true one is the mean of the published friction over its time in motion; where rig names a Stribeck
-effect, it is the friction beyond that. Held out is the RMS error of 12
-open-loop records of 1 s from rest, over the spread of their positions. Then what the records with and without a load
-say of a volt in N m, by gravity and by inertia: mass and arm are stated as they are, 1 % and 1 mm uncertain.
+RIG_SHARED_DATA names the folder with `bam`. Errors are in % of the true numbers. f_c holds without load, at the speeds
+of the record: the true one is the mean of the published friction over its time in motion; where rig names a Stribeck
+effect, the friction beyond that. Held out is the RMS error of 12 open-loop records of 1 s from rest, over the spread of
+their positions. Then what the records with and without a load say of a volt in N m, by gravity and by inertia: mass and
+arm are stated as they are, 1 % and 1 mm uncertain.
 
     PYTHONPATH=tools python -m bam [--only WORD] [--seed N] [--reasons]
 """
