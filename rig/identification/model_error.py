@@ -9,9 +9,9 @@ for it, but not for a plain motor that predicts to a part in 200: what is left t
 velocity. It stands for three laws and more, too, whatever they leave: so many stand in for something that no law here
 describes.
 
-A law of the catalogue is not quite that of a bench. Where a fit with laws leaves white noise, or the rounding to the
-sensor's steps, its laws are the bench's. Where it leaves more, three tenths of what each law moves a number by stand
-for what it is off.
+A law of the catalogue is not quite that of a bench. Where a fit with one or two laws leaves white noise, or rounding
+to the sensor's steps, they are the bench's. Else three tenths of what each law moves a number by stand for what it is
+off. Friction may move by more than itself: without a law of friction f_c has in it what the law took.
 
 A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
 and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
@@ -55,7 +55,7 @@ DRIVES = "low and high drive"
 LEFT = "what the model leaves out"
 LIKE = "laws that are only like the bench's"
 ALIKE = 0.3  # of what a law moves a number by
-FARTHEST = 0.5  # of a number: a fit without the law that is farther off has lost its way
+FARTHEST = 0.5  # of tau or K: a fit without the law that is farther off has lost its way, and counts as that far
 LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
 SHARED = 0.03  # of each number
 MANY_LAWS = 3
@@ -126,18 +126,23 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     return ModelError(tuple(found), effect, tuple(of_each.tolist()))
 
 
-def only_like(fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] = ()) -> tuple[Entry, ...]:
-    """The line for laws that leave more than white noise: what they may be off.
+def only_like(
+    fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] = (), laws: int = 0
+) -> tuple[Entry, ...]:
+    """The line for laws that leave more than white noise, or that are many: what they may be off.
 
     fit    with its noise
     bare   for each of its laws the fit without it
     near   with other laws in place of one, which leave hardly more, and how much each counts: the motor may be that one
+    laws   how many it has
     """
-    if fit.problem.noise.white:
+    if fit.problem.noise.white and laws < MANY_LAWS:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     there = np.array([[getattr(one.motor, name) for name in OF] for one in bare]).reshape(-1, len(OF))
-    moves = np.minimum(np.abs(there - here), FARTHEST * np.abs(here))
+    moves, most = np.abs(there - here), FARTHEST * np.abs(here)
+    lost = np.any(moves[:, :2] > most[:2], axis=1)
+    moves = np.where(lost[:, None], np.minimum(moves, most), moves)
     apart = [count * np.abs([getattr(one.motor, name) for name in OF] - here) for one, count in near]
     half = np.max([ALIKE * np.sqrt((moves**2).sum(axis=0)), *apart], axis=0)
     return (Entry(LIKE, *half.tolist()),) if half.any() else ()

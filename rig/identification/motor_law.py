@@ -33,7 +33,15 @@ from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
-from rig.identification.model_error import NOT_SHOWN, any_bend, model_error, of_one_size, of_rests, only_like
+from rig.identification.model_error import (
+    MANY_LAWS,
+    NOT_SHOWN,
+    any_bend,
+    model_error,
+    of_one_size,
+    of_rests,
+    only_like,
+)
 from rig.identification.noise import WHITE
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import one_way
@@ -459,8 +467,9 @@ def motor_law(
     coupled = fit.problem.cut.coupling_rad_s
     others = [*bare.values(), stiff.fit] if stiff is not None and coupled else bare.values()
     like: tuple[Entry, ...] = ()
-    if not begun.chooser.is_rounding(parts):
-        like = only_like(parts, others, nearly_as_good(parts, choice.laws, begun.chooser, bare))
+    if len(choice.laws) >= MANY_LAWS or not begun.chooser.is_rounding(parts):
+        near = nearly_as_good(parts, choice.laws, begun.chooser, bare)
+        like = only_like(parts, others, near, len(choice.laws))
     instead = in_place(nuisances, choice.laws, begun.chooser, bare)
     for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
         instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])

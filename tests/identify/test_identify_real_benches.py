@@ -15,7 +15,7 @@ from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Columns, levels
 from rig.identification.departures.departure import Bench
-from rig.identification.departures.fit import CORE, Problem, Rows, limits_of, solve, start
+from rig.identification.departures.fit import CORE, Fit, Problem, Rows, limits_of, solve, start
 from rig.identification.departures.laws import orders
 from rig.identification.departures.nuisances import pulls_apart
 from rig.identification.departures.outside import by_current, by_friction_waves, outside
@@ -270,20 +270,27 @@ def test_three_laws_stand_in_for_something_whatever_they_leave() -> None:
 def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_moves() -> None:
     _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
     fit = solve(start(problem, motor))
-    moved = fit.motor._replace(K_rad_s_V=1.1 * fit.motor.K_rad_s_V, fc_V=9.0 * fit.motor.fc_V)
-    bare = [start(problem, moved)]
-    assert only_like(fit, bare) == ()  # white noise is left: the laws are the bench's
+
+    def without_it(K_share: float) -> list[Fit]:
+        return [start(problem, fit.motor._replace(K_rad_s_V=K_share * fit.motor.K_rad_s_V, fc_V=9.0 * fit.motor.fc_V))]
+
+    bare = without_it(1.1)
+    assert only_like(fit, bare) == only_like(fit, bare, laws=2) == ()  # white noise is left: the laws are the bench's
+    assert [line.source for line in only_like(fit, bare, laws=3)] == [LIKE]  # but so many stand in for something
     fit = replace(fit, problem=replace(problem, noise=Noise(0.1, 4.0)))
     (line,) = only_like(fit, bare)
     assert line.source == LIKE and line.tau_s == pytest.approx(0.0, abs=1e-12)
     assert line.K_rad_s_V == pytest.approx(0.03 * fit.motor.K_rad_s_V)
-    assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)  # a fit that lost its way counts as half
+    assert line.fc_V == pytest.approx(2.4 * fit.motor.fc_V)  # friction that the law took
+    (line,) = only_like(fit, without_it(1.6))
+    assert line.K_rad_s_V == pytest.approx(0.15 * fit.motor.K_rad_s_V)  # a fit that lost its way counts as half
+    assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)
     assert only_like(fit, []) == ()
     near = start(problem, fit.motor._replace(K_rad_s_V=0.4 * fit.motor.K_rad_s_V))
     for count in (1.0, 0.5):  # as well another law's motor
         (line,) = only_like(fit, bare, [(near, count)])
         assert line.K_rad_s_V == pytest.approx(0.6 * count * fit.motor.K_rad_s_V)
-    assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)
+    assert line.fc_V == pytest.approx(2.4 * fit.motor.fc_V)
 
 
 @pytest.mark.parametrize(("drives_V", "lines"), [((3.0, 7.0), 1), ((3.0, 5.0, 7.0), 1), ((3.0, 5.0, 6.0, 7.0), 0)])

@@ -12,7 +12,7 @@ import pytest
 from command_line import rig
 
 from bam.__main__ import recordings, tried
-from bam.records import Case, Truth, records_of
+from bam.records import Case, Record, Truth, records_of
 from bam.servo import Friction, Load, Servo
 from rig.identification import identify
 from rig.model.real_motor import Frame, Pieces, RealMotor, response
@@ -73,6 +73,18 @@ def test_the_one_motor_moves_as_the_servo_does(
     y_rad = response(motor, Frame(0.0, 1.0, 0.0, 2.0), drive, t_s, Pieces.one(0.0, 0.0))
     assert np.ptp(y_rad) > 0.5
     assert y_rad == pytest.approx(there, abs=2e-6 if math.isinf(slope_V_s) else 3e-5)
+
+
+def test_the_true_friction_is_that_at_the_speeds_that_a_record_holds(folder: Path) -> None:
+    """A sharp Stribeck effect at 2 rad/s, half of the friction beyond: a third of the time is slower."""
+    plain = Friction.read(folder / "xl330-m1.json")
+    falls = replace(plain, friction_stribeck=0.5 * plain.friction_base, dtheta_stribeck=2.0, alpha=60.0)
+    truth, flat = Truth(falls, Load()), Truth(plain, Load())
+    t_s = np.asarray(0.01 * np.arange(41), dtype=np.float64)
+    y_rad = np.cumsum(np.repeat([0.0, 1.0, -3.0, 3.0], [11, 10, 10, 10]) * 0.01)
+    record = Record(t_s, t_s, y_rad, y_rad, np.zeros(41), 1.0)
+    assert truth.driven_fc_V([record]) == pytest.approx(truth.fc_V * (1.0 + 0.5 / 3.0))
+    assert flat.driven_fc_V([record]) == flat.fc_V == truth.fc_V
 
 
 @pytest.mark.evidence

@@ -1,8 +1,10 @@
 """`make bam`: what `rig identify` says of servos with the friction that Rhoban/bam publishes, one line for each record.
 
-RIG_SHARED_DATA names the folder with `bam`. Errors are in % of the true numbers; held out is the RMS error of 12
-open-loop records of 1 s from rest, over the spread of their positions. Then what the records with and without a load
-say of a volt in N m, by gravity and by inertia: mass and arm are stated as they are, 1 % and 1 mm uncertain.
+RIG_SHARED_DATA names the folder with `bam`. Errors are in % of the true numbers. f_c holds without load, at the speeds
+of the record: the true one is the mean of the published friction over its time in motion; where rig names a Stribeck
+effect, the friction beyond that. Held out is the RMS error of 12 open-loop records of 1 s from rest, over the spread of
+their positions. Then what the records with and without a load say of a volt in N m, by gravity and by inertia: mass and
+arm are stated as they are, 1 % and 1 mm uncertain.
 
     PYTHONPATH=tools python -m bam [--only WORD] [--seed N] [--reasons]
 """
@@ -14,7 +16,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -107,7 +109,8 @@ def tried(case: Case, folder: Path, seed: int) -> tuple[Row, Identification]:
     a = friction.kt / friction.R * volt
     if answer is None or motor is None:
         return Row(case, "none" if answer is None else answer.verdict, (), (), math.nan, (), cpu_s, answer, a), found
-    true = [truth.tau_s, truth.K_rad_s_V * volt, truth.fc_V / volt]
+    fc_V = truth.fc_V if motor.motor.stribeck_V else truth.driven_fc_V(given)
+    true = [truth.tau_s, truth.K_rad_s_V * volt, fc_V / volt]
     errors = tuple((getattr(motor.motor, name) - value) / value for name, value in zip(NUMBERS, true, strict=True))
     half = [(answer.grade or {})[name].u95 for name in NUMBERS]
     u95 = tuple((math.inf if h is None else h) / value for h, value in zip(half, true, strict=True))
@@ -164,15 +167,16 @@ def summary(rows: Sequence[Row]) -> list[str]:
     wrong = ("cogging", "linearity", "force_over_position")
     free = [one for one in rows if one.case.load.mass_kg == 0.0]
     false = sum(any(law.startswith(wrong) for law in one.laws) for one in free)
-    inside = [
-        abs(e) <= u
-        for one in rows
-        if one.case.model == "m1" and one.verdict != "refused"
-        for e, u in zip(one.errors, one.u95, strict=True)
-    ]
     said.append(f"cogging, linearity or force over position on a free servo: {false} of {len(free)}")
-    said.append(f"u95 holds the truth of M1 in {sum(inside)} of {len(inside)}")
+    inside = {"M1": held(row for row in rows if row.case.model == "m1"), "all": held(rows)}
+    said += [f"u95 holds the truth of {what} in {sum(one)} of {len(one)}" for what, one in inside.items()]
     return said
+
+
+def held(rows: Iterable[Row]) -> list[bool]:
+    """Of each number that has an interval, whether that holds the truth."""
+    given = (zip(row.errors, row.u95, strict=True) for row in rows if row.verdict != "refused")
+    return [abs(e) <= u for row in given for e, u in row]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

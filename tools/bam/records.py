@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ CYCLES = 13  # of each relay test, settling included
 LOADED_S = 0.8  # period of a relay test with a load, which a slower one would not swing
 STROKE_RAD, REST_S = 0.5, 0.2
 AT_REST_ROWS = 8
+AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest, as in rig's answer
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,22 @@ class Record:
 
 
 class Truth:
-    """What rig should say: tau, K and f_c; f_c without load and at speed."""
+    """What rig should say: tau, K and f_c; f_c without load, and beyond all speeds of a Stribeck effect."""
 
     def __init__(self, friction: Friction, load: Load) -> None:
         a = friction.kt / friction.R
+        self.friction = friction
         damping = a * friction.kt + friction.friction_viscous
         self.tau_s = (friction.armature + load.mass_kg * load.arm_m**2) / damping
         self.K_rad_s_V = a / damping
         self.fc_V = friction.friction_base / a
         self.weight_V = 9.81 * load.mass_kg * load.arm_m / a
+
+    def driven_fc_V(self, records: Sequence[Record]) -> float:
+        """f_c at the speeds that ``records`` hold, in true volts: the mean over all their time in motion."""
+        speed = np.abs(np.concatenate([np.diff(one.true_rad) / np.diff(one.t_s) for one in records]))
+        falls = self.friction.falls(speed[speed > AT_REST * speed.max()])
+        return self.fc_V * (1.0 + float(np.mean(falls)) * self.friction.friction_stribeck / self.friction.friction_base)
 
 
 Law = Callable[[int, float], float]

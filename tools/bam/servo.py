@@ -13,6 +13,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
 STEP_S = 1e-4
 GRAVITY_M_S2 = 9.81
 ACTS_S = 1e-3  # after its sample a duty acts
@@ -54,6 +59,10 @@ class Friction:
     def is_by_load(self) -> bool:
         """Whether friction grows with the torque that is transmitted."""
         return self.load_friction_motor != 0.0
+
+    def falls(self, speed: Array) -> Array:
+        """What is left of the Stribeck parts at each speed, rad/s."""
+        return np.asarray(np.exp(-((speed / self.dtheta_stribeck) ** self.alpha)))
 
     def limit_N_m(self, v: float, t_m: float, t_e: float) -> float:
         """Largest friction at the speed ``v``, rad/s, with the torques of motor and load, N m."""
