@@ -434,10 +434,10 @@ def test_a_law_that_the_motor_cannot_be_followed_with_gains_nothing_and_ends_no_
 
 def test_what_does_not_predict_is_refused_and_what_predicts_is_refused_for_damage_alone() -> None:
     poor, fine = HeldOut(0.7, 0.9, 2.0, 10), HeldOut(0.1, 0.3, 2.0, 10)
-    worse = HeldOut(0.2, 0.15, 2.0, 10)
+    worse, cycle = HeldOut(0.2, 0.15, 2.0, 10), HeldOut(0.021, 0.017, 2.0, 10)  # a linear model has one cycle, too
     one = Estimate("sampled-data", 0.05, 20.0, 0.6)
     wide, damaged = one.judged("refused", "wide", spoiled=False), one.judged("refused", "counts are lost")
-    assert [by_prediction(one, each).verdict for each in (poor, worse, fine)] == ["refused", "refused", "ok"]
+    assert [by_prediction(one, each).verdict for each in (poor, worse, fine, cycle)] == ["refused", "refused", "ok", "ok"]
     assert by_prediction(wide, fine).verdict == "doubtful"
     assert by_prediction(damaged, fine).verdict == "refused"
 
