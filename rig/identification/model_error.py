@@ -27,8 +27,9 @@ drive alone than of all of them, these numbers and those are as far apart as eit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,8 @@ SHARED = 0.03  # of each number
 MANY_LAWS = 3
 FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
 ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
+ALIKE_DRIVES = 0.1  # of the largest drive: within it two tell little of a bend; and noise of a drive that was measured
+BY_CHANCE, ENDS = 3.0, 5  # standard errors of a stroke's mean; drives of a stroke from which on its ends do not count
 BENDS = "a bend of the drive"
 BY_SIZE = ("sag", "source")
 ONE_SIZE = "one size of drive"
@@ -167,20 +170,38 @@ def of_one_size(fit: Fit) -> tuple[Entry, ...]:
 def _is_one_size(cut: Cut) -> bool:
     """Whether nearly all drives of a direction are alike, in both: a size more in one of them alone is its asymmetry's.
 
-    Drives at 0 and near it do not count.
+    Drives at 0 and near it do not count. The drives of a stroke may scatter, as measured ones do: their mean counts.
     """
-    u_V, last_s = _drives_of(cut)
-    one_V = ONE_DRIVE * float(np.abs(u_V).max())
+    largest_V = float(np.abs(_drives_of(cut)[0]).max())
     for way in (1.0, -1.0):
-        chosen = way * u_V > one_V
-        of_way_V, of_way_s = np.abs(u_V[chosen]), last_s[chosen]
-        order = np.argsort(of_way_V)
-        since_s = np.cumsum(of_way_s[order])
-        if since_s.size:
-            middle_V = of_way_V[order][np.searchsorted(since_s, 0.5 * since_s[-1])]
-            if of_way_s[np.abs(of_way_V - middle_V) > one_V].sum() > OFTEN * since_s[-1]:
-                return False
+        strokes = [(way * u_V, last_s) for u_V, last_s in _strokes(cut, ONE_DRIVE * largest_V) if way * u_V[0] > 0.0]
+        if not strokes:
+            continue
+        since_s = np.array([last_s.sum() for _, last_s in strokes])
+        mean_V = np.array([u_V @ last_s / last_s.sum() for u_V, last_s in strokes])
+        chance_V = BY_CHANCE * np.array([u_V.std() / math.sqrt(u_V.size) for u_V, _ in strokes])
+        order = np.argsort(mean_V)
+        middle_V = mean_V[order][np.searchsorted(np.cumsum(since_s[order]), 0.5 * since_s.sum())]
+        others_s = since_s[np.abs(mean_V - middle_V) > ONE_DRIVE * largest_V + chance_V].sum()
+        far_s = sum(float(last_s[np.abs(u_V - middle_V) > ALIKE_DRIVES * largest_V].sum()) for u_V, last_s in strokes)
+        if max(others_s, far_s) > OFTEN * since_s.sum():
+            return False
     return True
+
+
+def _strokes(cut: Cut, least_V: float) -> Iterator[tuple[Array, Array]]:
+    """The drives of each stroke one way, beyond ``least_V``, V, and for how long they act, s.
+
+    A drive that is the mean of several rows may have rows of two strokes in it, so the ends of one of many are left out.
+    """
+    for window in cut.windows:
+        u_V, last_s = _drives_in(window)
+        way = np.where(np.abs(u_V) > least_V, np.sign(u_V), 0.0)
+        begins = np.append(0, np.flatnonzero(np.diff(way)) + 1)
+        for first, stop in pairwise([*begins.tolist(), way.size]):
+            if way[first] and last_s[first:stop].sum() > 0.0:
+                ends = int(stop - first >= ENDS)
+                yield u_V[first + ends : stop - ends], last_s[first + ends : stop - ends]
 
 
 def of_rests(fit: Fit) -> tuple[Entry, ...]:
@@ -211,15 +232,14 @@ def of_rests(fit: Fit) -> tuple[Entry, ...]:
 
 
 def drive_sizes(cut: Cut) -> int:
-    """How many sizes of drive the tests hold, beside 0: those that act for some time."""
+    """How many sizes of drive the tests hold that tell a bend, beside 0: those that act for some time."""
     u_V, last_s = _drives_of(cut)
     u_V = np.abs(u_V)
-    one_V = ONE_DRIVE * float(u_V.max())
     order = np.argsort(u_V)
-    order = order[u_V[order] > one_V]
+    order = order[u_V[order] > ONE_DRIVE * u_V.max()]
     count, driven_s = 0, float(last_s[order].sum())
     while order.size:
-        alike = u_V[order] <= u_V[order[0]] + one_V
+        alike = u_V[order] < u_V[order[0]] + ALIKE_DRIVES * u_V.max()
         count += float(last_s[order[alike]].sum()) >= OFTEN * driven_s
         order = order[~alike]
     return count
@@ -227,12 +247,13 @@ def drive_sizes(cut: Cut) -> int:
 
 def _drives_of(cut: Cut) -> tuple[Array, Array]:
     """Every drive of the tests, V, and for how long it acts, s."""
-    sizes, lasts = [], []
-    for window in cut.windows:
-        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
-        sizes.append(window.steps.u_V)
-        lasts.append(np.diff(edges))
+    sizes, lasts = zip(*map(_drives_in, cut.windows), strict=True)
     return np.concatenate(sizes), np.concatenate(lasts)
+
+
+def _drives_in(window: Window) -> tuple[Array, Array]:
+    steps = window.steps
+    return steps.u_V, np.diff(np.append(steps.edge_s, max(window.t_s[-1], steps.edge_s[-1])))
 
 
 def beyond_noise(

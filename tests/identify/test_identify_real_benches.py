@@ -13,7 +13,7 @@ from evidence import evidence
 from rig.identification import identify
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
-from rig.identification.departures.choice import Columns, levels
+from rig.identification.departures.choice import Chooser, Columns, levels
 from rig.identification.departures.departure import Bench
 from rig.identification.departures.fit import CORE, Problem, Rows, limits_of, solve, start
 from rig.identification.departures.laws import orders
@@ -35,6 +35,7 @@ from rig.identification.model_error import (
     of_one_size,
     only_like,
 )
+from rig.identification.motor_law import Beginning
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
@@ -286,7 +287,9 @@ def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_mov
     assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)
 
 
-@pytest.mark.parametrize(("drives_V", "lines"), [((3.0, 7.0), 1), ((3.0, 5.0, 7.0), 1), ((3.0, 5.0, 6.0, 7.0), 0)])
+@pytest.mark.parametrize(
+    ("drives_V", "lines"), [((3.0, 7.0), 1), ((3.0, 5.0, 7.0), 1), ((3.0, 5.0, 6.0, 7.0), 0), ((3.0, 6.5, 6.8, 7.0), 1)],
+)
 def test_three_sizes_of_drive_do_not_tell_a_sag_from_a_supply_that_gives_less(
     drives_V: tuple[float, ...], lines: int
 ) -> None:
@@ -318,6 +321,30 @@ def test_a_size_for_each_sign_is_one_size_for_the_rest_is_asymmetry(minus: float
     _, problem, motor = _whole_fit((t_s, np.where(u_V < 0.0, (minus or 1.0) * u_V, u_V), y_rad))
     found = of_one_size(start(problem, motor))
     assert len(found) == lines and all(line.K_rad_s_V > line.fc_V and line.tau_s == 0.0 for line in found)
+
+
+@pytest.mark.parametrize(("drives_V", "noise_V", "lines"), [((6.0,), 0.15, 1), ((6.0, 6.3), 0.03, 0)])
+def test_a_drive_that_was_measured_has_the_sizes_of_its_strokes(
+    drives_V: tuple[float, ...], noise_V: float, lines: int
+) -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, drives_V, rows=1200)
+    u_V = u_V + np.random.default_rng(1).normal(0.0, noise_V, u_V.size)
+    _, problem, motor = _whole_fit((t_s, u_V, y_rad))
+    assert len(of_one_size(start(problem, motor))) == lines
+
+
+@pytest.mark.parametrize("dead_band_V", [1.3, 0.0])
+def test_a_law_that_seems_worth_nothing_beside_another_stays_where_the_fit_without_it_is_far_worse(
+    dead_band_V: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dead band of 1.8 V beside the resistance of a supply was one: it is not linear over its size."""
+    laws = tuple(law for law in DEPARTURES if law.name == "dead_band")
+    t_s, u_V, y_rad = recorded(MOTOR._replace(dead_band_V=dead_band_V), (3.0, 5.0, 7.0), rows=400)
+    begun = Beginning.of([TimeSeries(t_s, y_rad, None, u_V)], Estimate("sampled-data", *MOTOR[:5]), [None])
+    problem = begun.chooser.problem(begun.whole.every(0.5), laws, math.inf)
+    fit = solve(start(problem, MOTOR._replace(dead_band_V=dead_band_V, delay_s=0.002)))
+    monkeypatch.setattr(Chooser, "_losses", lambda _, fit, laws: [(0.0, law) for law in laws])
+    assert begun.chooser._dropped(fit, laws)[1] == (laws if dead_band_V else ())
 
 
 def test_a_motor_that_runs_free_at_0_V_is_known_no_better_than_its_driven_rows_say() -> None:
