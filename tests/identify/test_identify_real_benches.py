@@ -333,6 +333,12 @@ def test_a_drive_that_was_measured_has_the_sizes_of_its_strokes(
     assert len(of_one_size(start(problem, motor))) == lines
 
 
+def test_a_trial_far_from_any_motor_costs_inf_without_a_warning() -> None:
+    _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0), rows=100))
+    far_rad = np.full(problem.cut.t_s.size, 1e200)
+    assert math.isinf(replace(problem, robust_rad=1e-3).cost(far_rad, motor))
+
+
 @pytest.mark.parametrize("dead_band_V", [1.3, 0.0])
 def test_a_law_that_seems_worth_nothing_beside_another_stays_where_the_fit_without_it_is_far_worse(
     dead_band_V: float, monkeypatch: pytest.MonkeyPatch
