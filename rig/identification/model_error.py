@@ -63,7 +63,8 @@ MANY_LAWS = 3
 FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
 ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
 ALIKE_DRIVES = 0.1  # of the largest drive: within it two tell little of a bend; and noise of a drive that was measured
-BY_CHANCE, ENDS = 3.0, 5  # standard errors of a stroke's mean; drives of a stroke from which on its ends do not count
+BY_CHANCE = 3.0  # standard errors of a stroke's mean
+STAIRS, RAMPS = 5, 1.0 / 3.0  # drives of a stroke, at least, and of its time, at most, where it is ramped at its ends
 BENDS = "a bend of the drive"
 BY_SIZE = ("sag", "source")
 ONE_SIZE = "one size of drive"
@@ -190,18 +191,30 @@ def _is_one_size(cut: Cut) -> bool:
 
 
 def _strokes(cut: Cut, least_V: float) -> Iterator[tuple[Array, Array]]:
-    """The drives of each stroke one way, beyond ``least_V``, V, and for how long they act, s.
-
-    A drive that is the mean of several rows may have rows of two strokes in it, so the ends of one of many are left out.
-    """
+    """The drives of each stroke one way, beyond ``least_V``, V, and for how long they act, s; without its ramps."""
     for window in cut.windows:
         u_V, last_s = _drives_in(window)
         way = np.where(np.abs(u_V) > least_V, np.sign(u_V), 0.0)
         begins = np.append(0, np.flatnonzero(np.diff(way)) + 1)
         for first, stop in pairwise([*begins.tolist(), way.size]):
             if way[first] and last_s[first:stop].sum() > 0.0:
-                ends = int(stop - first >= ENDS)
-                yield u_V[first + ends : stop - ends], last_s[first + ends : stop - ends]
+                held = slice(first, stop) if stop - first < STAIRS else _held(np.abs(u_V), last_s, first, stop)
+                yield u_V[held], last_s[held]
+
+
+def _held(size_V: Array, last_s: Array, first: int, stop: int) -> slice:
+    """Where a drive is held between a ramp up and a ramp down; all of it where these take long, as of a sine.
+
+    A device may ramp its drive. And where rows are taken as one, the first and last drive of a stroke may be the mean
+    of two strokes.
+    """
+    up, down = first, stop - 1
+    while up < down and size_V[up] < size_V[up + 1]:
+        up += 1
+    while down > up and size_V[down] < size_V[down - 1]:
+        down -= 1
+    is_short = last_s[up : down + 1].sum() >= (1.0 - RAMPS) * last_s[first:stop].sum()
+    return slice(up, down + 1) if is_short else slice(first, stop)
 
 
 def of_rests(fit: Fit) -> tuple[Entry, ...]:

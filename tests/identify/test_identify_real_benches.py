@@ -333,6 +333,18 @@ def test_a_drive_that_was_measured_has_the_sizes_of_its_strokes(
     assert len(of_one_size(start(problem, motor))) == lines
 
 
+@pytest.mark.parametrize(("slew_V_s", "lines"), [(277.0, 1), (20.0, 0)])
+def test_a_ramp_between_two_drives_of_one_size_is_no_other_size_unless_it_takes_most_of_the_time(
+    slew_V_s: float, lines: int
+) -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (6.0,), rows=600)
+    test = TimeSeries(t_s, y_rad, None, u_V)
+    ramped = replace(test, edges=test.steps.ramped(slew_V_s))
+    cut = Cut.whole([ramped], 0.01)
+    problem = Problem(cut, CORE, limits_of(CORE, cut, (0.0, 0.0)), STEP_RAD)
+    assert len(of_one_size(start(problem, MOTOR))) == lines
+
+
 def test_a_trial_far_from_any_motor_costs_inf_without_a_warning() -> None:
     _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0), rows=100))
     far_rad = np.full(problem.cut.t_s.size, 1e200)
