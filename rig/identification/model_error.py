@@ -198,20 +198,23 @@ def _strokes(cut: Cut, least_V: float) -> Iterator[tuple[Array, Array]]:
         begins = np.append(0, np.flatnonzero(np.diff(way)) + 1)
         for first, stop in pairwise([*begins.tolist(), way.size]):
             if way[first] and last_s[first:stop].sum() > 0.0:
-                held = slice(first, stop) if stop - first < STAIRS else _held(np.abs(u_V), last_s, first, stop)
+                held = slice(first, stop) if stop - first < STAIRS else _held(u_V, last_s, first, stop, least_V)
                 yield u_V[held], last_s[held]
 
 
-def _held(size_V: Array, last_s: Array, first: int, stop: int) -> slice:
+def _held(u_V: Array, last_s: Array, first: int, stop: int, least_V: float) -> slice:
     """Where a drive is held between a ramp up and a ramp down; all of it where these take long, as of a sine.
+
+    first, stop   of its stroke
+    least_V       of a stair, V
 
     A device may ramp its drive. And where rows are taken as one, the first and last drive of a stroke may be the mean
     of two strokes.
     """
     up, down = first, stop - 1
-    while up < down and size_V[up] < size_V[up + 1]:
+    while up < down and abs(u_V[up]) < abs(u_V[up + 1]) - least_V:
         up += 1
-    while down > up and size_V[down] < size_V[down - 1]:
+    while down > up and abs(u_V[down]) < abs(u_V[down - 1]) - least_V:
         down -= 1
     is_short = last_s[up : down + 1].sum() >= (1.0 - RAMPS) * last_s[first:stop].sum()
     return slice(up, down + 1) if is_short else slice(first, stop)

@@ -340,7 +340,7 @@ def test_a_ramp_between_two_drives_of_one_size_is_no_other_size_unless_it_takes_
     t_s, u_V, y_rad = recorded(MOTOR, (6.0,), rows=600)
     test = TimeSeries(t_s, y_rad, None, u_V)
     ramped = replace(test, edges=test.steps.ramped(slew_V_s))
-    cut = Cut.whole([ramped], 0.01)
+    cut = Cut.whole([thinned(ramped, 2, 1)], 0.01)
     problem = Problem(cut, CORE, limits_of(CORE, cut, (0.0, 0.0)), STEP_RAD)
     assert len(of_one_size(start(problem, MOTOR))) == lines
 
