@@ -63,6 +63,7 @@ BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is 
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
+VALLEY = (0.5, 1.0, 2.0)  # sizes that are looked at about that with which a law in a valley begins, over it
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
@@ -416,8 +417,8 @@ class Chooser:
 
         def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
             law = promise.law
-            motor = fit.motor._replace(**promise.first)
-            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS, near)
+            trial = self.with_laws(fit, (*laws, law), fit.motor._replace(**promise.first))
+            trial = solve(in_valley(trial, law) if law.valley else trial, TRIAL_ITERATIONS, near)
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
@@ -573,6 +574,16 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
 
     sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
     return [(size, fit), *side_by_side(fitted, sizes, fit.residual_rad.size)]
+
+
+def in_valley(trial: Fit, law: Departure) -> Fit:
+    """The best of fits of the rest at some sizes of a law, about that of ``trial``; with the problem of ``trial``."""
+    [name] = law.numbers
+    problem, motor = trial.problem, trial.motor
+    others = replace(problem, free=tuple(one for one in problem.free if one not in (name, *law.shape)))
+    sizes = [share * getattr(motor, name) for share in VALLEY]
+    each = [solve(refitted(trial, others, motor._replace(**{name: size})), TRIAL_ITERATIONS) for size in sizes]
+    return replace(min(each, key=lambda one: one.cost), problem=problem)
 
 
 def at_best_size(fit: Fit, law: Departure) -> Fit:
