@@ -15,6 +15,7 @@ for what it is off.
 
 A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
 and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
+Where they hold more, and the fit leaves more than noise, the bend is another one.
 
 Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
 speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
@@ -148,12 +149,15 @@ def only_like(fit: Fit, bare: Iterable[Fit], near: Iterable[tuple[Fit, float]] =
 
 
 def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
-    """The line for a law that bends the drive, where the tests hold too few sizes of it to say which bend it is.
+    """The line for a law that bends the drive, where the tests do not say that this is the bend.
+
+    They hold too few sizes of it, or they leave more than noise.
 
     bare   for each law of ``fit`` the fit without it
     """
     bent = [name for name in BY_SIZE if name in bare]
-    if not bent or drive_sizes(fit.problem.cut) > FEW_DRIVES:
+    is_told = drive_sizes(fit.problem.cut) > FEW_DRIVES and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
+    if not bent or is_told:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     moves = [np.abs([getattr(bare[name].motor, one) for one in OF] - here) for name in bent]
