@@ -33,7 +33,7 @@ from rig.identification.sampled_data_verdict import judge_with_laws, late_s, sli
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.stroke_delay import strokes_delay
 from rig.identification.time_stamps import stamps_off_by
-from rig.identification.verdict import by_prediction, largest_drive_V
+from rig.identification.verdict import by_prediction, largest_drive_V, reserved
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
 from rig.run_folder.recording.errors import IdentifyError
@@ -480,7 +480,7 @@ def _add_motor_law(
         if not reservations or not (method == LEADING or estimate.verdict == "ok"):
             continue
         if law.instead_of(estimate, largest_V) is None:
-            found.estimates[method] = estimate.judged("doubtful", *reservations)
+            found.estimates[method] = reserved(estimate, reservations)
         else:  # the law is the cause, so it comes first; what it explains is left out
             others = _said(disagreement(each)) if law.explains else estimate.reasons
             found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)

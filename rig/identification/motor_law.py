@@ -40,7 +40,18 @@ from rig.identification.plausibility import one_way
 from rig.identification.repetition import repeated_share, repetitions
 from rig.identification.stated_errors import ScaleErrors, StatedErrors
 from rig.identification.thinning import showing_the_angle, thinned
-from rig.identification.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
+from rig.identification.verdict import (
+    ASKED,
+    MORE_CYCLES,
+    PROMISE,
+    RISK,
+    TITLES,
+    beside,
+    in_percent,
+    known_to,
+    reserved,
+    sizes_of,
+)
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.run_folder.recording.series import TimeSeries, Window
 from rig.run_folder.recording.stage import StageKind
@@ -157,7 +168,7 @@ class MotorLaw:
         """The same with the verdict of ``estimate``, which is its own, and its reservations."""
         law = replace(self, estimate=estimate, explains=bool(self.found) and estimate.verdict == "ok")
         reservations = law.reservations(estimate, largest_V)
-        return replace(law, estimate=estimate.judged("doubtful", *reservations) if reservations else estimate)
+        return replace(law, estimate=reserved(estimate, reservations))
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
@@ -214,8 +225,8 @@ class MotorLaw:
         elif laws:
             what = " and ".join(law.title for law in laws)
             yield f"{known}: most of it is {self._unknown(largest.laws, what)}; record {cures}"
-        elif estimate.verdict == "ok":  # else the sentence on its interval says it already
-            yield f"{known}: record more cycles, or slower and larger ones"
+        else:
+            yield f"{known}: {MORE_CYCLES}"
 
     def _may_be_off(self, sizes: Mapping[str, float]) -> Iterator[str]:
         """u95 is small also where a law is improbable and large: then the promise can be broken all the same."""

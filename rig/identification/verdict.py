@@ -28,6 +28,7 @@ TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
 FEW_CYCLES = 5
 TITLES = {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c"}  # in what people read
+MORE_CYCLES = "record more cycles, or slower and larger ones"  # the cure of an interval that is too wide
 
 
 def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias: str | None = None) -> Estimate:
@@ -97,10 +98,20 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         if share > ASKED:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{known_to(name, share)}: record more cycles, or slower and larger ones",
+                f"{known_to(name, share)}: {MORE_CYCLES}",
                 spoiled=False,
             )
     return estimate
+
+
+def reserved(estimate: Estimate, reservations: Sequence[str]) -> Estimate:
+    """The estimate doubtful for what u95 says. What its interval alone says of a number is less, and stands no more."""
+    if not reservations:
+        return estimate
+    if estimate.verdict != "refused":
+        kept = (reason for reason in estimate.reasons if not reason.endswith(MORE_CYCLES))
+        estimate = replace(estimate, reasons=tuple(kept))
+    return estimate.judged("doubtful", *reservations)
 
 
 def largest_drive_V(tests: Sequence[TimeSeries]) -> float:

@@ -39,7 +39,7 @@ from rig.identification.motor_law import Beginning
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
-from rig.identification.verdict import by_prediction
+from rig.identification.verdict import MORE_CYCLES, by_prediction, reserved
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
@@ -505,6 +505,13 @@ def test_what_does_not_predict_is_refused_and_what_predicts_is_refused_for_damag
     assert [by_prediction(one, each).verdict for each in (poor, worse, fine, cycle)] == ["refused", "refused", "ok", "ok"]
     assert by_prediction(wide, fine).verdict == "doubtful"
     assert by_prediction(damaged, fine).verdict == "refused"
+
+
+def test_what_u95_says_of_a_number_stands_in_place_of_what_its_interval_alone_says() -> None:
+    narrow = f"f_c is only known to 3.7 % (at 95 %); ok asks for 2.5 %: {MORE_CYCLES}"
+    one = Estimate("sampled-data", 0.05, 20.0, 0.6).judged("doubtful", narrow, "odd")
+    assert reserved(one, ["f_c is only known to 21 %"]).reasons == ("odd", "f_c is only known to 21 %")
+    assert reserved(one, []) == one
 
 
 def test_errors_of_the_model_add_nothing_on_a_motor_that_is_what_the_model_says() -> None:
