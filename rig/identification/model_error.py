@@ -42,6 +42,7 @@ from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, su
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import FEWEST_ROWS, Cut
+from rig.identification.estimate import Estimate
 from rig.model.real_motor import is_plain
 from rig.run_folder.recording.series import Window
 
@@ -71,7 +72,7 @@ BY_SIZE = ("sag", "source")
 ONE_SIZE = "one size of drive"
 TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
 AT_0_V = "rows at 0 V"
-FAR_LESS, COASTS = 0.25, 0.02  # of the residual; of the rows, at least
+FAR_LESS, COASTS = 0.25, 0.02  # of the residual beyond the sensor's noise; of the rows, at least
 NOT_SHOWN = {
     ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
     AT_0_V: "the rows with a drive alone say other numbers, and fit far better; does the bridge let the motor run free "
@@ -224,8 +225,11 @@ def _held(u_V: Array, last_s: Array, first: int, stop: int, least_V: float) -> s
     return slice(up, down + 1) if is_short else slice(first, stop)
 
 
-def of_rests(fit: Fit) -> tuple[Entry, ...]:
-    """The line for what the rows with a drive alone say otherwise; none where they leave hardly less than all rows."""
+def of_rests(fit: Fit, answer: Estimate | None = None) -> tuple[Entry, ...]:
+    """The line for what the rows with a drive alone say otherwise; none where they leave hardly less than all rows.
+
+    answer   the numbers that the line is for; None: those of the fit
+    """
     cut = fit.problem.cut
     if fit.rms_rad <= LEAVES * fit.problem.sigma_rad:
         return ()
@@ -246,9 +250,10 @@ def of_rests(fit: Fit) -> tuple[Entry, ...]:
     if alone.begins.size < FEWEST_PIECES:
         return ()
     other = solve(begin(replace(fit.problem, cut=alone), fit.motor))
-    if not other.rms_rad < FAR_LESS * math.sqrt(float(np.mean(fit.residual_rad[at_rows] ** 2))):
+    here, there = float(np.mean(fit.residual_rad[at_rows] ** 2)), other.rms_rad**2
+    if not there - fit.problem.sigma_rad**2 < FAR_LESS**2 * (here - fit.problem.sigma_rad**2):
         return ()
-    return (Entry(AT_0_V, *(abs(getattr(other.motor, name) - getattr(fit.motor, name)) for name in OF)),)
+    return (Entry(AT_0_V, *(abs(getattr(other.motor, name) - getattr(answer or fit.motor, name)) for name in OF)),)
 
 
 def drive_sizes(cut: Cut) -> int:

@@ -33,7 +33,7 @@ from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
-from rig.identification.model_error import NOT_SHOWN, any_bend, model_error, of_one_size, of_rests, only_like
+from rig.identification.model_error import AT_0_V, NOT_SHOWN, any_bend, model_error, of_one_size, of_rests, only_like
 from rig.identification.noise import WHITE
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import one_way
@@ -168,7 +168,11 @@ class MotorLaw:
         """The same with the verdict of ``estimate``, which is its own, and its reservations."""
         law = replace(self, estimate=estimate, explains=bool(self.found) and estimate.verdict == "ok")
         reservations = law.reservations(estimate, largest_V)
-        return replace(law, estimate=reserved(estimate, reservations))
+        return replace(law, estimate=law.reserved(estimate, reservations))
+
+    def reserved(self, estimate: Estimate, reservations: Sequence[str]) -> Estimate:
+        """The estimate with these reservations, and without what they refute."""
+        return reserved(estimate, reservations, runs_free=any(one.source == AT_0_V for one in self.budget.entries))
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
@@ -476,20 +480,22 @@ def motor_law(
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     scatter = Shifts.of(nuisances).scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
+    is_plain = not choice.laws and not further and not coupled
+    at_rests = of_rests(parts, plain if is_plain else None)
     lines = budget(
         nuisances.tempered(of_model.effect),
         by_size,
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *of_rests(parts), *of_levels),
+        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *at_rests, *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
-    if not choice.laws and not further and not coupled:
+    if is_plain:
         return MotorLaw(
             (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )

@@ -33,13 +33,14 @@ from rig.identification.model_error import (
     beyond_noise,
     model_error,
     of_one_size,
+    of_rests,
     only_like,
 )
 from rig.identification.motor_law import Beginning
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
-from rig.identification.verdict import MORE_CYCLES, by_prediction, reserved
+from rig.identification.verdict import MORE_CYCLES, ROW_UP, by_prediction, reserved
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
@@ -363,12 +364,16 @@ def test_friction_that_grows_with_the_torque_is_found_though_tau_K_and_f_c_nearl
     """Under one size of drive: tau was 11 % off, and said to be known to 1.7 %."""
     motor = RealMotor(0.12, 7.0, 0.9)
     t_s, u_V, y_rad = recorded(motor._replace(load_friction=0.1), (10.0,), rows=1200)
-    begun = Beginning.of([TimeSeries(t_s, y_rad, None, u_V)], Estimate("sampled-data", 0.1335, 8.05, 2.18, 0.0, 0.002), [None])
+    begun = Beginning.of(
+        [TimeSeries(t_s, y_rad, None, u_V)], Estimate("sampled-data", 0.1335, 8.05, 2.18, 0.0, 0.002), [None]
+    )
     laws = tuple(law for law in DEPARTURES if law.name == "load_friction")
     chooser = replace(begun.chooser, candidates=laws)
     fit = solve(start(chooser.problem(begun.whole.every(0.5), (), math.inf), begun.motor))
     ((found, _),) = chooser._steps(fit, (), set())
-    assert found.motor.load_friction == pytest.approx(0.1, rel=0.1) and found.motor.tau_s == pytest.approx(0.12, rel=0.01)
+    assert found.motor.load_friction == pytest.approx(0.1, rel=0.1) and found.motor.tau_s == pytest.approx(
+        0.12, rel=0.01
+    )
 
 
 @pytest.mark.parametrize("dead_band_V", [1.3, 0.0])
@@ -385,7 +390,19 @@ def test_a_law_that_seems_worth_nothing_beside_another_stays_where_the_fit_witho
     assert begun.chooser._dropped(fit, laws)[1] == (laws if dead_band_V else ())
 
 
-def test_a_motor_that_runs_free_at_0_V_is_known_no_better_than_its_driven_rows_say() -> None:
+def test_what_rows_with_a_drive_say_is_held_against_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plain answer is fitted to whole tests, and its pieces are nearer to these rows."""
+    _, problem, motor = _whole_fit(recorded(MOTOR, (0.0, 3.0, 7.0), rows=1200))
+    fit = start(problem, motor._replace(tau_s=0.06))
+    fit = replace(fit, residual_rad=np.full(fit.residual_rad.size, 1.0))
+    told = replace(fit, motor=motor, residual_rad=np.full(fit.residual_rad.size, 0.01))
+    monkeypatch.setattr("rig.identification.model_error.solve", lambda _: told)
+    (of_fit,), (of_answer,) = of_rests(fit), of_rests(fit, Estimate("sampled-data", 0.07, 20.0, 0.6))
+    assert (of_fit.tau_s, of_answer.tau_s) == pytest.approx((0.01, 0.02))
+
+
+@pytest.mark.parametrize("noise_rad", [0.0, 0.03])
+def test_a_motor_that_runs_free_at_0_V_is_known_no_better_than_its_driven_rows_say(noise_rad: float) -> None:
     """A quarter of its damping is its own: the bridge brakes only while it drives."""
     step_s, rows_of = 0.0005, 10
     t_s, u_V, _ = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=1200)
@@ -400,6 +417,7 @@ def test_a_motor_that_runs_free_at_0_V_is_known_no_better_than_its_driven_rows_s
             after = steady + (speed - steady) * math.exp(-step_s / tau_s)
             after = 0.0 if after * way < 0.0 else after
             at, speed = at + 0.5 * step_s * (speed + after), after
+    y_rad += np.random.default_rng(1).normal(0.0, noise_rad, t_s.size)
     answer = answered((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))
     assert answer.grade is not None
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
@@ -502,8 +520,15 @@ def test_what_does_not_predict_is_refused_and_what_predicts_is_refused_for_damag
     worse, cycle = HeldOut(0.2, 0.15, 2.0, 10), HeldOut(0.021, 0.017, 2.0, 10)  # a linear model has one cycle, too
     one = Estimate("sampled-data", 0.05, 20.0, 0.6)
     wide, damaged = one.judged("refused", "wide", spoiled=False), one.judged("refused", "counts are lost")
-    assert [by_prediction(one, each).verdict for each in (poor, worse, fine, cycle)] == ["refused", "refused", "ok", "ok"]
+    assert [by_prediction(one, each).verdict for each in (poor, worse, fine, cycle)] == [
+        "refused",
+        "refused",
+        "ok",
+        "ok",
+    ]
     assert by_prediction(wide, fine).verdict == "doubtful"
+    told = replace(one, rms_rad=0.003)  # of a chirp whose first swings the others do not tell
+    assert [by_prediction(told, each, 0.0011).verdict for each in (poor, worse)] == ["refused", "ok"]
     assert by_prediction(damaged, fine).verdict == "refused"
 
 
@@ -512,6 +537,9 @@ def test_what_u95_says_of_a_number_stands_in_place_of_what_its_interval_alone_sa
     one = Estimate("sampled-data", 0.05, 20.0, 0.6).judged("doubtful", narrow, "odd")
     assert reserved(one, ["f_c is only known to 21 %"]).reasons == ("odd", "f_c is only known to 21 %")
     assert reserved(one, []) == one
+    early = one.judged("doubtful", f"the drive seems to act 3 ms before its row: {ROW_UP}")
+    for runs_free in (False, True):  # at 0 V, and no plain motor there
+        assert (early.reasons[-1] in reserved(early, ["K"], runs_free=runs_free).reasons) is not runs_free
 
 
 def test_errors_of_the_model_add_nothing_on_a_motor_that_is_what_the_model_says() -> None:

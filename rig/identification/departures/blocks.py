@@ -178,7 +178,9 @@ class HeldOut(NamedTuple):
     @property
     def is_useful(self) -> bool:
         """Whether it predicts: its error is not large, and hardly larger than the linear model's."""
-        return self.error <= MOST_ERROR and self.error <= max(THAN_LINEAR * self.linear_error, self.linear_error + ALIKE)
+        return self.error <= MOST_ERROR and self.error <= max(
+            THAN_LINEAR * self.linear_error, self.linear_error + ALIKE
+        )
 
 
 def held_out(blocks: Blocks, problem: Problem, motor: RealMotor) -> HeldOut:
