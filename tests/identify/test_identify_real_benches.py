@@ -392,7 +392,7 @@ def test_a_law_that_seems_worth_nothing_beside_another_stays_where_the_fit_witho
 
 def test_what_rows_with_a_drive_say_is_held_against_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plain answer is fitted to whole tests, and its pieces are nearer to these rows."""
-    _, problem, motor = _whole_fit(recorded(MOTOR, (0.0, 3.0, 7.0), rows=1200))
+    _, problem, motor = _whole_fit(recorded(MOTOR, (0.0, 3.0, 7.0), rows=4000))
     fit = start(problem, motor._replace(tau_s=0.06))
     fit = replace(fit, residual_rad=np.full(fit.residual_rad.size, 1.0))
     told = replace(fit, motor=motor, residual_rad=np.full(fit.residual_rad.size, 0.01))
