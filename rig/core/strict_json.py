@@ -39,9 +39,9 @@ class JsonError(ValueError):
         super().__init__(words)
 
 
-def parse(text: str) -> JsonValue:
-    """The value that a text of JSON describes. Raises JsonError, and nothing else."""
-    _require_bounded(text)
+def parse(text: str, most_values: int = MOST_VALUES) -> JsonValue:
+    """The value that a text of JSON, of at most so many values, describes. Raises JsonError, and nothing else."""
+    _require_bounded(text, most_values)
     try:
         value: JsonValue = json.loads(
             text, parse_int=_integer, parse_float=_number, parse_constant=_number, object_pairs_hook=_object
@@ -65,13 +65,13 @@ class _WrongError(Exception):
         self.literal, self.words = literal, words
 
 
-def _require_bounded(text: str) -> None:
+def _require_bounded(text: str, most_values: int) -> None:
     opened = text.count("[") + text.count("{")
-    if opened <= MOST_LEVELS and opened + text.count(",") <= MOST_VALUES:
+    if opened <= MOST_LEVELS and opened + text.count(",") <= most_values:
         return  # whatever stands within strings
     bare = _STRING.sub("", text)
-    if bare.count("[") + bare.count("{") + bare.count(",") > MOST_VALUES:
-        raise JsonError(f"it holds more than {MOST_VALUES} values")
+    if bare.count("[") + bare.count("{") + bare.count(",") > most_values:
+        raise JsonError(f"it holds more than {most_values} values")
     level = 0
     for bracket in _BRACKET.finditer(bare):
         level += 1 if bracket[0] in "[{" else -1

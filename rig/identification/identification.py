@@ -472,22 +472,23 @@ def _add_motor_law(
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
+    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in data.tests])))
     if law.predicts is not None and law.estimate is not None:
-        law = replace(law, estimate=by_prediction(law.estimate, law.predicts))
+        law = replace(law, estimate=by_prediction(law.estimate, law.predicts, noise_rad))
         found.motor_law = law
     for method, estimate in found.estimates.items():
         reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
         if not reservations or not (method == LEADING or estimate.verdict == "ok"):
             continue
         if law.instead_of(estimate, largest_V) is None:
-            found.estimates[method] = estimate.judged("doubtful", *reservations)
+            found.estimates[method] = law.reserved(estimate, reservations)
         else:  # the law is the cause, so it comes first; what it explains is left out
             others = _said(disagreement(each)) if law.explains else estimate.reasons
             found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)
     if law.estimate is None and law.bounded and LEADING in found.estimates:
         found.estimates[LEADING] = found.estimates[LEADING].judged("doubtful", *law.bounded)
     if law.predicts is not None and law.estimate is None and LEADING in found.estimates:
-        found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts)
+        found.estimates[LEADING] = by_prediction(found.estimates[LEADING], law.predicts, noise_rad)
 
 
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:

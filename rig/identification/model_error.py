@@ -15,6 +15,7 @@ off. Friction may move by more than itself: without a law of friction f_c has in
 
 A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
 and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
+Where they hold more, and the fit leaves more than noise, the bend is another one.
 
 Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
 speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
@@ -27,8 +28,9 @@ drive alone than of all of them, these numbers and those are as far apart as eit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +42,7 @@ from rig.identification.departures.fit import POSITIVE, Fit, refitted, solve, su
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import FEWEST_ROWS, Cut
+from rig.identification.estimate import Estimate
 from rig.model.real_motor import is_plain
 from rig.run_folder.recording.series import Window
 
@@ -61,12 +64,15 @@ SHARED = 0.03  # of each number
 MANY_LAWS = 3
 FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
 ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
+ALIKE_DRIVES = 0.1  # of the largest drive: within it two tell little of a bend; and noise of a drive that was measured
+BY_CHANCE = 3.0  # standard errors of a stroke's mean
+STAIRS, RAMPS = 5, 1.0 / 3.0  # drives of a stroke, at least, and of its time, at most, where it is ramped at its ends
 BENDS = "a bend of the drive"
 BY_SIZE = ("sag", "source")
 ONE_SIZE = "one size of drive"
 TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
 AT_0_V = "rows at 0 V"
-FAR_LESS, COASTS = 0.25, 0.02  # of the residual; of the rows, at least
+FAR_LESS, COASTS = 0.25, 0.02  # of the residual beyond the sensor's noise; of the rows, at least
 NOT_SHOWN = {
     ONE_SIZE: "what acts of a drive of one size no record shows; record drives of several sizes",
     AT_0_V: "the rows with a drive alone say other numbers, and fit far better; does the bridge let the motor run free "
@@ -149,12 +155,15 @@ def only_like(
 
 
 def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
-    """The line for a law that bends the drive, where the tests hold too few sizes of it to say which bend it is.
+    """The line for a law that bends the drive, where the tests do not say that this is the bend.
+
+    They hold too few sizes of it, or they leave more than noise.
 
     bare   for each law of ``fit`` the fit without it
     """
     bent = [name for name in BY_SIZE if name in bare]
-    if not bent or drive_sizes(fit.problem.cut) > FEW_DRIVES:
+    is_told = drive_sizes(fit.problem.cut) > FEW_DRIVES and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
+    if not bent or is_told:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
     moves = [np.abs([getattr(bare[name].motor, one) for one in OF] - here) for name in bent]
@@ -172,24 +181,60 @@ def of_one_size(fit: Fit) -> tuple[Entry, ...]:
 def _is_one_size(cut: Cut) -> bool:
     """Whether nearly all drives of a direction are alike, in both: a size more in one of them alone is its asymmetry's.
 
-    Drives at 0 and near it do not count.
+    Drives at 0 and near it do not count. The drives of a stroke may scatter, as measured ones do: their mean counts.
     """
-    u_V, last_s = _drives_of(cut)
-    one_V = ONE_DRIVE * float(np.abs(u_V).max())
+    largest_V = float(np.abs(_drives_of(cut)[0]).max())
     for way in (1.0, -1.0):
-        chosen = way * u_V > one_V
-        of_way_V, of_way_s = np.abs(u_V[chosen]), last_s[chosen]
-        order = np.argsort(of_way_V)
-        since_s = np.cumsum(of_way_s[order])
-        if since_s.size:
-            middle_V = of_way_V[order][np.searchsorted(since_s, 0.5 * since_s[-1])]
-            if of_way_s[np.abs(of_way_V - middle_V) > one_V].sum() > OFTEN * since_s[-1]:
-                return False
+        strokes = [(way * u_V, last_s) for u_V, last_s in _strokes(cut, ONE_DRIVE * largest_V) if way * u_V[0] > 0.0]
+        if not strokes:
+            continue
+        since_s = np.array([last_s.sum() for _, last_s in strokes])
+        mean_V = np.array([u_V @ last_s / last_s.sum() for u_V, last_s in strokes])
+        chance_V = BY_CHANCE * np.array([u_V.std() / math.sqrt(u_V.size) for u_V, _ in strokes])
+        order = np.argsort(mean_V)
+        middle_V = mean_V[order][np.searchsorted(np.cumsum(since_s[order]), 0.5 * since_s.sum())]
+        others_s = since_s[np.abs(mean_V - middle_V) > ONE_DRIVE * largest_V + chance_V].sum()
+        far_s = sum(float(last_s[np.abs(u_V - middle_V) > ALIKE_DRIVES * largest_V].sum()) for u_V, last_s in strokes)
+        if max(others_s, far_s) > OFTEN * since_s.sum():
+            return False
     return True
 
 
-def of_rests(fit: Fit) -> tuple[Entry, ...]:
-    """The line for what the rows with a drive alone say otherwise; none where they leave hardly less than all rows."""
+def _strokes(cut: Cut, least_V: float) -> Iterator[tuple[Array, Array]]:
+    """The drives of each stroke one way, beyond ``least_V``, V, and for how long they act, s; without its ramps."""
+    for window in cut.windows:
+        u_V, last_s = _drives_in(window)
+        way = np.where(np.abs(u_V) > least_V, np.sign(u_V), 0.0)
+        begins = np.append(0, np.flatnonzero(np.diff(way)) + 1)
+        for first, stop in pairwise([*begins.tolist(), way.size]):
+            if way[first] and last_s[first:stop].sum() > 0.0:
+                held = slice(first, stop) if stop - first < STAIRS else _held(u_V, last_s, first, stop, least_V)
+                yield u_V[held], last_s[held]
+
+
+def _held(u_V: Array, last_s: Array, first: int, stop: int, least_V: float) -> slice:
+    """Where a drive is held between a ramp up and a ramp down; all of it where these take long, as of a sine.
+
+    first, stop   of its stroke
+    least_V       of a stair, V
+
+    A device may ramp its drive. And where rows are taken as one, the first and last drive of a stroke may be the mean
+    of two strokes.
+    """
+    up, down = first, stop - 1
+    while up < down and abs(u_V[up]) < abs(u_V[up + 1]) - least_V:
+        up += 1
+    while down > up and abs(u_V[down]) < abs(u_V[down - 1]) - least_V:
+        down -= 1
+    is_short = last_s[up : down + 1].sum() >= (1.0 - RAMPS) * last_s[first:stop].sum()
+    return slice(up, down + 1) if is_short else slice(first, stop)
+
+
+def of_rests(fit: Fit, answer: Estimate | None = None) -> tuple[Entry, ...]:
+    """The line for what the rows with a drive alone say otherwise; none where they leave hardly less than all rows.
+
+    answer   the numbers that the line is for; None: those of the fit
+    """
     cut = fit.problem.cut
     if fit.rms_rad <= LEAVES * fit.problem.sigma_rad:
         return ()
@@ -210,21 +255,21 @@ def of_rests(fit: Fit) -> tuple[Entry, ...]:
     if alone.begins.size < FEWEST_PIECES:
         return ()
     other = solve(begin(replace(fit.problem, cut=alone), fit.motor))
-    if not other.rms_rad < FAR_LESS * math.sqrt(float(np.mean(fit.residual_rad[at_rows] ** 2))):
+    here, there = float(np.mean(fit.residual_rad[at_rows] ** 2)), other.rms_rad**2
+    if not there - fit.problem.sigma_rad**2 < FAR_LESS**2 * (here - fit.problem.sigma_rad**2):
         return ()
-    return (Entry(AT_0_V, *(abs(getattr(other.motor, name) - getattr(fit.motor, name)) for name in OF)),)
+    return (Entry(AT_0_V, *(abs(getattr(other.motor, name) - getattr(answer or fit.motor, name)) for name in OF)),)
 
 
 def drive_sizes(cut: Cut) -> int:
-    """How many sizes of drive the tests hold, beside 0: those that act for some time."""
+    """How many sizes of drive the tests hold that tell a bend, beside 0: those that act for some time."""
     u_V, last_s = _drives_of(cut)
     u_V = np.abs(u_V)
-    one_V = ONE_DRIVE * float(u_V.max())
     order = np.argsort(u_V)
-    order = order[u_V[order] > one_V]
+    order = order[u_V[order] > ONE_DRIVE * u_V.max()]
     count, driven_s = 0, float(last_s[order].sum())
     while order.size:
-        alike = u_V[order] <= u_V[order[0]] + one_V
+        alike = u_V[order] < u_V[order[0]] + ALIKE_DRIVES * u_V.max()
         count += float(last_s[order[alike]].sum()) >= OFTEN * driven_s
         order = order[~alike]
     return count
@@ -232,12 +277,13 @@ def drive_sizes(cut: Cut) -> int:
 
 def _drives_of(cut: Cut) -> tuple[Array, Array]:
     """Every drive of the tests, V, and for how long it acts, s."""
-    sizes, lasts = [], []
-    for window in cut.windows:
-        edges = np.append(window.steps.edge_s, max(window.t_s[-1], window.steps.edge_s[-1]))
-        sizes.append(window.steps.u_V)
-        lasts.append(np.diff(edges))
+    sizes, lasts = zip(*map(_drives_in, cut.windows), strict=True)
     return np.concatenate(sizes), np.concatenate(lasts)
+
+
+def _drives_in(window: Window) -> tuple[Array, Array]:
+    steps = window.steps
+    return steps.u_V, np.diff(np.append(steps.edge_s, max(window.t_s[-1], steps.edge_s[-1])))
 
 
 def beyond_noise(

@@ -34,6 +34,7 @@ from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.further import Further, agreeing
 from rig.identification.model_error import (
+    AT_0_V,
     MANY_LAWS,
     NOT_SHOWN,
     any_bend,
@@ -48,7 +49,18 @@ from rig.identification.plausibility import one_way
 from rig.identification.repetition import repeated_share, repetitions
 from rig.identification.stated_errors import ScaleErrors, StatedErrors
 from rig.identification.thinning import showing_the_angle, thinned
-from rig.identification.verdict import ASKED, PROMISE, RISK, TITLES, beside, in_percent, known_to, sizes_of
+from rig.identification.verdict import (
+    ASKED,
+    MORE_CYCLES,
+    PROMISE,
+    RISK,
+    TITLES,
+    beside,
+    in_percent,
+    known_to,
+    reserved,
+    sizes_of,
+)
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.run_folder.recording.series import TimeSeries, Window
 from rig.run_folder.recording.stage import StageKind
@@ -165,7 +177,11 @@ class MotorLaw:
         """The same with the verdict of ``estimate``, which is its own, and its reservations."""
         law = replace(self, estimate=estimate, explains=bool(self.found) and estimate.verdict == "ok")
         reservations = law.reservations(estimate, largest_V)
-        return replace(law, estimate=estimate.judged("doubtful", *reservations) if reservations else estimate)
+        return replace(law, estimate=law.reserved(estimate, reservations))
+
+    def reserved(self, estimate: Estimate, reservations: Sequence[str]) -> Estimate:
+        """The estimate with these reservations, and without what they refute."""
+        return reserved(estimate, reservations, runs_free=any(one.source == AT_0_V for one in self.budget.entries))
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
@@ -222,8 +238,8 @@ class MotorLaw:
         elif laws:
             what = " and ".join(law.title for law in laws)
             yield f"{known}: most of it is {self._unknown(largest.laws, what)}; record {cures}"
-        elif estimate.verdict == "ok":  # else the sentence on its interval says it already
-            yield f"{known}: record more cycles, or slower and larger ones"
+        else:
+            yield f"{known}: {MORE_CYCLES}"
 
     def _may_be_off(self, sizes: Mapping[str, float]) -> Iterator[str]:
         """u95 is small also where a law is improbable and large: then the promise can be broken all the same."""
@@ -476,20 +492,22 @@ def motor_law(
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
     scatter = Shifts.of(nuisances).scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
+    is_plain = not choice.laws and not further and not coupled
+    at_rests = of_rests(parts, plain if is_plain else None)
     lines = budget(
         nuisances.tempered(of_model.effect),
         by_size,
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *of_rests(parts), *of_levels),
+        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *at_rests, *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
     free_run = _free_run(fit, whole)
     length_s = whole.longest_s
     growth = (*(one for one in choice.growth if one[0] < length_s), (length_s, free_run.rms_rad))
-    if not choice.laws and not further and not coupled:
+    if is_plain:
         return MotorLaw(
             (), (), None, lines, growth, records, tuple(remarks), bounded=bounded, predicts=predicts, holds=holds
         )

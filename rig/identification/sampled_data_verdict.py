@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.output_error import Solution, covariance_of, refit
-from rig.identification.verdict import in_percent, intervals, spread_rad
+from rig.identification.verdict import ROW_UP, in_percent, intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 from rig.run_folder.recording.errors import IdentifyError
@@ -99,7 +99,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         return estimate.judged(
             "doubtful",
             f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
-            "after that row's y was read; if it was set before, move u up by a row (of a log: --drive-row -1)",
+            f"after that row's y was read; {ROW_UP}",
         )
     return estimate
 

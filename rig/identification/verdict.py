@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.identification.departures.blocks import HeldOut
+from rig.identification.departures.blocks import MOST_ERROR, HeldOut
 from rig.identification.estimate import Estimate
 from rig.identification.mean_cycle import Cycle
 from rig.identification.measurements import Measurements
@@ -27,7 +27,10 @@ SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction co
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
 FEW_CYCLES = 5
+TELLS = 3.0  # residual over the sensor's noise, at most, of a motor that tells the whole tests
 TITLES = {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c"}  # in what people read
+MORE_CYCLES = "record more cycles, or slower and larger ones"  # the cure of an interval that is too wide
+ROW_UP = "if it was set before, move u up by a row (of a log: --drive-row -1)"
 
 
 def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias: str | None = None) -> Estimate:
@@ -97,10 +100,24 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         if share > ASKED:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{known_to(name, share)}: record more cycles, or slower and larger ones",
+                f"{known_to(name, share)}: {MORE_CYCLES}",
                 spoiled=False,
             )
     return estimate
+
+
+def reserved(estimate: Estimate, reservations: Sequence[str], *, runs_free: bool = False) -> Estimate:
+    """The estimate doubtful for what u95 says. What its interval alone says of a number is less, and stands no more.
+
+    runs_free   whether a motor that runs free at 0 V is what the rows show: then a delay below 0 comes from that
+    """
+    if not reservations:
+        return estimate
+    if estimate.verdict != "refused":
+        refuted = (MORE_CYCLES, ROW_UP) if runs_free else (MORE_CYCLES,)
+        kept = (reason for reason in estimate.reasons if not reason.endswith(refuted))
+        estimate = replace(estimate, reasons=tuple(kept))
+    return estimate.judged("doubtful", *reservations)
 
 
 def largest_drive_V(tests: Sequence[TimeSeries]) -> float:
@@ -118,12 +135,15 @@ def sizes_of(estimate: Estimate, largest_V: float) -> dict[str, float]:
     return sizes
 
 
-def by_prediction(estimate: Estimate, predicts: HeldOut) -> Estimate:
+def by_prediction(estimate: Estimate, predicts: HeldOut, noise_rad: float = 0.0) -> Estimate:
     """The estimate refused if it does not predict: much worse than nothing, or worse than a linear model.
 
-    One that predicts is refused for nothing but what no fit mends. Bounds: ``HeldOut.is_useful``.
+    One that predicts is refused for nothing but what no fit mends. Bounds: ``HeldOut.is_useful``. Nor is one that tells
+    the whole tests to the sensor's noise, ``noise_rad``, worse than a linear model: of a chirp, say, its first and
+    largest swings were not seen, and the others say too little of a motor.
     """
-    if not predicts.is_useful:
+    tells_all = estimate.rms_rad <= TELLS * noise_rad and predicts.error <= MOST_ERROR
+    if not (predicts.is_useful or tells_all):
         return estimate.judged(
             "refused",
             f"it does not predict motion that it has not seen: its error is {in_percent(predicts.error)} of the "

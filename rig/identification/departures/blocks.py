@@ -34,7 +34,7 @@ TURNS = 0.05  # of the whole travel: a recording that moves so far one way turns
 FOLD_ITERATIONS = 6
 SURE = 1.64  # standard errors: one side of 95 %
 MOST_ERROR = 0.5  # of a motor that predicts
-THAN_LINEAR, SMALL_ERROR = 1.1, 0.02  # times the linear model's error; smaller ones are no difference
+THAN_LINEAR, ALIKE = 1.1, 0.02  # times the linear model's error, at most; so much more is no difference
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,9 @@ class HeldOut(NamedTuple):
     @property
     def is_useful(self) -> bool:
         """Whether it predicts: its error is not large, and hardly larger than the linear model's."""
-        return self.error <= MOST_ERROR and self.error <= max(THAN_LINEAR * self.linear_error, SMALL_ERROR)
+        return self.error <= MOST_ERROR and self.error <= max(
+            THAN_LINEAR * self.linear_error, self.linear_error + ALIKE
+        )
 
 
 def held_out(blocks: Blocks, problem: Problem, motor: RealMotor) -> HeldOut:

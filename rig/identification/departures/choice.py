@@ -63,6 +63,7 @@ BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is 
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
+VALLEY = (0.5, 1.0, 2.0)  # sizes that are looked at about that with which a law in a valley begins, over it
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
@@ -383,12 +384,27 @@ class Chooser:
 
     def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Without laws that are not worth their numbers."""
-        while True:
-            worst = self._worst(with_own_noise(fit), laws)
-            if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
-                return fit, laws
-            laws = tuple(one for one in laws if one is not worst[1])
-            fit = solve(self.with_laws(fit, laws, without(fit.motor, worst[1])))
+        while (leaner := self._without_worst(fit, with_own_noise(fit), laws)) is not None:
+            fit, laws = leaner
+        return fit, laws
+
+    def _without_worst(
+        self, fit: Fit, seen: Fit, laws: tuple[Departure, ...]
+    ) -> tuple[Fit, tuple[Departure, ...]] | None:
+        """The fit without the law whose loss costs least, if it is not worth its numbers; None: all are.
+
+        seen   the same fit with its noise: the linear model of it says what a loss costs
+        Beside another law a large one may seem worth nothing, for it is not linear over its size. So one whose loss
+        costs far more in the fit without it stays.
+        """
+        for cost, law in self._losses(seen, laws):
+            if cost >= self.price(law, seen, self.asked.stay):
+                return None
+            others = tuple(one for one in laws if one is not law)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
+            if _gain(bare, fit) < FAINT:
+                return bare, others
+        return None
 
     def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
@@ -402,8 +418,8 @@ class Chooser:
 
         def tried(promise: Promise) -> tuple[float, Fit, tuple[Departure, ...]]:
             law = promise.law
-            motor = fit.motor._replace(**promise.first)
-            trial = solve(self.with_laws(fit, (*laws, law), motor), TRIAL_ITERATIONS, near)
+            trial = self.with_laws(fit, (*laws, law), fit.motor._replace(**promise.first))
+            trial = solve(in_valley(trial, law) if law.valley else trial, TRIAL_ITERATIONS, near)
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
@@ -439,11 +455,10 @@ class Chooser:
                     fit = seen  # what is left is the motor, not noise: a noise that takes it up would bend the numbers
                     break
                 fit = found
-            worst = self._worst(fit, laws)
-            if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
+            leaner = self._without_worst(fit, fit, laws)
+            if leaner is None:
                 return fit, laws
-            laws = tuple(one for one in laws if one is not worst[1])
-            fit = refitted(fit, problem, without(fit.motor, worst[1]))
+            fit, laws = leaner
 
     def with_laws(self, fit: Fit, laws: Sequence[Departure], motor: RealMotor) -> Fit:
         """The same rows with these laws and this motor to begin with, the same noise, and the starts of ``fit``."""
@@ -479,10 +494,10 @@ class Chooser:
             found.append(Promise(gain, law, {**first, **trial}))
         return sorted(found, key=lambda promise: -promise.gain)
 
-    def _worst(self, fit: Fit, laws: Sequence[Departure]) -> tuple[float, Departure] | None:
-        """The law whose loss would cost least, and that cost, by the linear model if it has one; None without laws."""
+    def _losses(self, fit: Fit, laws: Sequence[Departure]) -> list[tuple[float, Departure]]:
+        """What the loss of each law would cost, by the linear model if it has one; the least first."""
         if not laws:
-            return None
+            return []
         normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
 
         def cost(law: Departure) -> float:
@@ -492,7 +507,7 @@ class Chooser:
             bare = self.with_laws(fit, others, without(fit.motor, law))
             return solve(bare, LEAP_ITERATIONS).cost - fit.cost
 
-        return min(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+        return sorted(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
 
 def levels(fit: Fit, of: Sequence[str]) -> dict[str, float]:
@@ -559,6 +574,16 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
 
     sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
     return [(size, fit), *side_by_side(fitted, sizes, fit.residual_rad.size)]
+
+
+def in_valley(trial: Fit, law: Departure) -> Fit:
+    """The best of fits of the rest at some sizes of a law, about that of ``trial``; with the problem of ``trial``."""
+    [name] = law.numbers
+    problem, motor = trial.problem, trial.motor
+    others = replace(problem, free=tuple(one for one in problem.free if one not in (name, *law.shape)))
+    sizes = [share * getattr(motor, name) for share in VALLEY]
+    each = [solve(refitted(trial, others, motor._replace(**{name: size})), TRIAL_ITERATIONS) for size in sizes]
+    return replace(min(each, key=lambda one: one.cost), problem=problem)
 
 
 def at_best_size(fit: Fit, law: Departure) -> Fit:

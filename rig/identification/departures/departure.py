@@ -72,6 +72,8 @@ class Departure:
     shown            on which benches it can be looked for, beside ``over_position``
     largest          largest size that a fit may give it; None: see ``most``
     leaps            whether the motion leaps where its one number grows: no derivative shows its size
+    valley           whether tau, K and friction make up for its one number along a valley that is no straight line: a
+                     descent that begins beside it goes down by small steps
     both_ways        whether only a shaft that turns both ways can show it
     beyond           gain that it must bring, beyond Schwarz's criterion
     may_hide         whether it is a line of the budget where the tests neither show nor exclude it
@@ -95,6 +97,7 @@ class Departure:
     shown: Callable[[Bench], bool] = lambda bench: True
     largest: float | None = None
     leaps: bool = False
+    valley: bool = False
     both_ways: bool = False
     beyond: float = 0.0
     may_hide: bool = True

@@ -121,7 +121,8 @@ class Problem:
         if math.isinf(self.robust_rad):
             white = self.whitened(residual)
             return float(white @ white) + surprise
-        share = (self.cut.counting(residual) / self.robust_rad) ** 2
+        with np.errstate(over="ignore"):  # a trial far from any motor costs inf
+            share = (self.cut.counting(residual) / self.robust_rad) ** 2
         return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0)) + surprise
 
     def surprise(self, motor: RealMotor) -> float:

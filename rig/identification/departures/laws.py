@@ -183,6 +183,7 @@ DEPARTURES: list[Departure] = [
         trials=lambda bench: [{"viscous_share": VISCOUS, "load_outside": share} for share in (0.0, 1.0)],
         limits=lambda bench: {"viscous_share": (0.0, MOST_VISCOUS), "load_outside": (0.0, 1.0)},
         largest=0.6,  # of the torque: a gear that loses more hardly drives back
+        valley=True,  # under one size of drive
         may_hide=False,  # few benches have it: beside a dead band it would make f_c of every relay test unknown to 1 %
     ),
     Departure(

@@ -28,6 +28,7 @@ from rig.run_folder.recording.text_file import content_of, text_of
 from rig.run_folder.results import JsonObject
 
 _MOST_BYTES: Final = 200_000_000
+_MOST_VALUES: Final = 10_000_000  # nine of an entry: an hour and a half at 200 Hz
 # of BAM's motors whose position mode rig knows: the protocol, the ramp as shipped, V/s, and whether I and D are 0 as
 # shipped (ROBOTIS e-Manual; of an STS3215 no manual says): BAM writes P alone
 _MOTORS: Final = {"xl330": ("dynamixel", 140 * 1.977, True), "sts3215": ("feetech", math.inf, False)}
@@ -42,9 +43,13 @@ def read_bam_log(path: Path, log: LogFormat | None = None) -> Recording | None:
     """
     if path.suffix.lower() != ".json" or not path.is_file():
         return None
+    text = text_of(path, content_of(path, _MOST_BYTES))
     try:
-        data = strict_json.parse(text_of(path, content_of(path, _MOST_BYTES)))
-    except JsonError:
+        data = strict_json.parse(text, _MOST_VALUES)
+    except JsonError as error:
+        if '"entries"' in text and '"kp"' in text:
+            cure = "leave the broken entry out, or record again" if error.line else "cut it into several logs"
+            raise RecordingError(path, f"is broken JSON ({error})", cure, error.line) from error
         return None
     entries = data.get("entries") if isinstance(data, dict) else None
     if not isinstance(data, dict) or not isinstance(entries, list) or "kp" not in data:
