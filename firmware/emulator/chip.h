@@ -1,7 +1,7 @@
 /* The Uno's chip, emulated to the register by libsimavr, with the same exact bench around it as the host board's: in
- * lock step, in virtual time, as a shared library (librig_chip.so; tools/chips/virtual_chip.py); in real time main.c is
- * a process around it. It runs the very .hex that is flashed. The functions named as in boards/host/virtual.c do the
- * same.
+ * lock step, in virtual time, as a shared library (librig_chip.so; tools/emulated_chips/virtual_chip.py); in real time
+ * main.c is a process around it. It runs the very .hex that is flashed. The functions named as in boards/host/virtual.c
+ * do the same.
  *
  * For tests only: libsimavr is under the GPL 3, so nothing of this is part of what is installed.
  */
@@ -15,11 +15,13 @@ typedef struct virtual_board virtual_board;
 /* What a test may look at besides the wire. */
 typedef struct {
     double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
-    double awake_share;
-    /* Only where it measures, else 0. Shares are the most of any millisecond; timed: of clock, tick, converter and
-     * contacts, without the serial port; tick_us: of the tick, without the interrupts that come between. */
-    double masked_us, interrupt_share, timed_share, tick_us;
-    int32_t led, resets, overruns, crashed, stack_bytes;
+    /* The shares, masked_us and tick_us are 0 unless it measures. Shares are the most of any millisecond; timed: of
+     * clock, tick, converter and contacts, without the serial port; tick_us: of the tick, without the interrupts that
+     * come between. The order is that of tools/emulated_chips/truth.py. */
+    double awake_share, masked_us, tick_us;
+    int32_t led, resets, overruns;
+    double interrupt_share, timed_share;
+    int32_t crashed, stack_bytes;
 } virtual_view;
 
 enum virtual_hang { HANG_MAIN, HANG_ALL, HANG_CLOCK, HANG_CONVERTER, HANG_TICK };

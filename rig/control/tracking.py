@@ -28,25 +28,15 @@ class Trajectory(Protocol):
 
 
 def linearising_drive(
-    motor: Motor | FramedMotor,
-    state: MotorState,
-    reference: Reference,
-    k1_1_s: float,
-    k2_1_s2: float,
-    sign_velocity_rad_s: float,
+    motor: KnownMotor[Any], state: MotorState, reference: Reference, gains: tuple[float, float], direction: float
 ) -> float:
     """Drive of (33), (34), V: u = (tau/K) r + v/K + f_c sgn(.) - a, r = yd'' + k1 (yd' - v) + k2 (yd - y).
 
-    The friction compensation takes the sign of sign_velocity_rad_s, and the friction level of that direction; at
-    exactly 0 there is no compensation. The constant a is the asymmetry. A motor with laws gets the drive that its laws
-    ask for (docs/theory.md 11.4).
+    gains      k1, 1/s, and k2, 1/s^2
+    direction  velocity, rad/s, whose sign the friction compensation takes, and the friction level of that direction; at
+               exactly 0 there is no compensation
+    The constant a is the asymmetry. A motor with laws gets the drive that its laws ask for (docs/theory.md 11.4).
     """
-    return _drive_V(known(motor), state, reference, (k1_1_s, k2_1_s2), sign_velocity_rad_s)
-
-
-def _drive_V(
-    motor: KnownMotor[Any], state: MotorState, reference: Reference, gains: tuple[float, float], direction: float
-) -> float:
     k1_1_s, k2_1_s2 = gains
     r = reference.a_rad_s2 + k1_1_s * (reference.v_rad_s - state.v) + k2_1_s2 * (reference.y_rad - state.y)
     return motor.drive_V(state, r, direction)
@@ -107,7 +97,7 @@ class Tracking:
         use_reference = self.friction_sign == "reference" or state.v == 0.0
         # while the offset dies away the shaft should move as the reference less the error of (35)
         velocity = reference.v_rad_s - self.decay.at(elapsed + ahead_s)[1] if use_reference else state.v
-        u_V = self._last_u_V = _drive_V(self.motor, state, reference, (self.k1_1_s, self.k2_1_s2), velocity)
+        u_V = self._last_u_V = linearising_drive(self.motor, state, reference, (self.k1_1_s, self.k2_1_s2), velocity)
         self.largest_u_V = max(self.largest_u_V, abs(u_V))
         self.observer.drive(u_V)
         return u_V

@@ -32,7 +32,7 @@ from rig.identification.departures.fit import (
 )
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.pieces import Cut
-from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.motions import Motion, in_parts, motions
 from rig.identification.noise import WHITE, Noise
 from rig.identification.opinion import RecordingEstimate, agree, differences, mean_of
@@ -220,13 +220,9 @@ def _joined(estimate: Estimate, fit: Fit, tests: Sequence[TimeSeries]) -> Estima
     delay_s = motor.delay_s if fits_delay else estimate.delay_s
     values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay_s)
     quantile = student_975(max(1, predicted.residual.size + problem.cut.freedom - size.size))
-    errors = quantile * np.sqrt(np.diag(covariance))
-    intervals = {
-        name: (value - float(error), value + float(error))
-        for name, value, error in zip(PARAMETERS, values, errors, strict=True)
-    }
+    ci95 = intervals(values, np.sqrt(np.diag(covariance)).tolist(), quantile)
     if not fits_delay:
-        intervals["delay_s"] = estimate.ci95["delay_s"]
+        ci95["delay_s"] = estimate.ci95["delay_s"]
         covariance[4, 4] = estimate.covariance[4, 4]
     return replace(
         estimate,
@@ -235,7 +231,7 @@ def _joined(estimate: Estimate, fit: Fit, tests: Sequence[TimeSeries]) -> Estima
         fc_V=motor.fc_V,
         asym_V=motor.bias_V,
         delay_s=delay_s,
-        ci95=intervals,
+        ci95=ci95,
         covariance=covariance,
         rms_rad=predicted.rms_rad,
         iterations=estimate.iterations + len(fit.iterates),

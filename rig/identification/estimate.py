@@ -159,9 +159,12 @@ class Estimate:
 
 def student_intervals(theta: Sequence[float], covariance: Array, freedom: float) -> dict[str, tuple[float, float]]:
     """95 % intervals of tau_s, K_rad_s_V and fc_V from their (3, 3) covariance and its degrees of freedom (>= 1)."""
-    quantile = student_975(freedom)
-    errors = quantile * np.sqrt(np.diag(covariance))
+    return intervals(theta, np.sqrt(np.diag(covariance)).tolist(), student_975(freedom))
+
+
+def intervals(values: Sequence[float], errors: Sequence[float], quantile: float) -> dict[str, tuple[float, float]]:
+    """``value -+ quantile * error`` of the first parameters, by name."""
     return {
-        name: (value - float(error), value + float(error))
-        for name, value, error in zip(PARAMETERS[:3], theta, errors, strict=True)
+        name: (value - quantile * error, value + quantile * error)
+        for name, value, error in zip(PARAMETERS[: len(values)], values, errors, strict=True)
     }

@@ -31,7 +31,7 @@ from rig.identification.departures.fit import (
 )
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.pieces import Cut
-from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.noise import WHITE
 from rig.identification.plausibility import one_way
 from rig.identification.side_by_side import side_by_side
@@ -210,10 +210,7 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
         fc_V=motor.fc_V,
         asym_V=motor.bias_V,
         delay_s=delay,
-        ci95={
-            name: (value - quantile * error, value + quantile * error)
-            for name, value, error in zip(PARAMETERS, values, errors, strict=True)
-        },
+        ci95=intervals(values, errors, quantile),
         covariance=full,
         rms_rad=run.rms_rad,
         iterations=len(pieces.iterates),

@@ -31,7 +31,7 @@ from rig.identification.departures.pieces import Cut
 from rig.identification.departures.profile import profiles
 from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
-from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.further import Further, agreeing
 from rig.identification.model_error import (
     AT_0_V,
@@ -692,10 +692,7 @@ def _estimate(
     return Estimate(
         plain.method,
         *values,
-        ci95={
-            name: (value - quantile * error, value + quantile * error)
-            for name, value, error in zip(PARAMETERS, values, errors, strict=True)
-        },
+        ci95=intervals(values, errors, quantile),
         covariance=full,
         rms_rad=float(np.sqrt(np.mean(residual**2))),
         iterations=len(fit.iterates),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rig.identification.chance import student_975
 from rig.identification.departures.fit import Enough
 from rig.identification.driven import together
-from rig.identification.estimate import PARAMETERS, Estimate
+from rig.identification.estimate import Estimate, intervals
 from rig.identification.estimator import Estimator
 from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identification.measurements import Measurements
@@ -355,10 +355,7 @@ def _estimate(
     estimate = Estimate(
         METHOD,
         *values,
-        ci95={
-            name: (value - quantile * error, value + quantile * error)
-            for name, value, error in zip(PARAMETERS, values, errors, strict=True)
-        },
+        ci95=intervals(values, errors, quantile),
         covariance=shared,
         rms_rad=best.rms_rad,
         iterations=len(best.iterates),

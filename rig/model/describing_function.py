@@ -39,16 +39,6 @@ class RelayGains(NamedTuple):
     h2_V: float
 
 
-def triple_relay(amplitude_rad: float, fc_V: float, h1_V: float, h2_V: float) -> complex:
-    """N(A), V/rad: relay on position, on its integral, and friction as a relay on velocity.
-
-    Raises ValueError unless A > 0.
-    """
-    if not amplitude_rad > 0.0:
-        raise ValueError("the amplitude must be > 0")
-    return 4.0 / (math.pi * amplitude_rad) * complex(h1_V, fc_V - h2_V)
-
-
 def predict(tau_s: float, K_rad_s_V: float, fc_V: float, h1_V: float, h2_V: float) -> Oscillation:
     """Oscillation under the relay: w = h1 / (tau (h2 - fc)), A = 4 K tau (h2 - fc)^2 / (pi h1).
 

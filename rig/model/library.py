@@ -33,15 +33,6 @@ class PlainState(Structure):
     _fields_ = (("v", c_double), ("y", c_double), ("z", c_double))
 
 
-class PlainSegment(Structure):
-    """``plain_segment``."""
-
-    _fields_ = (
-        *((name, c_double) for name in ("sign", "duration_s", "target_rad_s", "end_rad_s")),
-        ("is_series", c_bool),
-    )
-
-
 class PlainDrive(Structure):
     """``plain_drive``."""
 
@@ -120,25 +111,16 @@ class CycleData(Structure):
 _P, _D, _I = c_void_p, c_double, c_int64
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     # plain_motor.h
-    "plain_next_segment": (PlainSegment, [_P, _D, _D, _D, _P]),
-    "plain_after": (PlainState, [_P, POINTER(PlainSegment), _P, PlainState]),
     "plain_advance": (None, [_P, _P, _D, _D]),
     "plain_glided": (PlainState, [PlainState, _D, _D, _D]),
-    "plain_terminal_velocity": (_D, [_P, _D, _D]),
-    "series_state": (PlainState, [PlainState, _D, _D, _P, _D]),
-    "series_expand": (_D, [_D, _D, _D, _P]),
-    "series_speed": (_D, [_P, _D]),
     # real_motor.h
     "real_start": (None, [_P, _P, _D]),
     "real_put": (None, [_P, _P, _D, _D]),
     "real_advance": (None, [_P, _P, _D, _P, _P]),
     "real_force": (_D, [_P, _D]),
     "real_level": (_D, [_P, _D, _D]),
-    "real_level_at_rest": (_D, [_P, _D]),
-    "real_staged": (_D, [_P, _D]),
     "real_reading": (_D, [_P, _D]),
     # real_readings.h
-    "real_target": (_D, [_P, _D, _P, _D]),
     # windows.h
     "windows_readings": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
     "windows_plain": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
@@ -161,7 +143,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "noise_deviances": (None, [POINTER(NoiseRows), _P, _I, _P, _P, _P]),
     # steady_cycle.h
     "cycle_conditions": (None, [_P, _P, _P, _P, _P]),
-    "cycle_reversal_times": (None, [_P, POINTER(CycleData), _P]),
     "cycle_curve": (None, [_P, POINTER(CycleData), _P, _P]),
 }
 

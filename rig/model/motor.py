@@ -1,22 +1,21 @@
 """The exact event-driven motor: tau dv/dt + v = K (u + b - f(v)), dy/dt = v, dz/dt = y (docs/theory.md 1.2).
 
 An event is a change of the drive, or a velocity that crosses zero. Between two events the motion is a formula: an
-exponential, or under Stribeck friction a chain of Taylor polynomials of bounded error (``rig.model.stribeck``). Viscous
+exponential, or under Stribeck friction a chain of Taylor polynomials of bounded error (docs/theory.md 8.2). Viscous
 friction needs no formula of its own: it lowers tau and K by the same factor (docs/theory.md 8.1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import friction as friction_laws
-from rig.model import step
 from rig.model.compiled import motion
 from rig.model.friction import Friction
 from rig.model.library import LIBRARY, numbers
@@ -24,48 +23,6 @@ from rig.model.step import Plant
 from rig.model.step import State as State
 
 Array = NDArray[np.float64]
-
-
-class Glide(NamedTuple):
-    """Motion whose velocity tends exponentially to ``target`` (docs/theory.md 1.3); at rest both are 0.
-
-    start, duration_s   its first state, and how long it lasts, s (may be inf)
-    target, tau_s       final velocity, rad/s; time constant, s
-    """
-
-    start: State
-    duration_s: float
-    target: float
-    tau_s: float
-
-    def at(self, h_s: float) -> State:
-        """State ``h_s`` after the start."""
-        return step.glide(self.start, self.target, self.tau_s, h_s)
-
-
-class Arc(NamedTuple):
-    """Motion under Stribeck friction, as a polynomial in time (``rig.model.stribeck``).
-
-    start, duration_s   its first state, and how long it lasts, s
-    coefficients        of the speed, in units of v_unit, as a power series of time, in units of tau_s
-    v_unit, tau_s       Stribeck velocity with the sign of the motion, rad/s; effective time constant, s
-    rests               whether it ends with the velocity at zero
-    """
-
-    start: State
-    duration_s: float
-    coefficients: tuple[float, ...]
-    v_unit: float
-    tau_s: float
-    rests: bool
-
-    def at(self, h_s: float) -> State:
-        """State ``h_s`` after the start."""
-        state = step.series(self.start, self.v_unit, self.tau_s, self.coefficients, h_s)
-        return state._replace(v=0.0) if self.rests and h_s >= self.duration_s else state
-
-
-Piece = Glide | Arc
 
 
 @dataclass(frozen=True)
@@ -116,16 +73,9 @@ class Motor:
     def plant(self) -> Plant:
         """The motor as the numbers that ``rig.model.step`` works with."""
         f = self.friction
-        return Plant(
-            float(self.tau_eff_s),
-            float(self.K_eff_rad_s_V),
-            float(f.plus_V),
-            float(f.minus_V),
-            float(f.static_plus_V),
-            float(f.static_minus_V),
-            float(f.stribeck_rad_s) if f.falls_with_speed else 0.0,
-            float(self.bias_V),
-        )
+        levels_V = f.plus_V, f.minus_V, f.static_plus_V, f.static_minus_V
+        stribeck_rad_s = f.stribeck_rad_s if f.falls_with_speed else 0.0
+        return Plant(*map(float, (self.tau_eff_s, self.K_eff_rad_s_V, *levels_V, stribeck_rad_s, self.bias_V)))
 
     @cached_property
     def _in_c(self) -> Any:
@@ -136,35 +86,6 @@ class Motor:
         at = numbers(*state)  # an observer asks three times a tick
         LIBRARY.plain_advance(self._in_c, at, u_V, dt_s)
         return State(*at)
-
-    def pieces(self, state: State, u_V: float, dt_s: float) -> Iterator[Piece]:
-        """The motion over ``dt_s`` seconds of constant drive ``u_V``, piece by piece.
-
-        Within a piece the velocity keeps its sign. At a reversal, where two pieces meet, it is exactly 0.
-        A motor that friction holds is a Glide from 0 to 0.
-        """
-        plant, drive_V = self.plant, u_V + self.bias_V
-        while dt_s > 0.0:
-            segment = step.next_segment(plant, state, drive_V, dt_s)
-            piece: Piece
-            if segment.is_series:
-                unit, rests = segment.sign * plant.stribeck_rad_s, segment.end_rad_s == 0.0
-                piece = Arc(state, segment.duration_s, segment.coefficients, unit, plant.tau_s, rests)
-            else:
-                piece = Glide(state, segment.duration_s, segment.target_rad_s, plant.tau_s)
-            state = segment.end
-            dt_s -= segment.duration_s
-            yield piece
-
-    def terminal_velocity(self, v: float, u_V: float) -> float:
-        """Final velocity of the motion from ``v`` under constant ``u_V``, rad/s; 0 if friction stops it."""
-        final: float = LIBRARY.plain_terminal_velocity(self._in_c, v, u_V)
-        return final
-
-    def stopping_distance(self, v: float) -> float:
-        """Distance to standstill at 0 V from velocity ``v``, rad/s; in rad, with the sign of ``v``."""
-        end = self.advance(State(v=v), 0.0, 40.0 * self.tau_s)
-        return end.y
 
     def response(
         self,

@@ -152,7 +152,7 @@ def response(motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Ar
     All are nan for a motor that runs away, to more than 1e5 rad/s.
     Raises ValueError on numbers out of range.
     """
-    return _readings(motor, frame, drive, t_s, pieces, None).y_rad
+    return response_and_jacobian(motor, frame, drive, t_s, pieces, None).y_rad
 
 
 def response_and_jacobian(
@@ -161,18 +161,25 @@ def response_and_jacobian(
     drive: tuple[Array, Array],
     t_s: Array,
     pieces: Pieces,
-    free: Sequence[int],
+    free: Sequence[int] | None,
     waves_per_rad: Sequence[float] = (),
 ) -> Readings:
     """``response``, with derivatives by the numbers at the places ``free`` (see ``index``), and by each piece's start.
 
+    free            None: no derivatives
     waves_per_rad   orders, > 0, of forces over position: derivatives by the sine and the cosine of each, V, follow
                     those by ``free``. All orders cost about as much as one. Of a motor without cogging only
     Derivatives are exact, except where a number decides *whether* the motor sticks. A part may be at 0 and free, except
     the bristles; the Stribeck effect and cogging then need their velocity and order.
     Raises ValueError on numbers out of range, and on waves beside cogging.
     """
-    return _readings(motor, frame, drive, t_s, pieces, free, waves_per_rad)
+    starts = np.zeros((pieces.first_row.size, 4))
+    starts[:, 0], starts[:, 1] = pieces.v0_rad_per_s, pieces.y0_rad
+    if pieces.side is not None:
+        starts[:, 2] = pieces.side
+    if pieces.bent is not None:
+        starts[:, 3] = pieces.bent
+    return readings_of(motor, windows_of([(frame, drive, t_s, pieces.first_row)]), starts, free, waves_per_rad)
 
 
 class MovingMotor:
@@ -214,25 +221,6 @@ def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float
     state   as ``rig.core.motor_numbers.State``
     """
     return real_step.advance(framed.motor, framed.frame, state, u_V, framed.frame.start_s, dt_s)
-
-
-def _readings(
-    motor: RealMotor,
-    frame: Frame,
-    drive: tuple[Array, Array],
-    t_s: Array,
-    pieces: Pieces,
-    free: Sequence[int] | None,
-    waves_per_rad: Sequence[float] = (),
-) -> Readings:
-    """Both; no derivatives where ``free`` is None."""
-    starts = np.zeros((pieces.first_row.size, 4))
-    starts[:, 0], starts[:, 1] = pieces.v0_rad_per_s, pieces.y0_rad
-    if pieces.side is not None:
-        starts[:, 2] = pieces.side
-    if pieces.bent is not None:
-        starts[:, 3] = pieces.bent
-    return readings_of(motor, windows_of([(frame, drive, t_s, pieces.first_row)]), starts, free, waves_per_rad)
 
 
 def windows_of(records: Sequence[tuple[Frame, tuple[Array, Array], Array, NDArray[np.int64]]]) -> Windows:

@@ -21,11 +21,6 @@ def in_c(m: RealMotor, frame: Frame) -> Any:
     return numbers(*m, *frame)
 
 
-def staged(m: RealMotor, u_V: float) -> float:
-    """Drive behind dead band, gain by sign and sag, in this order, before the lag, V."""
-    return float(LIBRARY.real_staged(in_c(m, Frame()), u_V))
-
-
 def mean_cosine(frame: Frame) -> float:
     """Mean of cos(y - centre) over the travel."""
     return math.sin(frame.half_travel_rad) / frame.half_travel_rad
@@ -39,19 +34,6 @@ def force(m: RealMotor, frame: Frame, y: float) -> float:
 def level(m: RealMotor, frame: Frame, speed: float, y: float) -> float:
     """Level of the friction in motion at ``speed`` = abs(v), rad/s, and ``y``, rad, at the frame's start; in V."""
     return float(LIBRARY.real_level(in_c(m, frame), speed, y))
-
-
-def level_at_rest(m: RealMotor, frame: Frame, y: float) -> float:
-    """Level that the drive must pass to move the motor from rest at ``y``, rad, at the frame's start; in V."""
-    return float(LIBRARY.real_level_at_rest(in_c(m, frame), y))
-
-
-def target(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> float:
-    """Velocity that the motor would tend to if all forces stayed as they are, rad/s: tau dv/dt + v.
-
-    sign   direction of the motion, +1 or -1
-    """
-    return float(LIBRARY.real_target(in_c(m, frame), sign, numbers(*at), t_s))
 
 
 def reading(m: RealMotor, frame: Frame, x: float) -> float:

@@ -1,10 +1,6 @@
-"""One step of the motor's physics: its motion under a constant drive, from one event to the next.
+"""The plain motor as numbers, and its motion between two events.
 
     tau dv/dt + v = K (u + b - f(v)),   dy/dt = v,   dz/dt = y      (docs/theory.md 1.2)
-
-Between two events the motion is a formula, which this module calls a segment: an exponential, or under Stribeck
-friction a Taylor polynomial of bounded error (``rig.model.stribeck``). An event is a reversal, a motor that comes to
-rest, or a speed below which the Stribeck effect begins.
 
 The formulas are in C (firmware/motor/plain_motor.c), for the emulated boards as well as for rig.
 
@@ -13,11 +9,9 @@ Velocities are in rad/s, positions in rad, drives and friction in V, times in s.
 
 from __future__ import annotations
 
-from ctypes import byref
 from typing import NamedTuple
 
-from rig.model.library import LIBRARY, PlainSegment, PlainState, numbers
-from rig.model.stribeck import ORDER
+from rig.model.library import LIBRARY, PlainState
 
 Numbers = tuple[float, ...]  # of a Plant or a State, without their names
 
@@ -50,52 +44,7 @@ class Plant(NamedTuple):
     bias_V: float
 
 
-class Segment(NamedTuple):
-    """Motion in one direction, or rest, up to its first event or to the end of the time asked for.
-
-    is_series      whether it is a Taylor polynomial; else the velocity tends exponentially to ``target_rad_s``
-    sign           direction of the motion: +1, -1; 0 where friction holds the motor
-    duration_s     how long it lasts, s; may be inf
-    target_rad_s   velocity that it would tend to without a further event, rad/s; nan for a polynomial
-    end_rad_s      velocity at the event that ends it, rad/s, exact; nan where time ends it
-    end            state at its end
-    coefficients   of a polynomial: of the speed, in units of the Stribeck velocity, over time, in tau; else none
-    """
-
-    is_series: bool
-    sign: float
-    duration_s: float
-    target_rad_s: float
-    end_rad_s: float
-    end: State
-    coefficients: tuple[float, ...]
-
-
 def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
     """State ``h_s`` seconds later of a motion whose velocity tends to ``target`` (docs/theory.md 1.3)."""
-    return _named(LIBRARY.plain_glided(PlainState(*state), target, tau_s, h_s))
-
-
-def next_segment(plant: Plant, start: State, drive_V: float, longest_s: float) -> Segment:
-    """The next segment under any friction, at most ``longest_s`` (> 0) long; ``drive_V`` with the bias, V."""
-    motor, coefficients = numbers(*plant), numbers(*[0.0] * (ORDER + 1))
-    found = LIBRARY.plain_next_segment(motor, start.v, drive_V, longest_s, coefficients)
-    end = LIBRARY.plain_after(motor, byref(found), coefficients, PlainState(*start))
-    return Segment(*_numbers_of(found), _named(end), tuple(coefficients) if found.is_series else ())
-
-
-def series(start: State, unit: float, tau_s: float, coefficients: tuple[float, ...], h_s: float) -> State:
-    """State ``h_s`` seconds later of a motion under Stribeck friction.
-
-    unit           Stribeck velocity with the sign of the motion, rad/s
-    coefficients   of the speed in ``unit`` over time in ``tau_s``
-    """
-    return _named(LIBRARY.series_state(PlainState(*start), unit, tau_s, numbers(*coefficients), h_s))
-
-
-def _named(state: PlainState) -> State:
-    return State(state.v, state.y, state.z)
-
-
-def _numbers_of(found: PlainSegment) -> tuple[bool, float, float, float, float]:
-    return found.is_series, found.sign, found.duration_s, found.target_rad_s, found.end_rad_s
+    later = LIBRARY.plain_glided(PlainState(*state), target, tau_s, h_s)
+    return State(later.v, later.y, later.z)

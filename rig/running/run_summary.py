@@ -171,7 +171,9 @@ def run_result(
         friction_map=None if own is None or own.friction_map is None else own.friction_map.as_result(),
         **({} if own is None else own.evidence),
         jog=found.jog,
-        search=None if found.search is None else _search(found.search),
+        search=None
+        if found.search is None
+        else tuple(SearchStepResult(**step._asdict()) for step in found.search.steps),
         stopped=found.stopped,
         truth=true_motor(bench),
     )
@@ -310,17 +312,3 @@ def _breakaway(check: BreakawayCheck, own: Identification | None) -> BreakawayRe
         return seen
     static = own.breakaway
     return seen.model_copy(update={name: getattr(static, name) for name in type(static).model_fields})
-
-
-def _search(search: GainSearch | RisingGains) -> tuple[SearchStepResult, ...]:
-    return tuple(
-        SearchStepResult(
-            t_s=step.t_s,
-            h1_V=step.h1_V,
-            h2_V=step.h2_V,
-            period_s=step.period_s,
-            amplitude_rad=step.amplitude_rad,
-            outcome=step.outcome,
-        )
-        for step in search.steps
-    )

@@ -13,7 +13,7 @@ from evidence import evidence
 from own_laws import Spring, Stumbles
 
 import rig
-from chips.opening import emulated_chip
+from emulated_chips.opening import emulated_chip
 from rig import config
 from rig.control.law import OwnLaw
 from rig.core.signals import FLAG_GUARD_CLIPPED, FLAG_SKIPPED, Sample

@@ -11,7 +11,7 @@ import yaml
 from simulated_bench import DEMO
 
 import rig
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends import backend
 from rig.backends.backend import Line
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock

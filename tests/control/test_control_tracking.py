@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from simulated_bench import DEMO_MOTOR, LIMITS, PERIOD_S, simulated_bench
 
 from rig.config.schema import TrackingSection
+from rig.control.known_motor import known
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
@@ -33,7 +34,7 @@ def test_the_drive_makes_the_error_obey_35(
 ) -> None:
     """Substitute (33), (34) into the plant: e'' + k1 e' + k2 e = 0 exactly, friction and bias cancelled."""
     motor = Motor(tau, K, coulomb(fc), bias)
-    u = linearising_drive(motor, State(v, y), Reference(yd, vd, ad), 12.0, 36.0, v)
+    u = linearising_drive(known(motor), State(v, y), Reference(yd, vd, ad), (12.0, 36.0), v)
     friction = fc * math.copysign(1.0, v) if v else 0.0
     acceleration = (K * (u + bias - friction) - v) / tau
     residual = (ad - acceleration) + 12.0 * (vd - v) + 36.0 * (yd - y)

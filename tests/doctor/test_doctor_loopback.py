@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner
 from evidence import evidence
 
-from chips import build as chip_build
-from chips.opening import bare_chip
+from emulated_chips import build as chip_build
+from emulated_chips.opening import bare_chip
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.cli import main

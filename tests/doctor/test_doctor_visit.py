@@ -7,7 +7,7 @@ import pytest
 import yaml
 from click.testing import CliRunner, Result
 
-from chips.opening import emulated_chip
+from emulated_chips.opening import emulated_chip
 from rig.cli import main
 from rig.config import load
 from rig.testing.line import on_device

@@ -14,8 +14,8 @@ import yaml
 from command_line import rig
 from evidence import evidence
 
-from chips.opening import emulated_chip
-from chips.virtual_chip import VirtualChip
+from emulated_chips.opening import emulated_chip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.serial.backend import SerialBackend
 from rig.backends.simulated.driver import SimulatedDriver

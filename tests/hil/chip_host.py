@@ -7,7 +7,8 @@ from typing import TypedDict, TypeVar, Unpack
 
 from virtual_host import BENCH, HELD, SETUP, Host, Wired
 
-from chips.virtual_chip import ChipTruth, VirtualChip
+from emulated_chips.truth import UnoTruth
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.frames import Code, Kind, Setup, pack_drive
 from rig.model.bench import BenchParameters
@@ -42,7 +43,7 @@ class UnoHost(Host[Chip]):
 class ChipHost(UnoHost[VirtualChip]):
     """Frames to and from one emulated chip."""
 
-    def truth(self) -> ChipTruth:
+    def truth(self) -> UnoTruth:
         return self.board.truth()
 
 

@@ -11,8 +11,9 @@ import virtual_host
 from chip_host import SETTLE_S, START_S, UnoHost
 from idle_node import IdleNode
 
-from chips.pico_parameters import pico_parameters
-from chips.virtual_pico import PicoTruth, VirtualPico
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.truth import ChipTruth
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.frames import Code, Setup
 from rig.model.bench import BenchParameters
@@ -43,7 +44,7 @@ _IDLE = IdleNode()
 class PicoHost(UnoHost[VirtualPico]):
     """Frames to and from one emulated Pico."""
 
-    def truth(self) -> PicoTruth:
+    def truth(self) -> ChipTruth:
         return self.board.truth()
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 from chip_host import UnoHost
 from idle_node import IdleNode
 
-from chips import build as chip_build
+from emulated_chips import build as chip_build
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.model.bench import BenchParameters
 

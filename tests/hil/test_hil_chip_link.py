@@ -13,7 +13,7 @@ from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from simulated_bench import CALIBRATION, LIMITS, RAILS
 from virtual_host import LSB_RAD
 
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Until

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from processes import PATIENCE_S, rows, wait_until
 
-from chips.chip_board import ChipBoard
+from emulated_chips.chip_board import ChipBoard
 from rig.backends.driver import Timeouts
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort

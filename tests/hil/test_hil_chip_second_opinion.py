@@ -13,7 +13,7 @@ from chip_host import QUIET, SETUP
 from second_chip import SecondChip, SecondHost
 from virtual_host import LSB_RAD, SESSION, TICK_S
 
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.frames import (
     Block,
     Code,

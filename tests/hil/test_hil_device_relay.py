@@ -1,4 +1,4 @@
-"""The relay in the device, in virtual time: at the pin of the compiled firmware, through the driver, in the loop."""
+"""The relay in the device, and what holds of strokes too, in virtual time: at the pin, by the driver, in the loop."""
 
 from __future__ import annotations
 
@@ -7,18 +7,34 @@ import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Unpack
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from device_laws import (
+    GAINS_V,
+    RELAY,
+    STROKES,
+    DeviceBench,
+    LawSetup,
+    RelayBench,
+    StrokesBench,
+    armed_driver,
+    kind_of,
+    run_for,
+    running_host,
+    start_relay,
+    start_strokes,
+    told_blocks,
+)
 from evidence import evidence
 from raised import fault_of
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
-from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
+from simulated_bench import CALIBRATION, GUARD, LIMITS
+from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
 
 import rig.running.experiment
 import rig.running.session
-from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
+from rig.backends.driver import RelayDriver, RelayRow, StrokeDriver
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.firmware_laws import FirmwareRelay
@@ -30,45 +46,19 @@ from rig.backends.serial.frames import (
     Kind,
     Nack,
     Packet,
-    RelaySetup,
-    Setup,
     encode,
 )
 from rig.config import load
 from rig.config.schema import RelayGainsSection, RelaySection
-from rig.control.excitation import RelayTest
-from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Constant
-from rig.control.loop.runner import Loop
-from rig.control.loop.stop_request import StopRequest
-from rig.control.relay import RelayOnCounts
 from rig.core.faults import Fault
-from rig.model.bench import BenchParameters, SensorWiring
-from rig.model.cycle_detector import CycleDetector
+from rig.model.bench import SensorWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.run_folder.recording.reader import read_run
 
-GAINS_V = (0.4, 0.85)
-RELAY = RelaySetup((-80, 30, -30, 80), 512 * 16, 5_000_000, 1, 10)
-
-
-def running_host(
-    bench: BenchParameters = BENCH, setup: Setup = SETUP, relay: RelaySetup = RELAY, **board: Unpack[BoardOptions]
-) -> VirtualHost:
-    host = armed_host(bench, setup, **board)
-    packet = host.ask(Kind.RELAY, relay.pack())
-    assert packet.kind == Kind.RELAY_REPLY and RelaySetup.unpack(packet.body) == relay
-    return host
-
-
-def told_blocks(host: VirtualHost, reader: FrameReader | None = None) -> list[tuple[int, Block]]:
-    """Every block that has arrived by now, and not been read before."""
-    reader = reader or FrameReader()
-    packets = []
-    while data := host.board.read(0.0):
-        packets += reader.feed(data)
-    return [(p.seq, Block.unpack(p.body)) for p in packets if p.kind == Kind.BLOCK]
+LAWS = pytest.mark.parametrize("law", [RELAY, STROKES], ids=["relay", "strokes"])
+START = pytest.mark.parametrize("start", [start_relay, start_strokes], ids=["relay", "strokes"])
 
 
 # ---------------------------------------------------------------------- at the pin
@@ -81,6 +71,7 @@ def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms
     rate = 1.0 + 1e-6 * clock_error_ppm
     for _ in range(20):
         host = running_host(
+            RELAY,
             HELD,
             SETUP._replace(watchdog_ms=watchdog_ms),
             clock_error_ppm=clock_error_ppm,
@@ -107,16 +98,17 @@ def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms
         assert host.board.truth().fault == Code.WATCHDOG
 
 
+@LAWS
 @pytest.mark.parametrize(
     ("happens", "code"),
     [("limit", Code.TRAVEL), ("broken_low", Code.SENSOR_RAIL), ("broken_high", Code.SENSOR_RAIL)],
 )
-def test_what_stops_a_drive_stops_the_relay_within_two_ticks(
-    happens: Literal["limit"] | SensorWiring, code: Code
+def test_what_stops_a_drive_stops_the_law_within_two_ticks(
+    happens: Literal["limit"] | SensorWiring, code: Code, law: LawSetup
 ) -> None:
     rng = random.Random(happens)
     for _ in range(40):
-        host = running_host()
+        host = running_host(law)
         host.wait(rng.uniform(0.02, 0.05))
         assert host.pin_V() != 0.0
         if happens == "limit":
@@ -135,17 +127,19 @@ def test_what_stops_a_drive_stops_the_relay_within_two_ticks(
         assert host.pin_V() == 0.0
 
 
-def test_garbage_on_the_line_neither_stops_nor_moves_it() -> None:
+@LAWS
+def test_garbage_on_the_line_neither_stops_nor_moves_it(law: LawSetup) -> None:
     """No byte of it makes a frame: the decisions are those of an undisturbed twin, to the last row."""
     rng = random.Random(5)
     told = []
     for disturbed in (False, True):
-        host, reader, blocks = running_host(seed=3), FrameReader(), []
+        host, reader, blocks = running_host(law, seed=3), FrameReader(), []
         for _ in range(60):
             host.send(Kind.KEEP)
             if disturbed:
                 junk = rng.randbytes(rng.randint(1, 30))
-                damaged = bytearray(encode(Kind.DRIVE, 9, b"\x50\x00"))
+                sent = rng.choice(((kind_of(law), 9, law.pack()), (Kind.DRIVE, 9, b"\x50\x00")))
+                damaged = bytearray(encode(*sent))
                 damaged[rng.randrange(len(damaged) - 1)] ^= 1 << rng.randrange(8)
                 host.board.write(b"\0" + junk + b"\0" + bytes(damaged) + b"\0")
             host.wait(0.02)
@@ -155,9 +149,35 @@ def test_garbage_on_the_line_neither_stops_nor_moves_it() -> None:
     assert told[0] == told[1] and len(told[0]) >= 118
 
 
-def test_it_is_refused_before_arming_beyond_a_limit_and_with_wrong_numbers() -> None:
-    def refusal(host: VirtualHost, relay: RelaySetup = RELAY) -> Code:
-        packet = host.ask(Kind.RELAY, relay.pack())
+@pytest.mark.parametrize(
+    ("law", "wrong"),
+    [
+        (
+            RELAY,
+            (
+                (RELAY._replace(drive=(-201, 30, -30, 80)), Code.DRIVE_RANGE),
+                (RELAY._replace(drive=(80, -30, 30, -80)), Code.POLARITY),
+                (RELAY._replace(z_bound=0), Code.SETUP_INVALID),
+                (RELAY._replace(rows=11), Code.SETUP_INVALID),
+            ),
+        ),
+        (
+            STROKES,
+            (
+                (STROKES._replace(strokes=((201, 600), (-90, 420))), Code.DRIVE_RANGE),
+                (STROKES._replace(strokes=((80, 976), (-90, 420))), Code.SETUP_INVALID),
+                (STROKES._replace(strokes=((80, 600), (90, 420))), Code.SETUP_INVALID),
+                (STROKES._replace(stroke_ticks=0), Code.SETUP_INVALID),
+            ),
+        ),
+    ],
+    ids=["relay", "strokes"],
+)
+def test_it_is_refused_before_arming_beyond_a_limit_and_with_wrong_numbers(
+    law: LawSetup, wrong: tuple[tuple[LawSetup, Code], ...]
+) -> None:
+    def refusal(host: VirtualHost, law: LawSetup = law) -> Code:
+        packet = host.ask(kind_of(law), law.pack())
         assert packet.kind == Kind.NACK
         host.wait(0.01)
         assert host.pin_V() == 0.0
@@ -170,16 +190,14 @@ def test_it_is_refused_before_arming_beyond_a_limit_and_with_wrong_numbers() -> 
     host = armed_host(replace(BENCH, start_rad=1.95))
     assert refusal(host) == Code.TRAVEL
     host = armed_host()
-    assert refusal(host, RELAY._replace(drive=(-201, 30, -30, 80))) == Code.DRIVE_RANGE
-    assert refusal(host, RELAY._replace(drive=(80, -30, 30, -80))) == Code.POLARITY
-    assert refusal(host, RELAY._replace(z_bound=0)) == Code.SETUP_INVALID
-    assert refusal(host, RELAY._replace(rows=11)) == Code.SETUP_INVALID
+    for other, code in wrong:
+        assert refusal(host, other) == code
 
 
 def test_the_pin_does_what_the_rows_say() -> None:
     """Drive and position of each row against the truth; a clock that is off and wraps meanwhile."""
     quiet = replace(BENCH, noise_rad=0.0)
-    host = running_host(quiet, clock_error_ppm=4000.0, clock_start_us=2**32 - 300_000)
+    host = running_host(RELAY, quiet, clock_error_ppm=4000.0, clock_start_us=2**32 - 300_000)
     truths = []
     for k in range(600):
         host.board.sleep_until((int(host.board.now_s() * 1004) + 1) / 1004 + 1e-5)  # just after the device's tick
@@ -208,47 +226,27 @@ def test_the_pin_does_what_the_rows_say() -> None:
 # ---------------------------------------------------------------------- through the driver
 
 
-def armed_driver(**bench: Any) -> tuple[VirtualBoard, SerialDriver]:
-    board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
-    driver = SerialDriver(board, SCALING)
-    driver.open()
-    driver.arm(LIMITS)
-    return board, driver
-
-
-def run_for(board: VirtualBoard, driver: SerialDriver, time_s: float) -> list[RelayRow]:
-    rows = []
-    until_s = board.now_s() + time_s
-    while board.now_s() < until_s:
-        board.sleep_until(board.now_s() + PERIOD_S)
-        driver.keep()
-        rows += driver.read_rows()
-    return rows
-
-
-def start(board: VirtualBoard, driver: SerialDriver) -> RelayCommand:
-    command = driver.relay_command(*GAINS_V, 0.7)
-    driver.start_relay(command)
-    return command
-
-
-def test_every_tick_comes_once_until_the_relay_is_stopped() -> None:
+@START
+def test_every_tick_comes_once_until_the_law_is_stopped(start: Callable[[SerialDriver], None]) -> None:
     board, driver = armed_driver()
-    assert isinstance(driver, RelayDriver)
-    start(board, driver)
+    assert isinstance(driver, RelayDriver) and isinstance(driver, StrokeDriver)
+    start(driver)
     rows = run_for(board, driver, 2.0)
     rows += driver.stop_relay()
     assert board.truth().pin_V == 0.0 and board.truth().armed
     assert np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
     assert rows[-1].t_s == pytest.approx(board.now_s(), abs=0.01) and len(rows) > 1990
     assert all(row.t_u_s == row.t_s for row in rows)  # the emulated device decides in no time
+    drives = [-1.25, -0.45, 0.45, 1.25] if start is start_relay else [-1.0, -0.7, 0.8, 0.9]
+    assert sorted({row.u_V for row in rows}) == pytest.approx(drives, abs=0.01)
     assert driver.link_statistics["bad_frames"] == driver.link_statistics["stale_replies"] == 0
-    start(board, driver)  # and again
+    start(driver)  # and again
     assert run_for(board, driver, 0.5)[0].block == 0
     assert driver.safe_stop() and board.truth().pin_V == 0.0
 
 
-def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
+@START
+def test_a_start_whose_confirmation_gets_lost_is_repeated(start: Callable[[SerialDriver], None]) -> None:
     board, driver = armed_driver()
     read = board.read
     lost: list[bytes] = []
@@ -261,34 +259,42 @@ def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
         return data
 
     board.read = lossy  # type: ignore[method-assign]  # of this board alone
-    start(board, driver)
+    start(driver)
     assert lost
     rows = run_for(board, driver, 0.3)
     assert rows[0].block == 0 and np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
 
 
-def test_a_relay_that_was_stored_otherwise_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("start", "law", "field"),
+    [(start_relay, RELAY, "z_bound"), (start_strokes, STROKES, "still_ticks")],
+    ids=["relay", "strokes"],
+)
+def test_a_law_that_was_stored_otherwise_is_refused(
+    start: Callable[[SerialDriver], None], law: LawSetup, field: str
+) -> None:
     """Its confirmation repeats what was stored."""
     board, driver = armed_driver()
     read, reader = board.read, FrameReader()
+    changed: dict[str, Any] = {field: 7}
 
     def another(timeout_s: float) -> bytes:
         packets = reader.feed(read(timeout_s))
         stored = [
-            p._replace(body=RelaySetup.unpack(p.body)._replace(z_bound=7).pack()) if p.kind == Kind.RELAY_REPLY else p
+            p._replace(body=law.unpack(p.body)._replace(**changed).pack()) if p.kind == kind_of(law) | 0x80 else p
             for p in packets
         ]
         return b"".join(encode(p.kind, p.seq, p.body) for p in stored)
 
     board.read = another  # type: ignore[method-assign]  # of this board alone
-    fault = fault_of(lambda: start(board, driver))
-    assert fault.code == "ARM_READBACK" and "z_bound=7" in fault.detail
+    fault = fault_of(lambda: start(driver))
+    assert fault.code == "ARM_READBACK" and f"{field}=7" in fault.detail
 
 
 def test_a_block_of_another_session_is_a_reset() -> None:
     """A device that was reset and set up anew by somebody else."""
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.1)
     feed = driver._exchange.reader.feed
 
@@ -303,7 +309,7 @@ def test_a_block_of_another_session_is_a_reset() -> None:
 @pytest.mark.parametrize("damage", ["lost", "a bit"])
 def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.3)
     read = board.read
     seen: list[bytes] = []
@@ -322,7 +328,7 @@ def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
 
 def test_what_the_device_latches_is_told_after_its_last_row() -> None:
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.105)
     board.place(1.93)
     board.sleep_until(board.now_s() + 0.02)
@@ -334,7 +340,7 @@ def test_what_the_device_latches_is_told_after_its_last_row() -> None:
 
 def test_keeps_that_do_not_arrive_end_in_the_watchdog() -> None:
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.3)
     lost_s = board.now_s()
     write = board.write
@@ -346,14 +352,14 @@ def test_keeps_that_do_not_arrive_end_in_the_watchdog() -> None:
 
 def test_a_reset_a_hang_and_a_cable_while_it_runs() -> None:
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.3)
     board.reset(4)
     assert board.truth().pin_V == 0.0
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
 
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.3)
     board.hang()
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "LINK_TIMEOUT"
@@ -361,7 +367,7 @@ def test_a_reset_a_hang_and_a_cable_while_it_runs() -> None:
     assert board.truth().pin_V == 0.0
 
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     run_for(board, driver, 0.3)
     board.unplug()
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "LINK_LOST"
@@ -377,32 +383,8 @@ def test_an_integral_that_does_not_fit_is_refused_in_words() -> None:
 # ---------------------------------------------------------------------- in the loop
 
 
-class DeviceBench:
-    """The loop on the compiled firmware, and a relay test for its own relay."""
-
-    def __init__(
-        self, cycles: int = 3, gains_V: tuple[float, float] = GAINS_V, guard: GuardSettings = GUARD, **bench: Any
-    ) -> None:
-        self.board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
-        self.driver = SerialDriver(self.board, SCALING)
-        self.driver.open()
-        self.guard, self.record, self.stop = Guard(guard), ListSink(), StopRequest()
-        self.guard.sign_proven = True
-        self.loop = Loop(self.driver, self.board, self.guard, self.record, PERIOD_S, self.stop)
-        self.command = c = self.driver.relay_command(*gains_V, 0.7)
-        self.detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
-        self.relay = RelayOnCounts(
-            c.centre_counts, c.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, gains_V
-        )
-        self.test = RelayTest(self.relay, self.detector, gains_V, cycles, 30.0)
-
-    def run(self, watch: Callable[[float], None] | None = None) -> None:
-        with self.loop.armed(LIMITS):
-            self.loop.run_in_device(self.test, self.command, "relay-1", watch)
-
-
 def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
-    bench = DeviceBench()
+    bench = RelayBench()
     bench.run()
     rows = [row for row in bench.record.rows if row["stage"] == "relay-1"]
     t_s, y_rad = np.array([row["t_s"] for row in rows]), np.array([row["y_rad"] for row in rows])
@@ -423,7 +405,7 @@ def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
 
 def test_the_record_tells_since_when_0_V_act_after_a_test() -> None:
     """One row more, of stage rest, whose drive began before its sample; so what follows finds the drive as it was."""
-    bench = DeviceBench()
+    bench = RelayBench()
     changed_s: list[float] = []
     stop_relay = bench.driver.stop_relay
 
@@ -441,8 +423,8 @@ def test_the_record_tells_since_when_0_V_act_after_a_test() -> None:
 
 
 def test_one_test_follows_the_other_in_motion() -> None:
-    bench = DeviceBench()
-    other = DeviceBench(gains_V=(0.3, 0.75))
+    bench = RelayBench()
+    other = RelayBench(gains_V=(0.3, 0.75))
     with bench.loop.armed(LIMITS):
         bench.loop.run_in_device(bench.test, bench.command, "relay-1")
         bench.loop.run_in_device(other.test, other.command, "relay-2")
@@ -458,7 +440,7 @@ def test_one_test_follows_the_other_in_motion() -> None:
 
 def test_the_guard_stops_what_it_would_not_let_out() -> None:
     """A motor too strong for its gains: stopped by the host before the device's own limit."""
-    bench = DeviceBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2))
+    bench = RelayBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2))
     fault = fault_of(bench.run)
     assert fault.code in ("RELAY_STOPPED", "OVERSPEED")
     truth = bench.board.truth()
@@ -470,14 +452,14 @@ def test_the_guard_stops_what_it_would_not_let_out() -> None:
 
 def test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is_too_fast() -> None:
     quick = replace(GUARD, max_speed_rad_s=30.0)
-    bench = DeviceBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2), guard=quick)
+    bench = RelayBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2), guard=quick)
     fault = fault_of(bench.run)
     assert fault.code == "RELAY_STOPPED" and "predicted stop" in fault.detail
     assert bench.board.truth().pin_V == 0.0
 
 
 def test_a_device_that_decides_otherwise_is_found_out() -> None:
-    bench = DeviceBench()
+    bench = RelayBench()
     assert isinstance(bench.command, FirmwareRelay)
     setup = bench.command.setup
     bench.command = replace(bench.command, setup=setup._replace(centre=setup.centre + 40))
@@ -486,30 +468,33 @@ def test_a_device_that_decides_otherwise_is_found_out() -> None:
     assert bench.board.truth().pin_V == 0.0
 
 
-@pytest.mark.parametrize("end", ["signal", "exception", "broken wire"])
-def test_however_it_ends_the_pin_is_at_zero(end: str) -> None:
-    bench = DeviceBench()
+@pytest.mark.parametrize("made", [RelayBench, StrokesBench])
+@pytest.mark.parametrize("end", ["signal", "exception", "broken wire", "reset"])
+def test_however_it_ends_the_pin_is_at_zero(end: str, made: Callable[[], DeviceBench]) -> None:
+    bench = made()
 
     def watch(t_s: float) -> None:
         if t_s > 0.5:
-            assert bench.board.truth().pin_V != 0.0 or end == "broken wire"
+            assert bench.board.truth().pin_V != 0.0 or end in ("broken wire", "reset")
             if end == "signal":
                 bench.stop.reason = "SIGTERM"
             elif end == "exception":
                 raise ZeroDivisionError
+            elif end == "reset":
+                bench.board.reset(4)
             else:
                 bench.board.rewire(sensor="broken_low")
 
     with pytest.raises((Fault, ZeroDivisionError)) as caught:
         bench.run(watch)
     assert getattr(caught.value, "code", "") == {
-        "signal": "INTERRUPTED", "exception": "", "broken wire": "DEVICE_SENSOR"
+        "signal": "INTERRUPTED", "exception": "", "broken wire": "DEVICE_SENSOR", "reset": "DEVICE_RESET"
     }[end]  # fmt: skip
     assert bench.board.truth().pin_V == 0.0 and not bench.board.truth().armed
 
 
 def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
-    bench = DeviceBench(motor=Motor(0.17, 6.5, coulomb(5.0)), guard=replace(GUARD, stuck_s=99.0))
+    bench = RelayBench(motor=Motor(0.17, 6.5, coulomb(5.0)), guard=replace(GUARD, stuck_s=99.0))
     bench.test.timeout_s = 1.0
     assert fault_of(bench.run).code == "NO_CYCLE"
     assert bench.record.rows[-1]["t_s"] - bench.record.rows[0]["t_s"] > 1.0
@@ -554,7 +539,7 @@ def received(board: VirtualBoard) -> list[int]:
 
 @pytest.mark.parametrize("cause", ["interrupted", "guard", "limit", "law"])
 def test_whatever_ends_the_run_each_row_that_came_is_in_the_record(cause: str) -> None:
-    bench = DeviceBench()
+    bench = RelayBench()
     counts = received(bench.board)
 
     def end(t_s: float) -> None:
@@ -580,7 +565,7 @@ def test_whatever_ends_the_run_each_row_that_came_is_in_the_record(cause: str) -
 @pytest.mark.parametrize(("cause", "code"), [("the device", "DEVICE_RELAY"), ("the guard", "OVERSPEED")])
 def test_what_is_wrong_with_the_last_ticks_ends_the_run_by_its_name(cause: str, code: str) -> None:
     """The relay was stopped before they are judged: nothing more can come of it, and nothing is lost."""
-    bench = DeviceBench()
+    bench = RelayBench()
     stop_relay, last = bench.driver.stop_relay, []
 
     def stopped() -> list[RelayRow]:
@@ -613,7 +598,7 @@ class Wire:
 
 def test_blocks_before_the_one_that_is_missing_are_in_the_record() -> None:
     """Three come at once, the second one damaged."""
-    bench = DeviceBench()
+    bench = RelayBench()
     held: list[bytes] = []
 
     def three(frame: bytes) -> list[bytes]:
@@ -632,7 +617,7 @@ def test_blocks_before_the_one_that_is_missing_are_in_the_record() -> None:
 
 def test_a_block_that_comes_twice_is_taken_once() -> None:
     board, driver = armed_driver()
-    start(board, driver)
+    start_relay(driver)
     rows = run_for(board, driver, 0.2)
     Wire(board, lambda frame: [frame, frame])
     rows += run_for(board, driver, 0.3)

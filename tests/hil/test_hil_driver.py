@@ -9,7 +9,7 @@ from raised import fault_of
 from virtual_host import BoardOptions
 
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.virtual_board import Truth, VirtualBoard
+from rig.backends.serial.emulated.virtual_board import BoardTruth, VirtualBoard
 from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.core.faults import Fault
 from rig.core.signals import Limits, Sample
@@ -49,7 +49,7 @@ def armed(
     return board, driver
 
 
-def ticks(board: VirtualBoard, driver: SerialDriver, u_V: float, n: int) -> list[tuple[Sample, Truth]]:
+def ticks(board: VirtualBoard, driver: SerialDriver, u_V: float, n: int) -> list[tuple[Sample, BoardTruth]]:
     """``n`` ticks of constant drive; their samples, and the truth right after each was read."""
     pairs = []
     for _ in range(n):

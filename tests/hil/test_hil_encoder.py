@@ -10,7 +10,7 @@ from chip_host import SETTLE_S, ChipHost
 from evidence import evidence
 from virtual_host import SESSION, TICK_S, VirtualHost
 
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import (

@@ -17,7 +17,8 @@ import yaml
 from click.testing import CliRunner
 from evidence import evidence
 
-from chips.virtual_chip import Contact, VirtualChip
+from emulated_chips.truth import Contact
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.backend import Line
 from rig.backends.registry import connect
 from rig.backends.serial import opening

@@ -17,7 +17,7 @@ from pico_host import pico
 from test_hil_encoder import ENDLESS, LIMITED, MOTOR, UNO, turning
 from virtual_host import Host, VirtualHost
 
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import STATUS_ZERO, Code, Kind, Setup, pack_ack, pack_zero

@@ -13,8 +13,8 @@ import yaml
 from click.testing import CliRunner
 from evidence import evidence
 
-from chips import opening
-from chips.virtual_pico import VirtualPico
+from emulated_chips import opening
+from emulated_chips.virtual_pico import VirtualPico
 from rig.cli import main
 from rig.config.schema import DeviceSetup
 

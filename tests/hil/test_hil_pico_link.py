@@ -15,8 +15,8 @@ from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, Pic
 from simulated_bench import LIMITS
 from virtual_host import TICK_S
 
-from chips.pico_parameters import pico_parameters
-from chips.virtual_pico import VirtualPico
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver

@@ -17,10 +17,10 @@ import pytest
 from evidence import evidence
 from pico_host import HELD, SETUP, PicoHost, pico
 
-from chips import build as chip_build
-from chips.build import PicoFirmware
-from chips.pico_parameters import pico_parameters
-from chips.virtual_pico import VirtualPico
+from emulated_chips import build as chip_build
+from emulated_chips.build import PicoFirmware
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from chips.chip_board import ChipBoard
+from emulated_chips.chip_board import ChipBoard
 from rig.backends.driver import Timeouts
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver

@@ -18,9 +18,9 @@ from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from evidence import evidence
 from second_chip import SecondChip, SecondHost
 
-from chips import build as chip_build
-from chips.build import ChipFirmware
-from chips.virtual_chip import VirtualChip
+from emulated_chips import build as chip_build
+from emulated_chips.build import ChipFirmware
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.frames import Code

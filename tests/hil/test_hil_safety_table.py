@@ -14,10 +14,11 @@ from safety.__main__ import BAUDS, chip_load
 from safety.driven_chip import PICO, UNO, DrivenChip, Way
 from safety.page import Found, is_kept, render, render_pico, replaced, row
 from safety.promises import PICO_PROMISES, PROMISES, Promise, measure
+from shared.physics import stopping_distance
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "evidence" / "safety-table.md"
 PICO_PAGE = PAGE.with_name("safety-table-pico.md")
-COAST_RAD = max(UNO.bench.motor.stopping_distance(UNO.steady(direction)[1]) for direction in (1, -1))
+COAST_RAD = max(stopping_distance(UNO.bench.motor, UNO.steady(direction)[1]) for direction in (1, -1))
 
 
 SOME = {
@@ -116,10 +117,10 @@ PICO_SOME = [p for p in PICO_PROMISES if (p.what, p.way.where) in SOME or (p.wha
     "promise", [PICO_SOME[0], *evidence(*((promise,) for promise in PICO_SOME[1:]))], ids=lambda p: p.what
 )
 def test_the_picos_promises_are_measured_alike(promise: Promise) -> None:
-    """Some of them; all are in test_hil_pico_safety."""
+    """Some of them; all are in test_hil_chip_safety."""
     found = measure(promise, 2, seed=2)
     motor = PICO.bench.motor
-    coast_rad = max(motor.stopping_distance(PICO.steady(direction)[1]) for direction in (1, -1))
+    coast_rad = max(stopping_distance(motor, PICO.steady(direction)[1]) for direction in (1, -1))
     assert found.late == 0 and found.off_s <= promise.bound_s
     assert found.coast_rad == pytest.approx(coast_rad, rel=0.03)
 

@@ -18,8 +18,8 @@ import pytest
 from evidence import evidence
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 
-from chips.opening import emulated_chip
-from chips.virtual_chip import VirtualChip
+from emulated_chips.opening import emulated_chip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.config import Experiment, load, ready

@@ -17,7 +17,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_bench import ListSink
 
-from chips.opening import emulated_chip, emulated_pico
+from emulated_chips.opening import emulated_chip, emulated_pico
 from rig import config
 from rig.backends.backend import Line
 from rig.backends.emulated.bench import bench_parameters

@@ -12,9 +12,9 @@ from evidence import evidence
 from pico_host import twelve_bits
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, RAD_PER_COUNT, SCALING, ListSink, break_away
 
-from chips.pico_parameters import pico_parameters
-from chips.virtual_chip import VirtualChip
-from chips.virtual_pico import VirtualPico
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.control.guard import Guard, GuardSettings

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.control.guard import Guard

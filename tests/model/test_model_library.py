@@ -22,11 +22,12 @@ from rig.core.errors import LibraryError
 from rig.core.motor_numbers import NUMBERS, PARTS
 from rig.design import compiled as design
 from rig.identification.noise import noise_of
-from rig.model import library, library_build, stribeck
+from rig.model import library, library_build
 from rig.model.compiled import coloured_noise, motion, real_motion, sampled_relay, steady_cycle
 from rig.model.library import LIBRARY
 from rig.model.real_motor import Frame, Pieces, RealMotor, index, response_and_jacobian
 from rig.model.step import Plant, State
+from shared import physics
 
 C = library.CLONE
 PLANT = (0.2, 5.0, 0.4, 0.4, 0.5, 0.5, 0.0, 0.0)
@@ -78,7 +79,7 @@ def test_numbers_stand_in_the_same_order_on_both_sides() -> None:
     assert fields("plain_motor.h", "plain_state") == State._fields
     assert constant("real_readings.h", "REAL_COLUMN_ROWS") == real_motion._COLUMN_ROWS
     assert constant("real_readings.h", "REAL_STAGE_ROWS") == real_motion._STAGE_ROWS
-    assert constant("plain_motor.h", "SERIES_ORDER") == stribeck.ORDER
+    assert constant("plain_motor.h", "SERIES_ORDER") == physics.ORDER
     assert constant("records.h", "TEST_WIDTH") == design.WIDTH
     assert constant("steady_cycle.h", "CYCLE_NUMBERS") == steady_cycle.NUMBERS
 

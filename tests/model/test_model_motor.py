@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 
 from rig.model.friction import NONE, Friction, coulomb
 from rig.model.motor import Motor, State
+from shared.physics import pieces, stopping_distance
 
 taus = st.floats(0.02, 1.0)
 gains = st.floats(0.5, 20.0)
@@ -66,19 +67,19 @@ def test_first_order_step_response_has_its_textbook_values() -> None:
 def test_reversal_time_is_the_zero_of_the_velocity() -> None:
     tau, v, target = 0.17, 3.0, -6.5
     motor = Motor(tau, 1.0)
-    first, second = motor.pieces(State(v), target, 10.0)
+    first, second = pieces(motor, State(v), target, 10.0)
     assert first.duration_s == pytest.approx(-tau * math.log(target / (target - v)), rel=1e-14)
     assert second.start.v == 0.0
-    assert [piece.duration_s for piece in motor.pieces(State(v), 1.0, 10.0)] == [10.0]
-    assert [piece.duration_s for piece in motor.pieces(State(), -1.0, 10.0)] == [10.0]
+    assert [piece.duration_s for piece in pieces(motor, State(v), 1.0, 10.0)] == [10.0]
+    assert [piece.duration_s for piece in pieces(motor, State(), -1.0, 10.0)] == [10.0]
 
 
 def test_at_zero_volts_it_stops_after_the_distance_of_the_closed_form() -> None:
     motor = Motor(0.17, 6.5, coulomb(0.5))
     v, decel = 4.8, 6.5 * 0.5
     stop_s = 0.17 * math.log1p(v / decel)
-    assert motor.stopping_distance(v) == pytest.approx(0.17 * v - decel * stop_s, rel=1e-12)
-    assert motor.stopping_distance(-v) == pytest.approx(-motor.stopping_distance(v))
+    assert stopping_distance(motor, v) == pytest.approx(0.17 * v - decel * stop_s, rel=1e-12)
+    assert stopping_distance(motor, -v) == pytest.approx(-stopping_distance(motor, v))
 
 
 @pytest.mark.parametrize(("u_V", "moves"), [(0.5, 0), (0.61, 1), (-0.5, 0), (-0.71, -1)])

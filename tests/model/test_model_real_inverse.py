@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from rig.core.motor_numbers import Frame, RealMotor, State
 from rig.model import real_step
 from rig.model.real_inverse import SOFT_SHARE, drive_before_stage, drive_for, position
-from rig.model.real_step import reading, staged, target
+from rig.model.real_step import reading
+from shared.physics import level_at_rest, staged, target
 
 FRAME = Frame(0.1, 0.6, 0.0, 30.0)
 STAGES = st.fixed_dictionaries(
@@ -86,7 +87,7 @@ def test_a_shaft_that_stands_gets_more_than_what_holds_it(m: RealMotor, y: float
     u_V = drive_for(m, FRAME, (0.0, y), way * 1.0, way)
     w_V, force_V = staged(m, u_V), real_step.force(m, FRAME, y)
     torque_V = w_V / (1.0 + m.source_per_V2 * w_V**2)
-    held = real_step.level_at_rest(m, FRAME, y) + m.load_friction * abs(torque_V + m.load_outside * force_V)
+    held = level_at_rest(m, FRAME, y) + m.load_friction * abs(torque_V + m.load_outside * force_V)
     assume(abs(w_V) >= SOFT_SHARE * m.fc_V)
     assert way * (torque_V + m.bias_V - force_V) > held
 

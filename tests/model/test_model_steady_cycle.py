@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from ctypes import byref
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from rig.model.compiled import steady_cycle
 from rig.model.friction import coulomb
+from rig.model.library import LIBRARY, numbers
 from rig.model.limit_cycle import limit_cycle, stage_states
 from rig.model.motor import Motor, State
 
@@ -32,7 +34,10 @@ def curve(
 
 def reversal_times(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS) -> tuple[float, ...]:
     """t1 of both halves, s; 0 where the motor stops before the RC edge."""
-    return steady_cycle.reversal_times(np.array(theta), gains, np.array(edges))
+    times = numbers(0.0, 0.0)
+    cycle = byref(steady_cycle._cycle(gains, np.array(edges)))
+    LIBRARY.cycle_reversal_times(numbers(*theta), cycle, times)
+    return tuple(times)
 
 
 def settled(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS, periods: int = 80) -> np.ndarray:

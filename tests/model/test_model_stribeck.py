@@ -13,10 +13,11 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from rig.model import stribeck
 from rig.model.friction import Friction, coulomb, tustin
-from rig.model.motor import Arc, Glide, Motor, State
+from rig.model.motor import Motor, State
 from rig.run_folder.recording.series import steps_of
+from shared import physics
+from shared.physics import Arc, Glide, pieces, stopping_distance, terminal_velocity
 
 taus = st.floats(0.05, 0.5)
 gains = st.floats(1.0, 20.0)
@@ -130,30 +131,30 @@ def test_a_step_is_as_good_as_its_bound_says(x: float, e: float, b: float) -> No
     """A step of the series against twice as many quarter steps, and its terms against Cauchy's estimate."""
     if x == 0.0:
         e = abs(e) + 1e-9
-    step, c = stribeck.expand(x, e, b)
+    step, c = physics.expand(x, e, b)
     assume(step < 50.0)
     slope = abs(c[1])
     radius = math.log1p((1.0 + slope) / (b * math.exp(-x)))
-    rho = step * stribeck.RATIO
-    for k in range(1, stribeck.ORDER + 1):
+    rho = step * physics.RATIO
+    for k in range(1, physics.ORDER + 1):
         assert abs(c[k]) * rho**k <= radius * (1.0 + 1e-9)
     small = x
     for _ in range(8):
-        _, finer = stribeck.expand(small, e, b)
-        small = stribeck.speed_at(finer, step / 8.0)
+        _, finer = physics.expand(small, e, b)
+        small = physics.speed_at(finer, step / 8.0)
     # rounding of the right side is amplified where its slope is positive, by at most the growth over the step
     rounding = 4e-15 * (1.0 + x + abs(e) + b) * (1.0 + step * (1.0 + b)) * math.exp(min(step * b * math.exp(-x), 3.0))
-    assert abs(stribeck.speed_at(c, step) - small) <= stribeck.TRUNCATION * radius + rounding
+    assert abs(physics.speed_at(c, step) - small) <= physics.TRUNCATION * radius + rounding
 
 
 def test_the_error_falls_with_the_order_as_the_bound_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same step cut off earlier: the error is below R RATIO^-p/(RATIO - 1) at every order p."""
     x, e, b = 0.5, -3.0, 4.0
-    step, c = stribeck.expand(x, e, b)
+    step, c = physics.expand(x, e, b)
     radius = math.log1p((1.0 + abs(c[1])) / (b * math.exp(-x)))
-    exact = stribeck.speed_at(c, step)
+    exact = physics.speed_at(c, step)
     errors = [abs(sum(c[k] * step**k for k in range(p + 1)) - exact) for p in range(2, 13)]
-    bounds = [radius * stribeck.RATIO**-p / (stribeck.RATIO - 1.0) for p in range(2, 13)]
+    bounds = [radius * physics.RATIO**-p / (physics.RATIO - 1.0) for p in range(2, 13)]
     assert all(error <= bound for error, bound in zip(errors, bounds, strict=True))
     assert errors[-1] < 1e-6 * errors[0]
 
@@ -237,15 +238,15 @@ def test_above_the_unstable_speed_it_runs_on_and_below_it_creeps_to_a_stop_and_s
     assert 0.0 < sign * below.y < unstable  # it crept on a little
     assert TWO.advance(below, sign * U_TWO, 5.0) == State(0.0, below.y, below.z + 5.0 * below.y)
     for v in (unstable * 1.02, stable * 2.0):
-        assert TWO.terminal_velocity(sign * v, sign * U_TWO) == pytest.approx(sign * stable, abs=2e-5)
-    assert TWO.terminal_velocity(sign * unstable * 0.98, sign * U_TWO) == 0.0
+        assert terminal_velocity(TWO, sign * v, sign * U_TWO) == pytest.approx(sign * stable, abs=2e-5)
+    assert terminal_velocity(TWO, sign * unstable * 0.98, sign * U_TWO) == 0.0
 
 
 def test_on_the_unstable_speed_it_stays_for_as_long_as_rounding_lets_it() -> None:
     low, high = 0.02, 0.05
     for _ in range(200):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if TWO.terminal_velocity(middle, U_TWO) == 0.0 else (low, middle)
+        low, high = (middle, high) if terminal_velocity(TWO, middle, U_TWO) == 0.0 else (low, middle)
     held = TWO.advance(State(high), U_TWO, 0.2)
     assert held.v == pytest.approx(high, rel=1e-9)
 
@@ -254,7 +255,7 @@ def test_from_rest_it_gives_way_above_the_static_level_only() -> None:
     assert TWO.advance(State(), 0.6, 10.0) == State()
     assert TWO.advance(State(), -0.6, 10.0) == State()
     released = TWO.advance(State(), 0.6 + 1e-6, 10.0)
-    assert released.v == pytest.approx(TWO.terminal_velocity(0.0, 0.6 + 1e-6), rel=1e-6)
+    assert released.v == pytest.approx(terminal_velocity(TWO, 0.0, 0.6 + 1e-6), rel=1e-6)
     # once it moves, less than the static level keeps it going; the same drive does not start it
     assert TWO.advance(State(released.v), 0.5, 10.0).v > 0.5
     assert TWO.advance(State(), 0.5, 10.0).v == 0.0
@@ -265,16 +266,16 @@ def test_without_drive_it_comes_to_rest_and_stays() -> None:
     v = TWO.response(State(5.0), t, [0.0], [0.0])[:, 0]
     assert np.all(np.diff(v) <= 0.0)
     assert v[-1] == 0.0
-    distance = TWO.stopping_distance(5.0)
-    assert 0.0 < distance < Motor(0.17, 6.5, coulomb(0.4)).stopping_distance(5.0)
-    assert TWO.stopping_distance(-5.0) == -distance
+    distance = stopping_distance(TWO, 5.0)
+    assert 0.0 < distance < stopping_distance(Motor(0.17, 6.5, coulomb(0.4)), 5.0)
+    assert stopping_distance(TWO, -5.0) == -distance
 
 
 @settings(max_examples=examples(60), deadline=None)
 @given(motors(), speeds, drives)
 def test_terminal_velocity_is_where_long_motion_ends(motor: Motor, v: float, u_V: float) -> None:
     well_posed(motor, v, u_V)
-    end = motor.terminal_velocity(v, u_V)
+    end = terminal_velocity(motor, v, u_V)
     # a reversal ends where the motion from rest does, and that is well posed as well
     assert motor.advance(State(v), u_V, 300.0 * motor.tau_s).v == pytest.approx(end, abs=1e-3)
 
@@ -283,7 +284,7 @@ def test_terminal_velocity_is_where_long_motion_ends(motor: Motor, v: float, u_V
 @given(motors(), speeds, drives, spans)
 def test_pieces_meet_and_velocity_keeps_its_sign_within_each(motor: Motor, v: float, u_V: float, dt_s: float) -> None:
     state, total = State(v, 0.1, 0.0), 0.0
-    for piece in motor.pieces(state, u_V, dt_s):
+    for piece in pieces(motor, state, u_V, dt_s):
         assert np.array(piece.start) == pytest.approx(np.array(state), abs=1e-10 * (1.0 + abs(v)))
         inside = [piece.at(share * piece.duration_s).v for share in (0.01, 0.5, 0.99)]
         assert min(inside) >= 0.0 or max(inside) <= 0.0
@@ -294,7 +295,7 @@ def test_pieces_meet_and_velocity_keeps_its_sign_within_each(motor: Motor, v: fl
 
 
 def test_far_from_rest_it_uses_the_closed_form() -> None:
-    kinds = [type(piece) for piece in Motor(0.17, 6.5, tustin(0.4, 0.6, 0.01)).pieces(State(4.0), -1.0, 1.0)]
+    kinds = [type(piece) for piece in pieces(Motor(0.17, 6.5, tustin(0.4, 0.6, 0.01)), State(4.0), -1.0, 1.0)]
     assert kinds[0] is Glide and Arc in kinds and kinds[-1] is Glide
 
 
@@ -302,9 +303,9 @@ def test_a_glide_that_ends_where_the_effect_begins_is_followed_by_it_whatever_th
     rng = np.random.default_rng(1)
     for width in rng.uniform(0.001, 0.1, 300).tolist():
         motor = Motor(0.17, 6.5, tustin(0.4, 0.6, width))
-        pieces = list(motor.pieces(State(60.0 * width), -3.0, 0.3))
-        assert [type(piece) for piece in pieces[:2]] == [Glide, Arc]
-        assert len(pieces) < 100 and motor.advance(State(60.0 * width), -3.0, 0.3).v < 0.0
+        found = list(pieces(motor, State(60.0 * width), -3.0, 0.3))
+        assert [type(piece) for piece in found[:2]] == [Glide, Arc]
+        assert len(found) < 100 and motor.advance(State(60.0 * width), -3.0, 0.3).v < 0.0
 
 
 @pytest.mark.parametrize("width", [1e-300, 1e-14, 1e30])

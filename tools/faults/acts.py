@@ -9,8 +9,8 @@ import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from chips.virtual_chip import VirtualChip
-from chips.virtual_pico import VirtualPico
+from emulated_chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_pico import VirtualPico
 from faults import damage, host, strangers
 from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep

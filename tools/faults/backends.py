@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from chips.pico_parameters import pico_parameters
-from chips.virtual_chip import Contact, VirtualChip
-from chips.virtual_pico import VirtualPico
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.truth import Contact
+from emulated_chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_pico import VirtualPico
 from faults.bounds import Times
 from faults.injector import FaultInjector
 from faults.language import Language, ModbusLanguage, SerialLanguage
@@ -38,6 +39,7 @@ from rig.backends.servo.line import emulated_bus, servo_of, setup_of
 from rig.backends.servo.models import ServoModel
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
+from rig.control.known_motor import known
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.tracking import linearising_drive
@@ -246,6 +248,7 @@ def _unmoved_s(experiment: Experiment) -> float:
         return math.nan
     tracking, motor = experiment.tracking, _bench(experiment).motor
     reference = SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in tracking.trajectory], fade_s=FADE_S)
+    gains = tracking.k1_1_s, tracking.k2_1_s2
     well_V = _WELL_ABOVE * max(motor.friction.static_plus_V, motor.friction.static_minus_V)
     times_s = [k * experiment.period_s for k in range(round(_LOOKS_S / experiment.period_s))]
 
@@ -253,7 +256,7 @@ def _unmoved_s(experiment: Experiment) -> float:
         held_s, side = 0.0, 0
         for t_s in (t for t in times_s if t >= from_s):
             at = reference.at(t_s)
-            u_V = linearising_drive(motor, State(0.0, from_rad), at, tracking.k1_1_s, tracking.k2_1_s2, at.v_rad_s)
+            u_V = linearising_drive(known(motor), State(0.0, from_rad), at, gains, at.v_rad_s)
             now = (u_V > well_V) - (u_V < -well_V)
             held_s, side = (held_s + experiment.period_s if now == side != 0 else 0.0), now
             if held_s >= 2.0 * GuardSettings.stuck_s:
@@ -298,11 +301,12 @@ def _tracked_rad(experiment: Experiment) -> list[float]:
     """Where the shaft is in the tracking, from its start at rest, each step of the model."""
     tracking, motor = experiment.tracking, _bench(experiment).motor
     assert tracking is not None
+    gains = tracking.k1_1_s, tracking.k2_1_s2
     reference = SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in tracking.trajectory], fade_s=FADE_S)
     state, y_rad = State(), []
     for k in range(round(tracking.duration_s / _STEP_S)):
         at = reference.at(k * _STEP_S)
-        u_V = linearising_drive(motor, state, at, tracking.k1_1_s, tracking.k2_1_s2, at.v_rad_s)
+        u_V = linearising_drive(known(motor), state, at, gains, at.v_rad_s)
         state = motor.advance(state, u_V, _STEP_S)
         y_rad.append(state.y)
     return y_rad

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-from chips.virtual_chip import Contact
+from emulated_chips.truth import Contact
 from faults.damage import Damage
 from faults.fork import fork
 from faults.language import ASKED, Language, Reading

@@ -27,7 +27,7 @@ from typing import Any
 
 import yaml
 
-from chips.chip_board import ChipBoard
+from emulated_chips.chip_board import ChipBoard
 from faults import hanging_laws
 from faults.acts import FREEZE_S
 from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend

@@ -1,8 +1,8 @@
 """The relay loop in continuous time: u = -h1 sgn(y) - h2 sgn(z), switched at the very instants of the crossings.
 
 Nothing is sampled and nothing is stepped. A motion under constant drive comes in pieces within which the velocity keeps
-its sign (``Motor.pieces``), so within each the position is monotone, and between its zeros so is its integral: no
-crossing can be missed, and each is found by bracketing to rounding. For any friction law, from any state; the cycle
+its sign (``shared.physics.pieces``), so within each the position is monotone, and between its zeros so is its integral:
+no crossing can be missed, and each is found by bracketing to rounding. For any friction law, from any state; the cycle
 that it settles in is that of Theorem 2.1, where the law is Coulomb's. With hysteresis on the position and h2 = 0 it is
 the single hysteretic relay of docs/theory.md 5.1.
 """
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from rig.model.limit_cycle import NoLimitCycle
-from rig.model.motor import Glide, Motor, Piece, State
+from rig.model.motor import Motor, State
+from shared.physics import Glide, Piece, pieces
 
 Array = NDArray[np.float64]
 Kind = Literal["velocity", "position", "integral", "held"]
@@ -243,7 +244,7 @@ class _Loop:
 
     def _until_switching(self, span_s: float) -> Iterator[Step]:
         u_V, begin_s = self.u_V, self.now_s
-        for piece, following in _with_next(self.motor.pieces(self.state, u_V, span_s)):
+        for piece, following in _with_next(pieces(self.motor, self.state, u_V, span_s)):
             crossing = self._first_crossing(piece)
             if crossing is not None:
                 h, kind = crossing
@@ -290,11 +291,11 @@ class _Loop:
         return None if kind is None else (end, kind)
 
 
-def _with_next(pieces: Iterator[Piece]) -> Iterator[tuple[Piece, Piece | None]]:
+def _with_next(all_pieces: Iterator[Piece]) -> Iterator[tuple[Piece, Piece | None]]:
     """Each piece with the one after it."""
-    piece = next(pieces, None)
+    piece = next(all_pieces, None)
     while piece is not None:
-        following = next(pieces, None)
+        following = next(all_pieces, None)
         yield piece, following
         piece = following
 

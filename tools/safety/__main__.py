@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from chips.build import build_chip
+from emulated_chips.build import build_chip
 from rig.backends.serial.emulated.firmware_build import build_pico, source_folder
 from safety import garbage
 from safety.driven_chip import PICO

@@ -12,9 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from chips.pico_parameters import pico_parameters
-from chips.virtual_chip import ChipTruth, VirtualChip
-from chips.virtual_pico import PicoTruth, VirtualPico
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.truth import ChipTruth, UnoTruth
+from emulated_chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.backend import truth_of
 from rig.backends.serial.driver import setup_for
 from rig.backends.serial.emulated.firmware_build import Variant
@@ -170,7 +171,7 @@ class DrivenChip:
 
     # ------------------------------------------------------------------ wire
 
-    def truth(self) -> ChipTruth | PicoTruth:
+    def truth(self) -> ChipTruth:
         """What is the case at the pins and at the shaft."""
         return self.chip.truth()
 
@@ -283,7 +284,7 @@ class DrivenChip:
     def is_sound(self) -> bool:
         """Whether the program has neither left its code nor broken a rule of the data sheet. The chip's last act."""
         truth = self.truth()
-        kept = self.chip.broken_rule() == "" and not (isinstance(truth, ChipTruth) and truth.crashed)
+        kept = self.chip.broken_rule() == "" and not (isinstance(truth, UnoTruth) and truth.crashed)
         if isinstance(self.chip, VirtualPico):
             self.chip.end()
         return kept

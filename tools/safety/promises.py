@@ -7,8 +7,8 @@ import random
 from collections.abc import Callable
 from typing import NamedTuple
 
-from chips.virtual_chip import Hang, VirtualChip
-from chips.virtual_pico import PicoHang
+from emulated_chips.virtual_chip import Hang, VirtualChip
+from emulated_chips.virtual_pico import PicoHang
 from rig.backends.serial.frames import Kind, encode
 from rig.model.motor import State
 from safety.driven_chip import (

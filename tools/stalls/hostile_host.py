@@ -6,8 +6,8 @@ import math
 import random
 from dataclasses import dataclass
 
-from chips.virtual_chip import VirtualChip
-from chips.virtual_pico import VirtualPico
+from emulated_chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 
 _BEFORE_WRITE = 0.3  # share of the stalls that hold back a drive already decided

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from campaign_real.departing_bench import BREAKAWAY_V, FAST, HARD_RAD, LARGEST_V, REACH_RAD
-from chips.pico_parameters import pico_parameters
-from chips.virtual_chip import VirtualChip, variant_of
-from chips.virtual_pico import VirtualPico
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.virtual_chip import VirtualChip, variant_of
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.driver import Timeouts
 from rig.backends.registry import Bench as OpenBench
 from rig.backends.serial.driver import SerialDriver

@@ -30,7 +30,7 @@ from rig.backends.registers.driver import RegisterDriver
 from rig.backends.registers.map import OFF, Register, RegisterSpan
 from rig.core.calibration import Scaling
 from rig.core.faults import Fault
-from rig.core.signals import Limits, Order, Sample
+from rig.core.signals import Limits, Order
 
 _SILENCE_MARGIN_S = 0.1  # beyond a watchdog's time: a device has its own clock, and its own cycle
 _OWN_ECHOES = 2  # what echoes of a late reply, or of a write that was not executed, differ by at most
@@ -121,19 +121,6 @@ class ModbusDriver(RegisterDriver[Request]):
     def arm(self, limits: Limits) -> None:
         self._fresh = False
         super().arm(limits)
-
-    @override
-    def read(self) -> Sample:
-        """Sample the bench. With FC23 the same request carries the drive of the last ``write``.
-
-        The rest is as of ``RegisterDriver``; the refusal is MODBUS_EXCEPTION.
-        """
-        return super().read()
-
-    @override
-    def write(self, u_V: float) -> None:
-        """Set the drive. With FC23 it goes out with the next ``read``; else now, and its reply confirms it."""
-        super().write(u_V)
 
     @override
     def safe_stop(self) -> bool:

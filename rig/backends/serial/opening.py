@@ -52,7 +52,7 @@ def _virtual_line(d: DeviceSetup, port: str) -> Line:
     device: PortAndClock
     if port in CHIP_PORTS:
         require_emulator(port)
-        from chips import opening as chips
+        from emulated_chips import opening as chips
 
         device, shaft = chips.virtual_chip(d), None
     else:
@@ -133,7 +133,7 @@ def emulated_board(
         board: BoardProcess
         if chip or d.daq.port in CHIP_PORTS:
             require_emulator("emulated-chip" if chip else d.daq.port)
-            from chips import opening as chips
+            from emulated_chips import opening as chips
 
             board = stack.enter_context(chips.chip_process(d, own_link, trace))
         else:

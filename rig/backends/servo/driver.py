@@ -29,7 +29,7 @@ from rig.backends.servo.steps import STEP_S, WRAPS, Steps
 from rig.core.calibration import Scaling
 from rig.core.faults import Fault
 from rig.core.link_turn import turn_on
-from rig.core.signals import Limits, Sample
+from rig.core.signals import Limits
 
 _REST_COUNTS: Final = 1  # that a shaft at rest may move by
 _REST_S: Final = 0.04  # for which it must
@@ -212,11 +212,6 @@ class ServoDriver(RegisterDriver[Ask]):
         self._find_steps()
         self._ways.clear()
         self._ways.append(_Way(self._transport.now_s(), 0.0, 0.0, self._slope_units_s))
-
-    @override
-    def read(self) -> Sample:
-        """As of ``RegisterDriver``. Raises Fault SERVO_HOT, SERVO_SUPPLY, SERVO_OVERLOAD, SENSOR_JUMP besides."""
-        return super().read()
 
     @override
     def safe_stop(self) -> bool:

@@ -159,11 +159,6 @@ def clear_turns(id: int) -> bytes:
     return Frame(id, Instruction.CLEAR, _TURNS).encode()
 
 
-def request_bytes(n_parameters: int) -> int:
-    """Bytes on the wire of a request with so many of parameters, stuffing not counted."""
-    return 10 + n_parameters
-
-
 # ---------------------------------------------------------------------- answers
 
 

@@ -112,11 +112,6 @@ ping, read, write, reg_write = _requests.ping, _requests.read, _requests.write, 
 action, reboot, sync_read, sync_write = _requests.action, _requests.reboot, _requests.sync_read, _requests.sync_write
 
 
-def request_bytes(n_parameters: int) -> int:
-    """Bytes on the wire of a request with so many of parameters."""
-    return 6 + n_parameters
-
-
 # ---------------------------------------------------------------------- answers
 
 

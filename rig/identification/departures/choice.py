@@ -172,10 +172,7 @@ class Chooser:
             least = min((law for law in laws if not law.leaps), key=lambda law: rises[law], default=None)
             if least is None or rises[least] >= self.asked.predicts:
                 break
-            laws = tuple(law for law in laws if law is not least)
-            fit, laws = self._last(
-                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
-            )
+            fit, laws = self._less(fit, laws, least)
         return Choice(laws, fit, tuple(growth))
 
     @property
@@ -298,10 +295,7 @@ class Chooser:
             least = min(cuts, key=lambda law: cuts[law], default=None)
             if least is None or cuts[least] >= self.asked.cuts:
                 break
-            laws = tuple(law for law in laws if law is not least)
-            fit, laws = self._last(
-                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
-            )
+            fit, laws = self._less(fit, laws, least)
         if laws == first[1]:
             return first
         together = share_cut(left(first[1], first[0].motor), left(laws, fit.motor), chance)
@@ -438,6 +432,11 @@ class Chooser:
             return False
         left, all_of_it = (max(one.rms_rad**2 - self.sigma_rad**2, 1e-300) for one in (richer, fit))
         return 1.0 - math.sqrt(left / all_of_it) < FIRST_CUT
+
+    def _less(self, fit: Fit, laws: tuple[Departure, ...], law: Departure) -> tuple[Fit, tuple[Departure, ...]]:
+        """``_last`` of the fit without this law."""
+        laws = tuple(one for one in laws if one is not law)
+        return self._last(refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, law)), laws)
 
     def _last(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """The least-squares fit with the noise of its own residual, without the laws that are not worth it then."""

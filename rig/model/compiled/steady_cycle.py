@@ -52,17 +52,6 @@ def switching_conditions(
     LIBRARY.cycle_conditions(numbers(*theta), numbers(*gains), numbers(*durations), *into)
 
 
-def reversal_times(theta: Array, gains: tuple[float, float], edges: Array) -> tuple[float, float]:
-    """Times of the reversal in both halves, s; 0 where the motor stops before the RC edge.
-
-    theta, gains, edges   as for ``curve``: edges in s
-    """
-    require_size(theta, NUMBERS, "theta")
-    times = numbers(0.0, 0.0)
-    LIBRARY.cycle_reversal_times(numbers(*theta), byref(_cycle(gains, edges)), times)
-    return times[0], times[1]
-
-
 def curve(
     theta: Array, gains: tuple[float, float], edges: Array, halves: tuple[int, int], t_s: Array, y: Array, jac: Array
 ) -> None:

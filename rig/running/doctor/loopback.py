@@ -296,7 +296,7 @@ def bare_board(port: str, baud: int) -> Iterator[Transport]:
         from rig.backends.serial.emulated.firmware_build import Variant, require_emulator
 
         require_emulator(port)
-        from chips.opening import bare_chip
+        from emulated_chips.opening import bare_chip
 
         board: Transport = bare_chip(port, Variant(baud=baud))
     else:

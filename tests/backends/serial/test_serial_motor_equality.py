@@ -24,7 +24,7 @@ from rig.model.bench import BenchModel, BenchParameters, DriveWiring, SensorWiri
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
-from rig.model.step import next_segment
+from shared.physics import next_segment
 
 NO_STOPS = (-1e6, 1e6)
 

@@ -10,7 +10,7 @@ import yaml
 from command_line import rig
 from simulated_bench import DEMO, LIMITS, SCALING
 
-from chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_chip import VirtualChip
 from rig.backends.driver import Timeouts
 from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
 from rig.backends.registry import connect, emulated_board

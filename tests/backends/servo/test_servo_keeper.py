@@ -12,7 +12,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from evidence import evidence
@@ -45,6 +45,28 @@ def board(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str,
 
 def link_to(port: SerialPort, bench: Bench) -> ServoLink:
     return servo_link(port, bench.setup.model, bench.own.id, bench.own.baud, 1.0)
+
+
+class Saved(NamedTuple):
+    """A servo whose registers are in the file, as before a command changes them."""
+
+    bench: Bench
+    port: SerialPort
+    link: ServoLink
+    store: BeforeStore
+
+    def keeper(self, silence_s: float = 30.0) -> ServoKeeper:
+        return ServoKeeper(self.link, self.store, self.port.descriptor, silence_s)
+
+
+@pytest.fixture
+def saved(board: tuple[str, Bench, ServoBoard], tmp_path: Path) -> Iterator[Saved]:
+    name, bench, _ = board
+    port = SerialPort(name, bench.own.baud)
+    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
+    store.save(bench.setup.model, bench.own.id, values_of(link))
+    yield Saved(bench, port, link, store)
+    port.close()
 
 
 def drive(name: str, bench: Bench, path: Path, told: int, phase: int) -> None:
@@ -155,67 +177,41 @@ def test_a_command_that_hangs_is_stopped_before_it_ends(board: tuple[str, Bench,
     assert wait_for(path.with_suffix(".txt").exists)
 
 
-def test_a_keeper_writes_nothing_while_it_hears_its_command(
-    board: tuple[str, Bench, ServoBoard], tmp_path: Path
-) -> None:
-    name, bench, _ = board
-    port = SerialPort(name, bench.own.baud)
-    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
-    roles = bench.setup.model.roles
-    store.save(bench.setup.model, bench.own.id, values_of(link))
-    keeper = ServoKeeper(link, store, port.descriptor, 30.0)
+def test_a_keeper_writes_nothing_while_it_hears_its_command(saved: Saved) -> None:
+    link, store, torque = saved.link, saved.store, saved.bench.setup.model.roles["torque"]
+    keeper = saved.keeper()
     keeper.beat()
-    link.put(roles["torque"], 0)
+    link.put(torque, 0)
     before = link.client.statistics["stale_bytes"]
     for _ in range(20):
         keeper.beat()
-        assert link.value(roles["torque"]) == 0
+        assert link.value(torque) == 0
     keeper.rest()
     keeper.end(restored=True)
     assert link.client.statistics["stale_bytes"] == before
     assert store.path is not None and store.path.exists()  # whose command has put the registers back clears it itself
-    port.close()
 
 
-def test_a_keeper_of_a_command_that_could_not_put_back_does_it(
-    board: tuple[str, Bench, ServoBoard], tmp_path: Path
-) -> None:
-    name, bench, _ = board
-    port = SerialPort(name, bench.own.baud)
-    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
-    mode, before = bench.setup.model.roles["mode"], values_of(link)
-    store.save(bench.setup.model, bench.own.id, before)
-    link.hold(mode, bench.setup.model.pwm_mode)
-    keeper = ServoKeeper(link, store, port.descriptor, 30.0)
-    keeper.end(restored=False)
-    assert link.value(mode) == before[mode] != bench.setup.model.pwm_mode
+def test_a_keeper_of_a_command_that_could_not_put_back_does_it(saved: Saved) -> None:
+    model, link, store = saved.bench.setup.model, saved.link, saved.store
+    mode = model.roles["mode"]
+    before = link.value(mode)
+    link.hold(mode, model.pwm_mode)
+    saved.keeper().end(restored=False)
+    assert link.value(mode) == before != model.pwm_mode
     assert store.path is not None and not store.path.exists()
-    port.close()
 
 
-def test_a_keeper_that_has_ended_is_a_fault_before_the_next_drive(
-    board: tuple[str, Bench, ServoBoard], tmp_path: Path
-) -> None:
-    name, bench, _ = board
-    port = SerialPort(name, bench.own.baud)
-    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
-    store.save(bench.setup.model, bench.own.id, values_of(link))
-    keeper = ServoKeeper(link, store, port.descriptor, 30.0)
+def test_a_keeper_that_has_ended_is_a_fault_before_the_next_drive(saved: Saved) -> None:
+    keeper = saved.keeper()
     keeper._process.kill()
     keeper._process.wait()
     with pytest.raises(Fault, match="SERVO_UNWATCHED"):
         keeper.beat()
     keeper.end(restored=True)
-    port.close()
 
 
-def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(
-    board: tuple[str, Bench, ServoBoard], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    name, bench, _ = board
-    port = SerialPort(name, bench.own.baud)
-    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
-    store.save(bench.setup.model, bench.own.id, values_of(link))
+def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(saved: Saved, monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
     start = subprocess.Popen
 
@@ -226,23 +222,15 @@ def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(
     monkeypatch.setattr(keepers, "_STARTS_S", 0.1)
     monkeypatch.setattr("rig.backends.servo.keeper.subprocess.Popen", mute)
     with pytest.raises(Fault, match="SERVO_UNWATCHED"):
-        ServoKeeper(link, store, port.descriptor, 30.0)
+        saved.keeper()
     assert started[0].returncode is not None  # one that comes late would write to another program's servo
-    port.close()
 
 
-def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(
-    board: tuple[str, Bench, ServoBoard], tmp_path: Path
-) -> None:
-    name, bench, _ = board
-    port = SerialPort(name, bench.own.baud)
-    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
-    store.save(bench.setup.model, bench.own.id, values_of(link))
-    one = ServoKeeper(link, store, port.descriptor, SILENCE_S)
+def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(saved: Saved) -> None:
+    one = saved.keeper(SILENCE_S)
     one.beat()
     assert wait_for(lambda: one.has_acted)
     told = [one.has_acted]  # it stays said
     one.rest()
     assert [*told, one.has_acted] == [True, False]
     one.end(restored=True)
-    port.close()

@@ -32,7 +32,7 @@ _BUILT: Final = {
     "pico-chip": "the Pico's firmware and its emulated chip",
 }
 _PACKAGE = FOLDER
-_TOOLS = str(FOLDER.parent / "tools")  # of the repository: chips is there
+_TOOLS = str(FOLDER.parent / "tools")  # of the repository: emulated_chips is there
 AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
 _NO_HEADER: Final = {  # what the compiler says: a library that Debian packs apart from what needs it
     "avr/io.h: No such file": f"avr-gcc has no C library: install it (Debian: apt-get install {AVR_PACKAGES})",
@@ -110,7 +110,7 @@ def source_folder() -> Path:
 
 
 def require_emulator(port: str | None) -> None:
-    """Make the package ``chips`` one that can be imported, where ``port`` names an emulated chip.
+    """Make the package ``emulated_chips`` one that can be imported, where ``port`` names an emulated chip.
 
     Raises EmulationError where this rig has none: what is installed has no chip. A command asks before anything slow.
     """

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 from array import array
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 from typing_extensions import override
 
@@ -15,31 +15,22 @@ from rig.backends.emulated.plug import Until
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.virtual_device import VirtualDevice, fields_of, load, seen
+from rig.backends.serial.emulated.virtual_device import Truth, VirtualDevice, load
 from rig.model.bench import BenchParameters
 
 _SHAFT_NS = 500_000  # between two points of its path
 
 
-class Truth(NamedTuple):
-    """What is really the case on the device, besides what it says on the wire.
+@dataclass(frozen=True)
+class BoardTruth(Truth):
+    """Of the host board.
 
-    t_s            virtual time, s
-    pin_V          drive at the board's pin; motor_V: what the wiring makes of it
-    y_rad, v_rad_per_s   of the measured shaft
-    pin_changed_s  time at which the drive at the pin changed last; negative: never
     armed, latched, hung
-    fault          code of the fault, 0 for none
-    recovering     +1 armed above the hard limits, -1 below, 0 neither
-    dropped        damaged frames that the device has dropped
+    fault       code of the fault, 0 for none
+    recovering  +1 armed above the hard limits, -1 below, 0 neither
+    dropped     damaged frames that the device has dropped
     """
 
-    t_s: float
-    pin_V: float
-    motor_V: float
-    y_rad: float
-    v_rad_per_s: float
-    pin_changed_s: float
     armed: bool
     latched: bool
     fault: int
@@ -48,11 +39,7 @@ class Truth(NamedTuple):
     hung: bool
 
 
-class _View(ctypes.Structure):
-    _fields_ = fields_of(Truth)
-
-
-class VirtualBoard(VirtualDevice):
+class VirtualBoard(VirtualDevice[BoardTruth]):
     """One emulated board, powered on at virtual time 0. Any number may live side by side.
 
     bench            what is behind the board
@@ -76,10 +63,9 @@ class VirtualBoard(VirtualDevice):
         build_folder: Path | None = None,
     ) -> None:
         options = device_options(bench, seed, clock_error_ppm, clock_start_us)
-        super().__init__(_load(build_folder), options, round(1e9 * bits_per_byte / baud))
+        super().__init__(BoardTruth, _load(build_folder), options, round(1e9 * bits_per_byte / baud))
         self.keeps_shaft = False  # the path, for ``shaft``
         self._shaft_t_s, self._shaft_rad = array("d"), array("d")
-        self._view = _View()
 
     @override
     def _run(self, until_ns: int, until: Until) -> None:
@@ -95,20 +81,13 @@ class VirtualBoard(VirtualDevice):
             self._keep_shaft()
 
     def _keep_shaft(self) -> None:
-        view = self._view
-        self._library.virtual_look(self._board, ctypes.byref(view))
+        view = self._look()
         self._shaft_t_s.append(view.t_s)
         self._shaft_rad.append(view.y_rad)
 
     def shaft(self) -> ShaftPath:
         """Where the shaft really was while it was kept: after each wait of the host, each 0.5 ms of an exchange."""
         return ShaftPath(self._shaft_t_s, self._shaft_rad)
-
-    def truth(self) -> Truth:
-        """What is really the case now."""
-        view = _View()
-        self._library.virtual_look(self._board, ctypes.byref(view))
-        return seen(Truth, view)
 
     def reset(self, cause: int) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out, 8 watchdog (bits may be combined)."""
@@ -153,7 +132,6 @@ def _load(build_folder: Path | None) -> ctypes.CDLL:
     return load(
         str(firmware_build.build(build_folder).library),
         {
-            "virtual_look": (None, [ctypes.POINTER(_View)]),
             "virtual_reset": (None, [ctypes.c_uint8]),
             "virtual_hang": (None, []),
             "virtual_motion": (ctypes.c_char_p, [where, where, real, real]),

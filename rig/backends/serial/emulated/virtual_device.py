@@ -5,9 +5,9 @@ from __future__ import annotations
 import ctypes
 import math
 import weakref
-from collections.abc import Mapping, Sequence
-from functools import cache
-from typing import Any, TypeVar, get_type_hints
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar, get_type_hints
 
 from typing_extensions import override
 
@@ -17,7 +17,28 @@ from rig.core.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 _READ_BYTES = 512
-Truth = TypeVar("Truth", bound=tuple[Any, ...])  # a NamedTuple of floats, ints and bools
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is really the case on a device, besides what it says on the wire; each device adds what it knows.
+
+    t_s            virtual time, s
+    pin_V          drive at the board's pin, of a chip the mean that the bridge makes of its pins; motor_V: what the
+                   wiring makes of it
+    y_rad, v_rad_per_s   of the measured shaft
+    pin_changed_s  time at which the drive at the pin changed last; negative: never
+    """
+
+    t_s: float
+    pin_V: float
+    motor_V: float
+    y_rad: float
+    v_rad_per_s: float
+    pin_changed_s: float
+
+
+Seen = TypeVar("Seen", bound=Truth)  # of floats, ints and bools
 
 
 class PortAndClock(Plug):
@@ -63,17 +84,21 @@ class PortAndClock(Plug):
         raise NotImplementedError
 
 
-class VirtualDevice(PortAndClock):
+class VirtualDevice(PortAndClock, Generic[Seen]):
     """Wire, clock and bench of a device in a shared library whose functions are named virtual_... .
 
+    truth    what it tells of itself: the names of ``virtual_view`` in C, in their order
     library  as ``load`` gives it
     options  of the device, by name
     byte_ns  time in which the host sends a byte
     Raises EmulationError if an option is wrong, MemoryError if there is no room for the device.
     """
 
-    def __init__(self, library: ctypes.CDLL, options: Mapping[str, str], byte_ns: int) -> None:
+    def __init__(self, truth: type[Seen], library: ctypes.CDLL, options: Mapping[str, str], byte_ns: int) -> None:
         super().__init__("virtual board")
+        self._truth, self._kinds = truth, get_type_hints(truth)
+        fields = [(name, ctypes.c_double if kind is float else ctypes.c_int32) for name, kind in self._kinds.items()]
+        self._view: Any = type("View", (ctypes.Structure,), {"_fields_": fields})()
         self._library = library
         self._board = ctypes.c_void_p(library.virtual_new())
         if not self._board:
@@ -127,20 +152,16 @@ class VirtualDevice(PortAndClock):
         """Put the shaft somewhere, as a hand would."""
         self._library.virtual_place(self._board, y_rad, v_rad_per_s)
 
+    # ------------------------------------------------------------------ what is true of it
 
-@cache
-def _kinds(truth: type[Truth]) -> dict[str, type]:
-    return get_type_hints(truth)
+    def truth(self) -> Seen:
+        """What is really the case now."""
+        view = self._look()
+        return self._truth(**{name: kind(getattr(view, name)) for name, kind in self._kinds.items()})
 
-
-def fields_of(truth: type[Truth]) -> Sequence[tuple[str, Any]]:
-    """The fields of ``virtual_view`` in C, whose names and order are those of ``truth``."""
-    return [(name, ctypes.c_double if kind is float else ctypes.c_int32) for name, kind in _kinds(truth).items()]
-
-
-def seen(truth: type[Truth], view: ctypes.Structure) -> Truth:
-    """The view as that tuple."""
-    return truth(**{name: kind(getattr(view, name)) for name, kind in _kinds(truth).items()})
+    def _look(self) -> Any:
+        self._library.virtual_look(self._board, ctypes.byref(self._view))
+        return self._view
 
 
 def load(path: str, more: Mapping[str, tuple[Any, list[Any]]]) -> ctypes.CDLL:
@@ -160,6 +181,7 @@ def load(path: str, more: Mapping[str, tuple[Any, list[Any]]]) -> ctypes.CDLL:
         "virtual_now_ns": (number, []),
         "virtual_rewire": (text, [text, text]),
         "virtual_place": (None, [real, real]),
+        "virtual_look": (None, [ctypes.c_void_p]),
         **more,
     }
     for name, (result, arguments) in signatures.items():

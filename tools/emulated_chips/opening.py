@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from chips.chip_board import ChipBoard
-from chips.pico_board import PicoBoard
-from chips.pico_parameters import pico_parameters
-from chips.virtual_chip import VirtualChip, variant_of
-from chips.virtual_pico import VirtualPico
+from emulated_chips.chip_board import ChipBoard
+from emulated_chips.pico_board import PicoBoard
+from emulated_chips.pico_parameters import pico_parameters
+from emulated_chips.virtual_chip import VirtualChip, variant_of
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.backend import emulated_of
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess

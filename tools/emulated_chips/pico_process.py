@@ -19,7 +19,8 @@ import time
 from pathlib import Path
 from typing import TextIO
 
-from chips.virtual_pico import PicoTruth, VirtualPico
+from emulated_chips.truth import ChipTruth
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
 
@@ -112,7 +113,7 @@ class _Board:
             with contextlib.suppress(BlockingIOError):  # nobody reads
                 os.write(self._host, arrived)
 
-    def _trace(self, truth: PicoTruth, *, at_any_rate: bool = False) -> None:
+    def _trace(self, truth: ChipTruth, *, at_any_rate: bool = False) -> None:
         """A row where the drive at the pins has changed, and each 10 ms."""
         is_due = truth.pin_changed_s > self._changed_s or truth.t_s >= self._traced_s + _TRACE_EVERY_S
         if self._rows is None or not (is_due or at_any_rate):

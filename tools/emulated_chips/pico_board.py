@@ -29,6 +29,6 @@ class PicoBoard(BoardProcess):
         """
         self._must_not_run()
         tools = str(Path(__file__).parents[1])
-        begin = f"import sys; sys.path.append({tools!r}); from chips.pico_process import main; main()"
+        begin = f"import sys; sys.path.append({tools!r}); from emulated_chips.pico_process import main; main()"
         program = (sys.executable, "-P", "-c", begin)
         return self._launch(program, {"chip": json.dumps(parameters)}, link, trace)

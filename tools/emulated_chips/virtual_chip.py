@@ -5,14 +5,15 @@ from __future__ import annotations
 import ctypes
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
-from chips import build
-from chips.build import ChipFirmware
+from emulated_chips import build
+from emulated_chips.build import ChipFirmware
+from emulated_chips.truth import Contact, UnoTruth
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.device_options import device_options
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
-from rig.backends.serial.emulated.virtual_device import VirtualDevice, fields_of, load, seen
+from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
 _BITS_PER_BYTE = 10
@@ -20,7 +21,6 @@ _CONTACT_PIN = {"e_stop": 4, "end_low": 5, "end_high": 6}  # of port D: firmware
 _HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3, "tick": 4}
 _STALL = {"main loop": 1, "tick": 2}
 
-Contact = Literal["e_stop", "end_low", "end_high"]
 Hang = Literal["main loop", "everything", "clock", "converter", "tick"]
 Stall = Literal["main loop", "tick"]
 
@@ -48,49 +48,7 @@ def chip_options(
     }
 
 
-class ChipTruth(NamedTuple):
-    """The true state of the chip's pins and of the bench.
-
-    t_s            virtual time, s
-    pin_V          mean voltage that the bridge makes of the pins
-    motor_V        voltage that the wiring passes on to the motor
-    y_rad, v_rad_per_s   of the measured shaft
-    pin_changed_s  time at which the drive at the pins last changed; negative: never
-    awake_share    share of the time in which the program did not sleep
-    masked_us      longest time with interrupts masked; this and the next three are 0 without ``measure``
-    interrupt_share  largest share of a tick spent in interrupts
-    timed_share    the same without the serial port's interrupts
-    tick_us        longest control tick, without interrupts
-    led            is lit: armed, or blinking
-    resets         of any cause, since power on
-    overruns       bytes that the chip's receiver had no room for
-    crashed        the program ended, or left its code
-    stack_bytes    greatest depth of the stack
-    """
-
-    t_s: float
-    pin_V: float
-    motor_V: float
-    y_rad: float
-    v_rad_per_s: float
-    pin_changed_s: float
-    awake_share: float
-    masked_us: float
-    interrupt_share: float
-    timed_share: float
-    tick_us: float
-    led: bool
-    resets: int
-    overruns: int
-    crashed: bool
-    stack_bytes: int
-
-
-class _View(ctypes.Structure):
-    _fields_ = fields_of(ChipTruth)
-
-
-class VirtualChip(VirtualDevice):
+class VirtualChip(VirtualDevice[UnoTruth]):
     """One emulated Uno, powered on at virtual time 0. Any number may live side by side.
 
     bench            what is behind the board; its ``drive_counts`` is the chip's own business
@@ -122,13 +80,7 @@ class VirtualChip(VirtualDevice):
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
         if wires is not None:
             wanted["bare"] = str(wires)
-        super().__init__(_load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
-
-    def truth(self) -> ChipTruth:
-        """What is really the case now."""
-        view = _View()
-        self._library.virtual_look(self._board, ctypes.byref(view))
-        return seen(ChipTruth, view)
+        super().__init__(UnoTruth, _load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
 
     def reset(self, cause: int, boot_s: float = 0.0) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot loader, pins floating."""
@@ -170,7 +122,6 @@ def _load(path: str) -> ctypes.CDLL:
     return load(
         path,
         {
-            "virtual_look": (None, [ctypes.POINTER(_View)]),
             "virtual_boot": (None, [ctypes.c_uint8, ctypes.c_double]),
             "virtual_contact": (None, [integer, integer]),
             "virtual_hang": (integer, [integer]),

@@ -8,10 +8,11 @@ import math
 import subprocess
 import weakref
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, NotRequired, TypedDict
 
 from typing_extensions import override
 
+from emulated_chips.truth import ChipTruth, Contact
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Until
 from rig.backends.serial.emulated.virtual_device import PortAndClock
@@ -24,7 +25,6 @@ if TYPE_CHECKING:  # it loads slowly
 
 _END_S = 10.0
 
-PicoContact = Literal["e_stop", "end_low", "end_high"]
 PicoHang = Literal["main loop", "everything", "tick", "converter", "counter"]
 
 
@@ -38,36 +38,6 @@ class _Said(TypedDict):
 
 
 PicoStall = Literal["main loop", "tick"]
-
-
-class PicoTruth(NamedTuple):
-    """The true state of the chip's pins and of the bench.
-
-    t_s            virtual time, s
-    pin_V          mean voltage that the bridge makes of the pins
-    motor_V        voltage that the wiring passes on to the motor
-    y_rad, v_rad_per_s   of the measured shaft
-    pin_changed_s  time at which the drive at the pins last changed; negative: never
-    awake_share    share of the time in which the program did not sleep
-    masked_us      longest time with interrupts masked
-    tick_us        longest control tick, without the interrupts that come between
-    led            is lit: armed, or blinking
-    resets         of any cause, since power on
-    overruns       bytes that the chip's receiver had no room for
-    """
-
-    t_s: float
-    pin_V: float
-    motor_V: float
-    y_rad: float
-    v_rad_per_s: float
-    pin_changed_s: float
-    awake_share: float
-    masked_us: float
-    tick_us: float
-    led: bool
-    resets: int
-    overruns: int
 
 
 class VirtualPico(PortAndClock):
@@ -124,7 +94,7 @@ class VirtualPico(PortAndClock):
         """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot program, pins floating."""
         self._call("reset", cause, boot_s)
 
-    def contact(self, which: PicoContact, is_open: bool) -> None:
+    def contact(self, which: Contact, is_open: bool) -> None:
         """Open or close a contact; all are closed at power on."""
         self._call("contact", which, is_open)
 
@@ -138,9 +108,9 @@ class VirtualPico(PortAndClock):
 
     # ------------------------------------------------------------------ what is true of it
 
-    def truth(self) -> PicoTruth:
+    def truth(self) -> ChipTruth:
         """What is really the case now."""
-        return PicoTruth(**self._call("look"))
+        return ChipTruth(**self._call("look"))
 
     def stack_bytes(self) -> int:
         """Greatest depth of the stack since power on."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from chips import build
-from chips.virtual_chip import chip_options, variant_of
+from emulated_chips import build
+from emulated_chips.virtual_chip import chip_options, variant_of
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.config.schema import Emulated, Tachometer
