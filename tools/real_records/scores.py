@@ -117,7 +117,9 @@ def compared(seen: Seen, numbers: Mapping[str, tuple[float, float]], share: floa
         one = None if answer is None else (answer.grade or {}).get(name)
         u95 = math.inf if one is None or one.u95 is None else one.u95
         bound = math.inf if bounds is None else 0.5 * (bounds[1] - bounds[0])
-        yield Compared(seen.name, seen.motor, name, known, value, u95, bound, seen.given(name) is not None, (share, own))
+        yield Compared(
+            seen.name, seen.motor, name, known, value, u95, bound, seen.given(name) is not None, (share, own)
+        )
 
 
 def by_table(records: Sequence[Seen], known: Mapping[str, Known]) -> list[Compared]:
