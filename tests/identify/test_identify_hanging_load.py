@@ -24,7 +24,7 @@ LOADED = RealMotor(0.15, 3.0, 0.1, force_sin_V=3.0, load_friction=0.35, load_out
 
 
 def _begun(motor: RealMotor) -> Beginning:
-    t_s = np.arange(0.0, 8.0, 0.008)
+    t_s = np.arange(0.0, 6.0, 0.008)
     u_V = 3.6 * np.sin(2.0 * math.pi * 0.4 * t_s) + 1.2 * np.sin(2.0 * math.pi * 1.1 * t_s)
     clean = response(motor, Frame(0.0, 1.0), (t_s, u_V), t_s, Pieces.one())
     y_rad = clean + np.random.default_rng(3).normal(0.0, 5e-4, t_s.size)
