@@ -7,7 +7,7 @@ anywhere. Over a piece it cannot. So where the whole record does not give a moto
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.identification.chance import student_975
 from rig.identification.departures.blocks import Blocks
-from rig.identification.departures.departure import LARGEST_FORCE
+from rig.identification.departures.departure import LARGEST_FORCE, NOTHING
 from rig.identification.departures.fit import (
     CORE,
     DELAY,
@@ -82,7 +82,7 @@ def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit
         if found and cut.begins.size == found[-1].problem.cut.begins.size:
             continue
         problem = Problem(cut, free, limits_of(free, cut, delay_s), sigma)
-        found.append(_best(problem, found, longest_s, 0.25 * delay_s[1] if free_delay else 0.0))
+        found.append(best_of_starts(problem, found, longest_s, 0.25 * delay_s[1] if free_delay else 0.0))
     blocks = Blocks.of(whole, float(np.median([fit.motor.tau_s for fit in found])))
     best = min(found, key=lambda fit: blocks.error(fit.motor, fit.problem))
     if (error := blocks.error(best.motor, best.problem)) > POOR:
@@ -99,11 +99,20 @@ def _with_force(best: Fit, whole: Cut, largest_V: float, longest_s: float) -> Fi
     most_V = LARGEST_FORCE * largest_V
     limits = {**given.limits, **dict.fromkeys(FORCE, (-most_V, most_V)), "tau_s": tau_s}
     problem = replace(given, cut=whole.every(PIECE_S), free=(*given.free, *FORCE), limits=limits)
-    return _best(problem, (), longest_s, best.motor.delay_s)
+    return best_of_starts(problem, (), longest_s, best.motor.delay_s)
 
 
-def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: float) -> Fit:
-    """The best of the starts on these pieces: a grid, and what other lengths found."""
+def best_of_starts(
+    problem: Problem,
+    earlier: Sequence[Fit],
+    longest_s: float,
+    delay_s: float,
+    laws: Mapping[str, float] = NOTHING,
+) -> Fit:
+    """The best of the starts on these pieces: a grid, and what other lengths found.
+
+    laws   further numbers that each of them begins with
+    """
     cut = problem.cut
     period_s = min(window.period_s for window in cut.windows)
     speed = float(np.sqrt(np.mean(cut.guessed()[:, 0] ** 2)))
@@ -115,7 +124,7 @@ def _best(problem: Problem, earlier: Sequence[Fit], longest_s: float, delay_s: f
         for share in FRICTIONS:
             motors.append(RealMotor(tau, max(speed, 1e-9) / drive_V / (1.0 - share), share * drive_V, 0.0, delay_s))
     starts, rows = cut.guessed(), cut.t_s.size
-    fresh = [begun(problem, motor, starts) for motor in motors]
+    fresh = [begun(problem, motor._replace(**laws), starts) for motor in motors]
     tried = side_by_side(lambda fit: solve(fit, FIRST_ITERATIONS), fresh, rows)
     ranked = sorted((fit for fit in tried if math.isfinite(fit.cost)), key=lambda fit: fit.cost)
     return min(side_by_side(solve, ranked[:2], rows), key=lambda fit: fit.cost)

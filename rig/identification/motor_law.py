@@ -33,6 +33,7 @@ from rig.identification.departures.rounding import by_rounding
 from rig.identification.driven import bears
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.further import Further, agreeing
+from rig.identification.hanging_load import behind_a_gear
 from rig.identification.model_error import (
     AT_0_V,
     MANY_LAWS,
@@ -439,6 +440,7 @@ def motor_law(
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
+        choice = behind_a_gear(choice, begun.chooser, whole, begun.cycle_s)
         if not further and len(set(names)) > 1:
             level = levels(with_own_noise(choice.fit), names)
             for each, drift in (

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ class SampledData(Estimator):
         tests, beside, periods_s = data.tests, data.beside, data.periods_s
         if 0 < len(searches) < len(tests):  # the others tell too little alone
             tests, beside, periods_s = searches, [*tests[len(searches) :], *beside], [None] * len(searches)
-        of_tests = nearest(fit(tests, starts, periods_s=periods_s), tests, periods_s)
+        of_tests = nearest(tests, starts, periods_s)
         found = together(of_tests, tests, beside)
         estimate = replace(found.estimate, remarks=found.remarks)
         # a search that stands for tests does not speak for those that it contradicts
@@ -108,13 +108,48 @@ def fit(
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; `SampledData.judge` judges it.
     Raises IdentifyError if there is nothing to fit.
     """
+    return _white_fit(tests, starts, free_delay=free_delay, periods_s=periods_s).estimate()
+
+
+@dataclass(frozen=True, eq=False)
+class _WhiteFit:
+    """A fit of these tests that takes the noise for white.
+
+    rows   first and last row of the recordings, where the fit has several as one; None: those of the problem
+    """
+
+    problem: OutputErrorProblem
+    best: Solution
+    tests: Sequence[TimeSeries]
+    periods_s: Sequence[float | None]
+    rows: tuple[int, int] | None = None
+
+    @property
+    def rms_rad(self) -> float:
+        """RMS residual, rad."""
+        return math.sqrt(self.best.cost / self.best.residual.size)
+
+    def estimate(self) -> Estimate:
+        """The estimate, fitted again with the noise that its residual shows."""
+        found = _estimate(*_with_noise(*rests_once(self.problem, self.best)), self.tests, self.periods_s)
+        return found if self.rows is None else replace(found, rows=self.rows)
+
+
+def _white_fit(
+    tests: Sequence[TimeSeries],
+    starts: Sequence[Start] | None,
+    *,
+    free_delay: bool | None = None,
+    periods_s: Sequence[float | None] | None = None,
+) -> _WhiteFit:
+    """As ``fit``, with white noise."""
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
     given = periods_s or [None] * len(tests)
     periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
     of_step = min(sum(map(len, tests)) // ROWS_OF_STEPS, *map(of_one_step, tests))
     if of_step > 1:  # a coarse sensor
         found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free))
-        if found.tau_s >= ROWS_OF_TAU * of_step * max(test.period_s for test in tests):
+        if math.exp(found.best.x[0]) >= ROWS_OF_TAU * of_step * max(test.period_s for test in tests):
             first, last = min(test.first_row for test in tests), max(test.first_row + len(test) for test in tests)
             return replace(found, rows=(first, last - 1))
     return _fitted(tests, starts, periods, _delays_s(tests, free))
@@ -125,16 +160,15 @@ def _fitted(
     starts: Sequence[Start] | None,
     periods_s: Sequence[float | None],
     delay_s: tuple[float, float] | None,
-) -> Estimate:
-    """``fit`` to these rows; ``delay_s``: bounds of the delay, s; None: it is known."""
+) -> _WhiteFit:
+    """``_white_fit`` to these rows; ``delay_s``: bounds of the delay, s; None: it is known."""
     problem = _problem(tests, delay_s)
     guesses = list(starts) if starts else grid_starts(problem.windows)
     cycles_s = [period for period in periods_s if period is not None]
     best = _of_fewer_rows(problem, tests, guesses, cycles_s)
     if best is None:
         best = _extended(problem, _candidates(problem, guesses), cycles_s)
-    problem, best = _with_noise(*rests_once(problem, best))
-    return _estimate(problem, best, tests, periods_s)
+    return _WhiteFit(problem, best, tests, periods_s)
 
 
 def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, float] | None:
@@ -162,28 +196,33 @@ def _of_fewer_rows(
     return problem.solve(np.concatenate((first.x[:SHARED], states))).after(first)
 
 
-def nearest(found: Estimate, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]) -> Estimate:
-    """``found``, or a motor from pieces of the tests where ``found`` leaves more than noise, and that predicts better.
+def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods_s: Sequence[float | None]) -> Estimate:
+    """``fit``, or a motor from pieces of the tests where it leaves more than noise, and that predicts better.
 
     Over the whole tests a fit may end anywhere. So it is tried again from the motor of the pieces; and where the tests
-    do not bear a plain motor over their whole length, the pieces' own motor is the estimate.
+    do not bear a plain motor over their whole length, the pieces' own motor is the estimate. Of two fits the better one
+    is fitted again with its noise; the other one needs none.
     """
+    white = _white_fit(tests, starts, periods_s=periods_s)
     noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
-    leaves = found.rms_rad > max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
-    if found.converged and not leaves:
-        return found
+    most_rad = max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
+    if white.rms_rad <= most_rad:
+        found = white.estimate()
+        if found.converged and found.rms_rad <= most_rad:
+            return found
     free = any(test.t_u_s is None for test in tests)
     rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
     thin = [thinned(test, rows) for test in tests]
     try:
         pieces, blocks = fit_in_pieces(thin, free_delay=free)
     except IdentifyError:
-        return found  # too short for pieces
+        return white.estimate()  # too short for pieces
     motor = pieces.motor
     start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
-    again = fit(tests, [start], free_delay=free, periods_s=periods_s)
-    if again.converged and (not found.converged or again.rms_rad < found.rms_rad):
-        found = again
+    again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s)
+    if again.best.converged and (not white.best.converged or again.rms_rad < white.rms_rad):
+        white = again
+    found = white.estimate()
     if found.converged and not found.rms_rad > PIECES_FROM * noise:
         return found
     delay_s = found.delay_s if free else 0.0

@@ -159,6 +159,7 @@ def test_known_numbers_are_read_from_the_readme_beside_the_records(tmp_path: Pat
     (tmp_path / "README.md").write_text(README, encoding="utf-8")
     known = known_of(tmp_path / "README.md")
     assert known["one"].predicts and not known["DATA_EMPS"].predicts
+    assert known["one"].share == pytest.approx(0.125 / 0.214)
     assert set(known["one"].numbers) == {"K_rad_s_V", "fc_V"}
     assert known["one"].numbers["K_rad_s_V"] == pytest.approx((5.2, 0.416))
     assert known["one"].numbers["fc_V"] == pytest.approx((1.4, 0.28))
@@ -171,21 +172,25 @@ def test_figures_count_what_is_given_what_is_off_and_what_siblings_share() -> No
     first, second, other = (Seen(name, name[0], _record(k, motor), 3.0) for k, name in enumerate(("a1", "a2", "b1")))
     late = Seen("b2", "b", None, 13.0)
     known = {
-        "a1": Known(True, {"K_rad_s_V": (5.0, 0.01), "fc_V": (3.0, 0.1)}),
-        "b2": Known(True, {"tau_s": (0.1, 0.0)}),
+        "a1": Known(True, 0.01, {"K_rad_s_V": (5.0, 0.01), "fc_V": (3.0, 0.1)}),
+        "b2": Known(True, 0.5, {"tau_s": (0.1, 0.0)}),
     }
     records = [first, second, other, late]
     seen = [(one.is_given, one.holds) for one in by_table(records, known)]
     assert seen == [(True, True), (True, False), (False, False)]
     row = dict(zip(FIGURES, figures(records, known, []), strict=True))
     assert row["known by the table: given (3/4 asked)"] == "2 of 3"
-    assert row["by the table: off (0 asked)"] == "1 of 2"
+    assert row["by the table: off"] == row["by the table: off without that reason (0 asked)"] == "1 of 2"
     assert row["refused, of those that can be predicted (0 asked)"] == "1 of 2"
     assert row["numbers of siblings that agree (90 % asked)"] == "3 of 3"
     assert row["within 12 s of CPU (90 % asked)"] == "3 of 4"
     assert laws_shared(records) == (0, 0)
     without_b = [cells[3] for cells in left_out(records, known, [])]
     assert without_b == figures([first, second], known, [])
+    worse = {**known, "a1": Known(True, 1.0, known["a1"].numbers)}  # no better than a linear model: rig's is nearer
+    row = dict(zip(FIGURES, figures(records, worse, []), strict=True))
+    assert row["by the table: off"] == "1 of 2"
+    assert row["by the table: off without that reason (0 asked)"] == "0 of 2"
 
 
 @pytest.mark.usefixtures("plain_motor")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 NUMBERS = ("tau_s", "K_rad_s_V", "fc_V")
 LESS_BIAS = "fc_less_bias_V"
-ROW = re.compile(r"\|\s*([\w.]+)\s*\|\s*(yes|no): [^|]*\|([^|]+)\|([^|]+)\|([^|]+)\|")
+ROW = re.compile(r"\|\s*([\w.]+)\s*\|\s*(yes|no): ([\d.]+), ([\d.]+)\s*\|([^|]+)\|([^|]+)\|([^|]+)\|")
 CELL = re.compile(r"\s*(-?[\d.]+) ± ([\d.]+) %\s*(\([^)]*\))?")
 
 
@@ -17,10 +17,12 @@ class Known:
     """What is known of one record.
 
     predicts   whether the README says that the record can be predicted
+    share      held-out error of the motor that the numbers are of, over that of a linear model in the same blocks
     numbers    by name: value, and half width of its interval
     """
 
     predicts: bool
+    share: float
     numbers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -39,11 +41,11 @@ def known_of(readme: Path) -> dict[str, Known]:
     found: dict[str, Known] = {}
     for row in ROW.finditer(readme.read_text(encoding="utf-8")):
         numbers: dict[str, tuple[float, float]] = {}
-        for name, cell in zip(NUMBERS, row.groups()[2:], strict=True):
+        for name, cell in zip(NUMBERS, row.groups()[4:], strict=True):
             told = CELL.match(cell)
             if told is None or told[3] == "(not known)":
                 continue
             value = float(told[1])
             numbers[LESS_BIAS if told[3] == "(f_c - a)" else name] = value, abs(value) * float(told[2]) / 100.0
-        found[OTHER_NAMES.get(row[1], row[1])] = Known(row[2] == "yes", numbers)
+        found[OTHER_NAMES.get(row[1], row[1])] = Known(row[2] == "yes", float(row[3]) / float(row[4]), numbers)
     return found

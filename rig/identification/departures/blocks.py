@@ -191,6 +191,11 @@ def held_out(blocks: Blocks, problem: Problem, motor: RealMotor) -> HeldOut:
     return HeldOut(own, _ratio(blocks.held_out(straight.problem, straight.motor), stays), blocks.length_s, blocks.count)
 
 
+def held_out_error(blocks: Blocks, problem: Problem, motor: RealMotor) -> float:
+    """RMS error of a fitted motor over that of 'it stays as it was'."""
+    return _ratio(blocks.held_out(problem, motor), blocks.squares(blocks.stays_rad()))
+
+
 def linear(blocks: Blocks, problem: Problem, motor: RealMotor) -> Fit:
     """The linear model: no friction, no laws, fitted to all blocks."""
     free = tuple(name for name in problem.free if name in ("tau_s", "K_rad_s_V", "bias_V", "delay_s"))
