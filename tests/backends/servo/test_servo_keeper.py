@@ -231,6 +231,29 @@ def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(
     port.close()
 
 
+def test_a_keeper_ends_with_its_command_though_a_copy_of_it_lives(
+    board: tuple[str, Bench, ServoBoard], tmp_path: Path
+) -> None:
+    """As one that a law has forked: it must not keep the servo from being put back."""
+    name, bench, _ = board
+    port = SerialPort(name, bench.own.baud)
+    link, store = link_to(port, bench), BeforeStore(tmp_path / "servo.json")
+    store.save(bench.setup.model, bench.own.id, values_of(link))
+    keeper = ServoKeeper(link, store, port.descriptor, 30.0)
+    copy = os.fork()
+    if copy == 0:
+        signal.pause()
+        os._exit(1)
+    try:
+        keeper._let_go()  # as where the command dies
+        assert keeper._process.wait(PATIENCE_S) == 0
+    finally:
+        os.kill(copy, signal.SIGKILL)
+        os.waitpid(copy, 0)
+    keeper.end(restored=False)
+    port.close()
+
+
 def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(
     board: tuple[str, Bench, ServoBoard], tmp_path: Path
 ) -> None:
