@@ -9,6 +9,8 @@ import time
 from typing import Final
 
 _WAKES_S: Final = 0.1  # one that was stopped together with this process may go on so much later
+_STOPPED: Final = getattr(os, "CLD_STOPPED", 5)  # not on Windows
+_ENDED: Final = -1
 
 
 class Halts:
@@ -20,7 +22,7 @@ class Halts:
     @property
     def is_stopped(self) -> bool:
         """Whether it is stopped now, as by SIGSTOP; False where it has ended, and where the system does not tell."""
-        return self._event() == os.CLD_STOPPED
+        return self._event() == _STOPPED
 
     @property
     def words(self) -> str:
@@ -32,18 +34,18 @@ class Halts:
         if event is None:
             self._since_s = math.inf
             return ""
-        if event != os.CLD_STOPPED:
+        if event != _STOPPED:
             return f"the keeper ended with status {self._process.poll()}"
         now_s = time.monotonic()
         self._since_s = min(self._since_s, now_s)
         return "somebody has stopped the keeper, as by SIGSTOP" if now_s - self._since_s > _WAKES_S else ""
 
     def _event(self) -> int | None:
-        """What has happened to it, as a code of SIGCHLD; None: it goes on."""
+        """_STOPPED, _ENDED or another code of SIGCHLD that says so; None: it goes on."""
         if not hasattr(os, "waitid"):  # on macOS before Python 3.13: it tells of no stop
-            return None if self._process.poll() is None else os.CLD_EXITED
+            return None if self._process.poll() is None else _ENDED
         try:
             told = os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT)
         except ChildProcessError:  # somebody has waited for it
-            return os.CLD_EXITED
+            return _ENDED
         return None if told is None else told.si_code
