@@ -1,38 +1,51 @@
-"""Whether somebody has stopped a process that this one has started, as by SIGSTOP: it lives, and does nothing."""
+"""Whether a process that this one has started works for it: it may have ended, or somebody may have stopped it."""
 
 from __future__ import annotations
 
 import math
 import os
+import subprocess
 import time
 from typing import Final
 
 _WAKES_S: Final = 0.1  # one that was stopped together with this process may go on so much later
-WORDS: Final = "somebody has stopped the keeper, as by SIGSTOP"
+_STOPPED: Final = getattr(os, "CLD_STOPPED", 5)  # not on Windows
+_ENDED: Final = -1
 
 
 class Halts:
-    """Looks at a child, whose number it is given."""
+    """Looks at a child, the keeper of a device or of a law."""
 
-    def __init__(self, pid: int) -> None:
-        self._pid, self._since_s = pid, math.inf
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process, self._since_s = process, math.inf
 
     @property
     def is_stopped(self) -> bool:
-        """Whether it is stopped now; False for one that has ended, and where the system does not tell."""
-        if not hasattr(os, "waitid"):  # not on macOS before Python 3.13
-            return False
-        try:
-            return os.waitid(os.P_PID, self._pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is not None
-        except ChildProcessError:
-            return False
+        """Whether it is stopped now, as by SIGSTOP; False where it has ended, and where the system does not tell."""
+        return self._event() == _STOPPED
 
     @property
-    def is_for_good(self) -> bool:
-        """Whether it has been stopped for longer than a machine that goes on may leave it so; to be asked often."""
-        if not self.is_stopped:
+    def words(self) -> str:
+        """Why it does nothing any more; empty while it works, or may go on with a machine that stood still.
+
+        To be asked often: one system call while it works.
+        """
+        event = self._event()
+        if event is None:
             self._since_s = math.inf
-            return False
+            return ""
+        if event != _STOPPED:
+            return f"the keeper ended with status {self._process.poll()}"
         now_s = time.monotonic()
         self._since_s = min(self._since_s, now_s)
-        return now_s - self._since_s > _WAKES_S
+        return "somebody has stopped the keeper, as by SIGSTOP" if now_s - self._since_s > _WAKES_S else ""
+
+    def _event(self) -> int | None:
+        """_STOPPED, _ENDED or another code of SIGCHLD that says so; None: it goes on."""
+        if not hasattr(os, "waitid"):  # on macOS before Python 3.13: it tells of no stop
+            return None if self._process.poll() is None else _ENDED
+        try:
+            told = os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        except ChildProcessError:  # somebody has waited for it
+            return _ENDED
+        return None if told is None else told.si_code

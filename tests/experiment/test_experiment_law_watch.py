@@ -579,7 +579,7 @@ def test_a_keeper_that_is_stopped_while_it_has_the_link_never_speaks_again_and_t
     law.keeper = keeper
     waits = [sys.executable, "-c", "input()"]
     with subprocess.Popen(waits, stdin=subprocess.PIPE) as keeper._process:
-        keeper._halts = Halts(keeper._process.pid)
+        keeper._halts = Halts(keeper._process)
         keeper._process.send_signal(signal.SIGSTOP)
         with pytest.raises(Fault, match=r"LAW_UNWATCHED.*somebody has stopped the keeper"):
             law.step(Sample(0.0, 0.0, 512))

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from rig.core.faults import Fault
+from rig.core.memory_file import create_file
 from rig.core.signals import Sample
 from rig.output.report.source import load
 from rig.run_folder.recording import layout
@@ -31,7 +32,7 @@ class Bench:
     """A writer in this process, and the loop's side of its memory."""
 
     def __init__(self, folder: Path) -> None:
-        self._descriptor = layout.create_file(layout.size_of(64, 4096))
+        self._descriptor = create_file(layout.size_of(64, 4096))
         self.shared = SharedMemory(self._descriptor, 64, 4096)
         self.folder = folder
         self.writer = Writer(self.shared, folder, ["relay-1"])

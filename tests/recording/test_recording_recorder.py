@@ -28,6 +28,7 @@ from evidence import evidence, one_of_each
 from processes import wait_until
 
 from rig.core.faults import Fault
+from rig.core.memory_file import create_file
 from rig.core.signals import Sample
 from rig.run_folder.recording import layout
 from rig.run_folder.recording.errors import RecordingError
@@ -430,7 +431,7 @@ def test_a_disk_full_from_the_start_is_reported_before_anything_moves(
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    descriptor = layout.create_file(layout.size_of(64, 4096))
+    descriptor = create_file(layout.size_of(64, 4096))
     shared = layout.SharedMemory(descriptor, 64, 4096)
     writer = Writer(shared, tmp_path, ["relay-1"])
     monkeypatch.setattr(os, "write", full)
@@ -457,7 +458,7 @@ def test_nothing_is_recorded_into_what_only_has_the_name(
 
 def test_what_comes_until_the_loop_has_ended_fits_on_a_full_disk(tmp_path: Path) -> None:
     """The writer itself, on a disk that is full until the room that was kept is given up."""
-    descriptor = layout.create_file(layout.size_of(64, 4096))
+    descriptor = create_file(layout.size_of(64, 4096))
     shared = layout.SharedMemory(descriptor, 64, 4096)
     writer = Writer(shared, tmp_path, ["relay-1"])
     writer.resume()

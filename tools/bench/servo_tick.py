@@ -57,7 +57,7 @@ def bare(descriptor: int, exchanges: list[tuple[bytes, int]]) -> Tick:
 def measured(name: str, rounds: int) -> dict[str, dict[str, list[float]]]:
     """Time and processor's time of each tick, us, by client."""
     experiment = load(ROOT / "config" / name)
-    daq = experiment.daq.model_copy(update={"port": "emulated-realtime", "watchdog_s": SILENCE_S})
+    daq = experiment.daq.model_copy(update={"port": "emulated-realtime", "watchdog_s": SILENCE_S, "timeout_s": 0.5})
     experiment = experiment.model_copy(update={"daq": daq})
     servo = servo_of(experiment.device)
     bus, read = bus_of(servo.table, servo.id, daq.baud), servo_map(servo.table).read

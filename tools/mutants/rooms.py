@@ -83,8 +83,6 @@ ROOMS = (
 
 # name of a mutant: why what it does is what the code does
 EQUIVALENT: dict[str, str] = {
-    "recording/layout.py allocate: zeros = bytes(1 << 20) # setting the length alone would leave a hole -> zeros = "
-    "bytes(1 % 20) # setting the length alone would leave a hole": "the same zeros, in pieces of one byte",
     "backends/registers/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # "
     "reads that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
     "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (

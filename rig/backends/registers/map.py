@@ -127,14 +127,24 @@ class RegisterSpan:
         if self._bytes is not None:
             if len(words) != self.words:
                 raise ValueError(f"{len(words)} bytes where {self} has {self.words}")
-            held = self._bytes.unpack(bytes(words))
-            return {r.name: r.signed(raw) for r, raw in zip(self._in_order, held, strict=True)}
+            held: dict[str, float] = dict(zip(self._names, self._bytes.unpack(bytes(words)), strict=True))
+            for r in self._signed:
+                held[r.name] = r.signed(held[r.name])
+            return held
         first = self.address
         return {r.name: r.unpack(words[r.address - first : r.address - first + r.words]) for r in self.registers}
 
     @cached_property
     def _in_order(self) -> tuple[Register, ...]:
         return tuple(sorted(self.registers, key=lambda r: r.address))
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(r.name for r in self._in_order)
+
+    @cached_property
+    def _signed(self) -> tuple[Register, ...]:
+        return tuple(r for r in self.registers if r.sign_bit is not None)
 
     @cached_property
     def _bytes(self) -> struct.Struct | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeVar
 
 from typing_extensions import override
@@ -63,6 +63,7 @@ class Bus(Protocol[Ask]):
 
     refusal = REFUSAL
     echoes = False
+    status: Callable[[int], bytes]  # the answer of a servo that has nothing to tell
 
     def __init__(self, id: int, baud: int) -> None:
         self.id = id
@@ -70,6 +71,7 @@ class Bus(Protocol[Ask]):
         self.turnaround_s = TURNAROUND_S
         self._baud = baud
         self._sent = b""
+        self._confirmed: dict[int, bytes] = {}  # made once for each id: asked for in each tick
 
     @override
     def encode(self, request: Ask) -> bytes:
@@ -78,6 +80,8 @@ class Bus(Protocol[Ask]):
 
     @override
     def take(self, data: bytes) -> Answer | None:
+        if not self.echoes and data == self.confirmed():  # the answer to each drive
+            return Answer(self.id, b"\0", len(data))
         self.echoes = self.echoes or data.startswith(self._sent)
         if not self.echoes:
             return self.answer(data)
@@ -131,11 +135,15 @@ class Bus(Protocol[Ask]):
 
     def confirmed(self) -> bytes:
         """The answer to a write that was done, without any error."""
-        raise NotImplementedError
+        if self.id not in self._confirmed:
+            self._confirmed[self.id] = self.status(self.id)
+        return self._confirmed[self.id]
 
 
 class DynamixelBus(Bus):
     """Protocol 2.0."""
+
+    status = staticmethod(dynamixel.status)
 
     @override
     def answer(self, data: bytes) -> Answer | None:
@@ -173,13 +181,11 @@ class DynamixelBus(Bus):
     def reboot(self) -> Ask:
         return Ask(dynamixel.reboot(self.id), "reboot")
 
-    @override
-    def confirmed(self) -> bytes:
-        return dynamixel.status(self.id)
-
 
 class FeetechBus(Bus):
     """Feetech's protocol. Nothing in an answer tells which request it is for, and one damaged packet in 256 passes."""
+
+    status = staticmethod(feetech.status)
 
     @override
     def answer(self, data: bytes) -> Answer | None:
@@ -208,10 +214,6 @@ class FeetechBus(Bus):
     @override
     def reboot(self) -> Ask:
         return Ask(feetech.reboot(self.id), "reboot")
-
-    @override
-    def confirmed(self) -> bytes:
-        return feetech.status(self.id)
 
 
 def bus_of(model: ServoModel, id: int, baud: int) -> Bus:

@@ -23,7 +23,7 @@ from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
 from rig.backends.servo.guardian import Guardian
-from rig.backends.servo.opening import ServoSetup, error_words, leave_no_trace, look, set_up
+from rig.backends.servo.opening import ServoSetup, check_ready, error_words, leave_no_trace, look, other_mode, set_up
 from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
 from rig.core.calibration import Scaling
@@ -285,17 +285,7 @@ class ServoDriver(RegisterDriver[Ask]):
 
     @override
     def _check_drive_is_0(self) -> None:
-        held = self._map.drive.unpack(self._stored(self._map.drive))
-        if held != 0:
-            raise Fault("ARM_READBACK", f"{self._map.drive}: sent 0, stored {held:g}")
-        if (words := self._other_mode()) is not None:  # there its torque would drive it to a goal of its own
-            raise Fault("DEVICE_RESET", words)
-
-    def _other_mode(self) -> str | None:
-        """What to say of a servo that is not in PWM mode any more, as after its supply has failed; None: it is."""
-        model = self._setup.model
-        mode = self._link.value(model.roles["mode"])
-        return None if mode == model.pwm_mode else f"{model.role('mode')} reads {mode}, not {model.pwm_mode}"
+        check_ready(self._link)
 
     @override
     def _await_armed(self) -> None:
@@ -497,7 +487,7 @@ class ServoDriver(RegisterDriver[Ask]):
             return
         if self._link.value(self._setup.model.roles["torque"]) == 0:
             raise Fault("DEVICE_RESET", f"{words}: its torque is off")
-        if (other := self._other_mode()) is not None:
+        if (other := other_mode(self._link)) is not None:
             raise Fault("DEVICE_RESET", f"{words}: {other}")
         raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
 
@@ -558,7 +548,7 @@ class ServoDriver(RegisterDriver[Ask]):
             return fault
         if self._watchdog_has_acted():
             return Fault("DEVICE_WATCHDOG", fault.detail)
-        other = self._other_mode()
+        other = other_mode(self._link)
         return fault if other is None else Fault("DEVICE_RESET", f"{fault.detail}; {other}")
 
     def _watchdog_has_acted(self) -> bool:

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.guardian import Guardian
-from rig.backends.servo.opening import ServoSetup, leave_no_trace, look, set_up
+from rig.backends.servo.opening import ServoSetup, check_ready, leave_no_trace, look, set_up
 from rig.core.faults import Fault
 from rig.core.signals import percent
 
@@ -102,10 +102,10 @@ def facts(
         if link.model.protocol == "feetech":
             link.hold(link.model.roles["max_drive"], setup.max_units)
             link.hold(link.model.roles["mode"], link.model.pwm_mode)
-            least = _least_duty(link)
+            least = _least_duty(link, watcher)
             yield least
             if powered is not None:
-                yield _protects(link, max(_OVERLOAD_STEPS, int(least.found or 0)))
+                yield _protects(link, max(_OVERLOAD_STEPS, int(least.found or 0)), watcher)
                 yield _keeps_mode(link, powered)
     finally:
         try:
@@ -117,23 +117,27 @@ def facts(
                 one.end(restored=restored)
 
 
-def _still(link: ServoLink, duty: int) -> None:
-    """Torque on with duty 0, then this one."""
+def _still(link: ServoLink, duty: int, guardian: Guardian | None = None) -> None:
+    """Torque on with duty 0, then this one; heard by the keeper where the duty may turn the horn."""
     roles = link.model.roles
+    _lives(link, guardian, 0.0)
     link.put(roles["drive"], 0)
+    check_ready(link)
     link.put(roles["torque"], 1)
     link.put(roles["drive"], duty)
-    link.client.wait(_ACTS_S)
+    _lives(link, guardian, _ACTS_S)
 
 
-def _off(link: ServoLink) -> None:
-    """Torque off before a watchdog is cleared: the old goal might act again."""
+def _off(link: ServoLink, guardian: Guardian | None = None) -> None:
+    """Torque off before a watchdog is cleared: the old goal might act again. Then the keeper need not hear rig."""
     roles = link.model.roles
     link.put(roles["torque"], 0)
     if "watchdog" in roles:
         link.put(roles["watchdog"], 0)
     link.put(roles["drive"], 0)
     link.put(roles["torque"], 0)
+    if guardian is not None:
+        guardian.rest()
 
 
 def _fed_by(link: ServoLink) -> Fact:
@@ -212,10 +216,9 @@ def _moves(link: ServoLink, guardian: Guardian | None) -> Fact:
     times: list[float] = []
     ways: list[float] = []
     starts: list[int] = []
-    _lives(link, guardian, 0.0)
     try:
         for number in range(_STARTS):
-            _still(link, 0)
+            _still(link, 0, guardian)
             _lives(link, guardian, _TURNS_S)
             rests, side = link.value(model.roles["position"]), 1 if number % 2 == 0 else -1
             asked_s = link.now_s()
@@ -228,9 +231,7 @@ def _moves(link: ServoLink, guardian: Guardian | None) -> Fact:
                 starts.append(number)
                 ways.append(side * ((position - rests + turn // 2) % turn - turn // 2))
     finally:
-        _off(link)
-        if guardian is not None:
-            guardian.rest()
+        _off(link, guardian)
     t_s, counts = np.array(times), np.array(ways, dtype=np.float64)
     counts *= np.sign(counts.sum()) or 1.0  # the sign of a duty is not known here
     if counts.max() < 10.0:
@@ -279,9 +280,8 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | No
     def lives(wait_s: float) -> None:
         _lives(link, guardian, wait_s)
 
-    lives(0.0)
     try:
-        _still(link, round(_TURNS_SHARE * model.full_drive))
+        _still(link, round(_TURNS_SHARE * model.full_drive), guardian)
         lives(_TURNS_S)
         first, from_s = link.value(position), now_s()
         lives(5.0 * _LOOK_S)
@@ -301,9 +301,7 @@ def _slowed_s(link: ServoLink, stop: Callable[[], None], guardian: Guardian | No
             before, before_s = after, after_s
         return _STOPS_S
     finally:
-        _off(link)
-        if guardian is not None:
-            guardian.rest()
+        _off(link, guardian)
 
 
 def _p_scale(link: ServoLink) -> Fact:
@@ -354,20 +352,20 @@ def _p_scale(link: ServoLink) -> Fact:
     return Fact(name, round(scale, 6), f"a P of 1 makes {scale:.3g} of full duty of 1 rad: 1/{1.0 / steps:.0f} a count")
 
 
-def _least_duty(link: ServoLink) -> Fact:
+def _least_duty(link: ServoLink, guardian: Guardian | None) -> Fact:
     """The smallest duty that a Feetech drives with."""
     roles = link.model.roles
     try:
         for duty in _DUTIES:
-            _still(link, duty)
+            _still(link, duty, guardian)
             if link.value(roles["applied"]) != 0:
                 return Fact("least_duty", duty, f"{duty} steps of duty act; {duty - _DUTIES.step} do not")
     finally:
-        _off(link)
+        _off(link, guardian)
     return Fact("least_duty", None, f"no duty up to {_DUTIES[-1]} steps acts")
 
 
-def _protects(link: ServoLink, duty: int) -> Fact:
+def _protects(link: ServoLink, duty: int, guardian: Guardian | None) -> Fact:
     """Whether a Feetech's protection from overload acts in PWM mode: made to begin at 1 % of duty, after 0.1 s.
 
     Afterwards it may answer nothing until its supply is cut, as people say of theirs: so this comes before that is.
@@ -376,10 +374,10 @@ def _protects(link: ServoLink, duty: int) -> Fact:
     for register, value in _OVERLOAD.items():
         link.hold(register, value)
     try:
-        _still(link, duty)
-        link.client.wait(_STOPS_S)
+        _still(link, duty, guardian)
+        _lives(link, guardian, _STOPS_S)
         left = link.value(roles["applied"])
-        _off(link)
+        _off(link, guardian)
     except Fault as fault:
         if fault.code != "LINK_TIMEOUT":
             raise

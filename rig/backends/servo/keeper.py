@@ -15,12 +15,14 @@ from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
-from rig.core.halted import WORDS, Halts
+from rig.core.halted import Halts
+from rig.core.heartbeat import SIZE, Heartbeat
+from rig.core.memory_file import create_file
 
 _STARTS_S: Final = 10.0
 _ENDS_S: Final = 3.0
 _READY: Final = b"ready\n"
-_BEAT, _REST, _DONE = b"b", b"r", b"d"  # as in ``rig.running.keeper.silence``
+_LOOK, _DONE = b"l", b"d"  # as in ``rig.running.keeper.silence``
 
 
 class ServoKeeper:
@@ -34,10 +36,7 @@ class ServoKeeper:
     """
 
     def __init__(self, link: ServoLink, store: BeforeStore, descriptor: int, silence_s: float) -> None:
-        self._acted = False
-        heard, self._pipe = os.pipe()
-        os.set_blocking(self._pipe, False)
-        keep_from_copies(self._pipe)
+        self._drives = False
         orders = {
             "stop": _orders(link, stop_orders(link)),
             "restore": _orders(link, order_of(link, store.load(link.model) or {})),
@@ -46,21 +45,31 @@ class ServoKeeper:
             "note": "" if store.note_path is None else str(store.note_path),
         }
         try:
+            memory = create_file(SIZE)
+        except OSError as error:
+            raise _unwatched(error) from error
+        heard, self._pipe = os.pipe()
+        os.set_blocking(self._pipe, False)
+        keep_from_copies(self._pipe)
+        descriptors = (descriptor, heard, memory)
+        try:
+            self._heart = Heartbeat(memory)
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig.running.keeper.silence", str(descriptor), str(heard)],
+                [sys.executable, "-P", "-m", "rig.running.keeper.silence", *map(str, descriptors)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,
-                pass_fds=(descriptor, heard),
+                pass_fds=descriptors,
                 env={**os.environ, "PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"},
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )
         except OSError as error:
             self._let_go()
-            raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
+            raise _unwatched(error) from error
         finally:
             os.close(heard)
-        self._halts = Halts(self._process.pid)
+            os.close(memory)
+        self._halts = Halts(self._process)
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             self._process.stdin.write(json.dumps(orders).encode("ascii") + b"\n")
@@ -76,30 +85,27 @@ class ServoKeeper:
 
     @property
     def has_acted(self) -> bool:
-        """Whether it has stopped the servo because this process was silent."""
-        assert self._process.stdout is not None
-        if select.select([self._process.stdout], [], [], 0.0)[0]:
-            self._acted = self._acted or bool(self._process.stdout.read(1))
-        return self._acted
+        """Whether it stops the servo, or has stopped it, because this process was silent."""
+        return self._heart.was_silent
 
     def beat(self) -> None:
         """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
-        if self._halts.is_for_good:
-            raise Fault("SERVO_UNWATCHED", WORDS)
-        self._tell(_BEAT)
+        if words := self._halts.words:
+            raise Fault("SERVO_UNWATCHED", words)
+        self._heart.beat()
+        if not self._drives:  # it sleeps until it is told
+            self._tell(_LOOK)
+            self._drives = True
 
     def rest(self) -> None:
         """Nothing drives. What it did before is over."""
-        with contextlib.suppress(Fault):
-            self._tell(_REST)
-        if self.has_acted:
-            self._acted = False
+        self._heart.rest()
+        self._drives = False
 
     def end(self, *, restored: bool) -> None:
         """It is needed no more; where the registers were not put back it tries that first."""
         if restored:
-            with contextlib.suppress(Fault):
-                self._tell(_DONE)
+            self._tell(_DONE)
         self._let_go()
         if self._process.poll() is None and self._halts.is_stopped:
             self._process.kill()
@@ -111,22 +117,24 @@ class ServoKeeper:
         self._close()
 
     def _close(self) -> None:
+        self._heart.close()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 stream.close()
 
     def _tell(self, word: bytes) -> None:
-        try:
+        """Wake it up with a word. One that has ended hears none: the next beat says so."""
+        with contextlib.suppress(OSError):
             os.write(self._pipe, word)
-        except BlockingIOError:  # it has not had its turn for 64 KiB of ticks: it lives, else the pipe were broken
-            pass
-        except OSError as error:
-            raise Fault("SERVO_UNWATCHED", f"the keeper has ended: {error.strerror}") from error
 
     def _let_go(self) -> None:
         no_longer_own(self._pipe)
         with contextlib.suppress(OSError):
             os.close(self._pipe)
+
+
+def _unwatched(error: OSError) -> Fault:
+    return Fault("SERVO_UNWATCHED", error.strerror or str(error))
 
 
 def starter(descriptor: int, silence_s: float) -> Callable[[ServoLink, BeforeStore], ServoKeeper]:

@@ -161,8 +161,7 @@ def set_up(
     link.hold(limit, setup.max_units)  # first: changing the mode sets the goal to it
     link.hold(mode, model.pwm_mode)
     link.put(drive, 0)
-    if (held := link.value(drive)) != 0:
-        raise Fault("ARM_READBACK", f"{model[drive]}: sent 0, stored {held}")
+    check_ready(link)
     link.put(torque, 0)
     slope_V_s = _set_slope(link, setup)
     firmware = link.value(model.roles["firmware"])
@@ -214,6 +213,25 @@ def check_one(link: ServoLink) -> None:
         )
 
 
+def check_ready(link: ServoLink) -> None:
+    """The last look before the torque goes on: another duty than 0, or another mode, would drive the shaft at once.
+
+    A servo that has lost its supply meanwhile has forgotten either. Raises Fault ARM_READBACK, DEVICE_RESET.
+    """
+    drive = link.model.roles["drive"]
+    if (held := link.value(drive)) != 0:
+        raise Fault("ARM_READBACK", f"{link.model[drive]}: sent 0, stored {held}")
+    if (words := other_mode(link)) is not None:
+        raise Fault("DEVICE_RESET", words)
+
+
+def other_mode(link: ServoLink) -> str | None:
+    """What to say of a servo that is not in PWM mode any more, as after its supply has failed; None: it is."""
+    model = link.model
+    mode = link.value(model.roles["mode"])
+    return None if mode == model.pwm_mode else f"{model.role('mode')} reads {mode}, not {model.pwm_mode}"
+
+
 def _check_bus(link: ServoLink) -> None:
     link.client.wait(_ANSWERS_S)  # what the last question brings besides is no other master's
     check_alone(link)
@@ -258,10 +276,7 @@ def _check_setup(link: ServoLink) -> None:
             raise Fault("SERVO_SETUP", f"{model.role('drive_mode')} reads {bits}: it follows another servo")
     if "shadow_id" in roles and (shadow := link.value(roles["shadow_id"])) < _NO_SHADOW and shadow != link.bus.id:
         raise Fault("SERVO_SETUP", f"{model.role('shadow_id')} reads {shadow}: it obeys that id, too")
-    if "startup" in roles:
-        bits = link.value(roles["startup"])
-        if bits & (_TORQUE_AT_START | _RAM_AT_START):
-            raise Fault("SERVO_SETUP", f"{model.role('startup')} reads {bits}: it can drive as soon as it has supply")
+    check_startup(link)
     if (level := link.value(roles["answers"])) < _ANSWERS_ALL[model.protocol]:
         raise Fault("SERVO_SETUP", f"{model.role('answers')} reads {level}: it does not answer what is written")
     if "lock" in roles and link.value(roles["lock"]) != 1:
@@ -270,6 +285,15 @@ def _check_setup(link: ServoLink) -> None:
         raise Fault("SERVO_SETUP", f"{model.role('phase')} reads {bits}: its position counts turns")
     if "protection" in roles and ~(bits := link.value(roles["protection"])) & _PROTECTS:
         raise Fault("SERVO_SETUP", f"{model.role('protection')} reads {bits}: it does not protect itself")
+
+
+def check_startup(link: ServoLink) -> None:
+    """Raise Fault SERVO_SETUP where a servo switches its torque on by itself when it starts."""
+    if "startup" in link.model.roles:
+        bits = link.value(link.model.roles["startup"])
+        if bits & (_TORQUE_AT_START | _RAM_AT_START):
+            words = f"{link.model.role('startup')} reads {bits}: it can drive as soon as it has supply, or is rebooted"
+            raise Fault("SERVO_SETUP", words)
 
 
 def _check_supply(link: ServoLink, setup: ServoSetup) -> None:
@@ -294,12 +318,16 @@ def _check_heat(link: ServoLink, setup: ServoSetup) -> None:
 
 
 def _check_others(link: ServoLink, setup: ServoSetup) -> tuple[str, ...]:
-    """Who else is on the bus. Only their second id is read: one that is ours would make them obey rig."""
+    """Who else is on the bus. Only their second id is read: one that is ours would make them obey rig.
+
+    One that answers pings alone does not tell it, and obeys in silence.
+    """
     others = [id for id in range(LAST_ID + 1) if id != setup.id and link.is_there(id) is not None]
     shadow = link.model.roles.get("shadow_id")
     for id in others:
-        if shadow is not None and link.value_of(id, shadow) == setup.id:
-            raise Fault("SERVO_SETUP", f"servo {id} has {setup.id} as its second id: it would obey rig, too")
+        if shadow is not None and (second := link.value_of(id, shadow)) in (None, setup.id):
+            tells = "does not tell its second id" if second is None else f"has {second} as its second id"
+            raise Fault("SERVO_SETUP", f"servo {id} {tells}: it would obey rig, too")
     if not others:
         return ()
     return (f"also on this bus: servo {', '.join(map(str, others))}; rig leaves them alone",)
@@ -324,6 +352,7 @@ def _prove_watchdog(link: ServoLink) -> tuple[bool, tuple[str, ...]]:
     if "watchdog" not in roles:
         return False, ()
     torque, drive, applied, watchdog = (roles[role] for role in ("torque", "drive", "applied", "watchdog"))
+    check_ready(link)
     link.put(torque, 1)
     try:
         link.put(drive, _PROOF_STEPS)

@@ -10,9 +10,9 @@ from typing import Final
 from rig.backends.driver import Transport
 from rig.backends.registers.bus import BusClient
 from rig.backends.servo.before import BeforeStore, put_back
-from rig.backends.servo.bus import Ask, ServoLink, servo_link
+from rig.backends.servo.bus import PING_S, Ask, ServoLink, servo_link
 from rig.backends.servo.models import MODELS, ServoModel, models_of
-from rig.backends.servo.opening import check_free, check_one, objections
+from rig.backends.servo.opening import check_free, check_one, check_startup, objections
 from rig.backends.servo.packets import LAST_ID
 from rig.core.faults import Fault
 
@@ -71,24 +71,28 @@ def _who_answers(link: ServoLink, ids: Sequence[int]) -> Iterator[int]:
     """
     told: set[int] = set()
     for at in range(1, len(ids) + 1):
-        strayed, there = link.stray_bytes, []
-        try:
-            if link.is_there(ids[at - 1]) is not None:
-                there = [ids[at - 1]]
-            if at == len(ids):
-                link.client.wait(_LATE_S)
-            is_late = link.stray_bytes > strayed
-        except Fault as fault:
-            if fault.code != "LINK_UNIT":
-                raise
-            is_late = True
-        if is_late:
+        strayed = link.stray_bytes
+        answered = _answers(link, ids[at - 1], PING_S)
+        there = [ids[at - 1]] if answered else []
+        if at == len(ids):
+            link.client.wait(_LATE_S)
+        if answered is None or link.stray_bytes > strayed:
             link.client.wait(_LATE_S)  # what else is on its way is not of those that are asked now
-            there = [one for one in ids[max(at - 1 - _LATE_IDS, 0) : at] if link.is_there(one, _LATE_S) is not None]
+            there = [one for one in ids[max(at - 1 - _LATE_IDS, 0) : at] if _answers(link, one, _LATE_S)]
         for one in there:
             if one not in told:
                 told.add(one)
                 yield one
+
+
+def _answers(link: ServoLink, id: int, patience_s: float) -> bool | None:
+    """Whether a servo answers a ping within a time, s; None where the answer of another one came, late."""
+    try:
+        return link.is_there(id, patience_s) is not None
+    except Fault as fault:
+        if fault.code != "LINK_UNIT":
+            raise
+        return None
 
 
 def _seen(port: Transport, link: ServoLink, id: int, baud: int) -> Seen | None:
@@ -135,8 +139,12 @@ def known_servo(port: Transport, id: int, baud: int) -> ServoLink:
 
 
 def reboot(port: Transport, link: ServoLink) -> None:
-    """Start a servo anew, and wait until it answers. Raises Fault LINK_TIMEOUT, SERVO_REFUSED, LINK_UNIT."""
+    """Start a servo anew, and wait until it answers.
+
+    Raises Fault LINK_TIMEOUT, SERVO_REFUSED, LINK_UNIT; SERVO_SETUP for one that would drive then.
+    """
     check_one(link)
+    check_startup(link)
     client = BusClient[Ask](port, link.bus)
     try:
         client.asked(link.bus.reboot(), 0.1)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Final
 
 from rig.core.copies import keep_from_copies, no_longer_own
+from rig.core.memory_file import allocate
 from rig.core.plain_file import open_folder, open_plain
-from rig.run_folder.recording.layout import allocate
 
 SIZE: Final = 4096
 _NEW: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)

@@ -24,6 +24,7 @@ from typing import Final
 
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
+from rig.core.memory_file import create_file, create_named_file
 from rig.core.package import FOLDER
 from rig.run_folder.recording import layout
 from rig.run_folder.recording.errors import RecordingError
@@ -98,9 +99,9 @@ class Recorder:
         self._memory_name: Path | None = None  # path of the file behind the memory, if the system needs one
         try:
             if _PASSES_DESCRIPTORS:
-                self._descriptor = layout.create_file(size)
+                self._descriptor = create_file(size)
             else:
-                self._descriptor, self._memory_name = layout.create_named_file(size)
+                self._descriptor, self._memory_name = create_named_file(size)
         except OSError as error:
             raise RecordingError(
                 self.folder,

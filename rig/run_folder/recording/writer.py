@@ -29,6 +29,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from rig.core.memory_file import allocate
 from rig.core.plain_file import open_folder
 from rig.run_folder.recording import layout
 from rig.run_folder.recording.end_of_input import EndOfInput, end_of_input
@@ -194,7 +195,7 @@ class KeptRoom:
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(folder)) from error
         try:
-            layout.allocate(self._file.fileno(), size)
+            allocate(self._file.fileno(), size)
         except OSError as error:
             self._file.close()
             raise OSError(error.errno, error.strerror, str(folder)) from error

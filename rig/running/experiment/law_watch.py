@@ -26,10 +26,10 @@ from rig.backends.clock import MonotonicClock
 from rig.control.law import Stopped, Timed, is_of_own_law
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
-from rig.core.halted import WORDS, Halts
+from rig.core.halted import Halts
+from rig.core.memory_file import create_file
 from rig.core.signals import Sample
 from rig.run_folder.live.law_lease import SIZE, LawLease
-from rig.run_folder.recording.layout import create_file
 from rig.running.keeper.law_times import END, READY, LawTimes, asks, law_times, too_long_words
 from rig.running.session import Session
 
@@ -164,7 +164,7 @@ class Keeper:
             except OSError:
                 self.let_go()
                 raise
-        self._verdict_s, self._halts = times.still_s, Halts(self._process.pid)
+        self._verdict_s, self._halts = times.still_s, Halts(self._process)
         for pipe in self._pipes:
             keep_from_copies(pipe.fileno())
         try:
@@ -181,9 +181,7 @@ class Keeper:
 
     def amiss(self) -> str:
         """Why it watches no more: it is gone, though nobody ended it, or somebody has stopped it. Empty: it watches."""
-        if (status := self._process.poll()) is not None:
-            return f"the keeper ended with status {status}"
-        return WORDS if self._halts.is_for_good else ""
+        return self._halts.words
 
     @property
     def signals(self) -> int:

@@ -1,9 +1,9 @@
 """The keeper of a device that has no watchdog: a process that stops it when the host dies or falls silent.
 
-``python -m rig.running.keeper.silence LINK PIPE`` gets its orders as one line of JSON on standard input, and says that
-it is
-ready on standard output. LINK is the descriptor of the open port, PIPE that of a pipe on which the host tells that it
-lives. While that comes in time this process writes nothing. It knows no protocol: the host has given it the bytes.
+``python -m rig.running.keeper.silence LINK PIPE MEMORY`` gets its orders as one line of JSON on standard input, and
+says that it is ready on standard output. LINK is the descriptor of the open port, MEMORY that of the ``Heartbeat`` by
+which the host tells that it lives. PIPE ends with the host; a byte on it says that the host begins to drive, or that it
+is done. While the host lives this process writes nothing. It knows no protocol: the host has given it the bytes.
 
 It covers the end of the host's process. Cable, adapter and machine it does not.
 """
@@ -21,13 +21,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from rig.core.heartbeat import AT_REST, Heartbeat
 from rig.core.link_turn import turn_on
 
 READY: Final = b"ready\n"
-ACTED: Final = b"s"  # it has stopped the device because the host was silent
-BEAT: Final = b"b"  # the host lives, and a drive may be on
-REST: Final = b"r"  # nothing drives: silence is no sign
-DONE: Final = b"d"  # the device is as it was: end
+DONE: Final = b"d"  # the device is as it was: end; any other byte: look at the heartbeat
 _ATTEMPTS: Final = 3  # of a stop, at least
 _PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
 _ANSWERS_S: Final = 0.015
@@ -47,13 +45,13 @@ def main(arguments: list[str]) -> int:
     """Keep the device until the host says that it is done, or is gone."""
     for number in _STOPS:  # one to the whole group must not end it
         signal.signal(number, signal.SIG_IGN)
-    link, pipe = int(arguments[0]), int(arguments[1])
+    link, pipe, memory = map(int, arguments)
     orders = json.loads(sys.stdin.buffer.readline())
     stop, restore = _orders(orders["stop"]), _orders(orders["restore"])
     with contextlib.suppress(OSError):
         os.write(1, READY)
     kept = Kept(link, stop, restore)
-    ended = keep(pipe, orders["silence_s"], kept)
+    ended = keep(pipe, Heartbeat(memory), orders["silence_s"], kept)
     if ended:
         return 0
     with turn_on(link, _TURN_S):  # the keeper of a law stops the device, too, and a reply tells not to whom
@@ -63,23 +61,28 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def keep(pipe: int, silence_s: float, kept: Kept) -> bool:
-    """Until the host is done (True) or gone (False). Stops the device each time the host falls silent."""
-    beats = False
+def keep(pipe: int, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
+    """Until the host is done (True) or gone (False). Stops the device each time the host falls silent.
+
+    It wakes when the last beat that it has seen is ``silence_s`` old, and looks whether another has come meanwhile.
+    """
+    answered_s = AT_REST  # the beat after which it has stopped the device: once, until the host is heard again
     while True:
-        ready = select.select([pipe], [], [], silence_s if beats else None)[0]
-        if not ready:
-            kept.stop()
-            beats = False  # until it is heard again
-            with contextlib.suppress(OSError):
-                os.write(1, ACTED)
+        wait_s: float | None = None
+        if (heard_s := heart.heard_s) != AT_REST:
+            wait_s = silence_s if heard_s == answered_s else heard_s + silence_s - time.monotonic()
+            if wait_s <= 0.0:
+                heart.tell_silent()  # first: a host that goes on just now must not drive
+                kept.stop()
+                answered_s = heard_s
+                continue
+        if not select.select([pipe], [], [], wait_s)[0]:
             continue
-        heard = os.read(pipe, 4096)
-        if not heard:
+        told = os.read(pipe, 4096)
+        if not told:
             return False
-        if DONE in heard:
+        if DONE in told:
             return True
-        beats = heard[-1:] == BEAT
 
 
 class Kept:

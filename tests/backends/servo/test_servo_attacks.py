@@ -11,17 +11,21 @@ from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 from rig.backends.driver import Timeouts
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo import dynamixel, feetech
+from rig.backends.servo import facts as tried
 from rig.backends.servo.before import BeforeStore, order_of, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
 from rig.backends.servo.facts import facts
+from rig.backends.servo.guardian import Guardian
 from rig.backends.servo.scan import reboot, restore
 from rig.core.faults import Fault
 from rig.core.link_turn import turn_on
 
 
 def use_limit_of_config(bench: Bench) -> None:
-    """Its owner's own limit is that of the run: after a restart nothing but the mode tells of it."""
+    """The limit of a Feetech's owner is that of the run: after a restart nothing but the mode tells of it."""
+    if bench.setup.model.protocol != "feetech":
+        return
     bench.servo.put("max_torque", bench.setup.max_units)
     bench.servo._keep(bench.servo.model["max_torque"])
 
@@ -115,6 +119,11 @@ class Watching:
         assert store.load(link.model)
         return self
 
+    @property
+    def hears(self) -> bool:
+        """Whether it would act if rig fell silent now."""
+        return self._heard_s is not None
+
     def beat(self) -> None:
         self.rest()
         self._heard_s = self.bench.bus.now_s()
@@ -144,9 +153,19 @@ def test_the_keeper_watches_before_anything_is_written(protocol: str) -> None:
 def test_the_keeper_watches_while_facts_are_tried(protocol: str) -> None:
     bench = Bench(protocol)
     watching = Watching(bench)
-    assert list(facts(bench.driver._link, bench.store, None, watching))
+    link, heard = bench.driver._link, []
+    put, drive = link.put, link.model.roles["drive"]
+
+    def noted(name: str, value: int) -> None:
+        if name == drive and abs(value) > 10 and bench.servo.of("mode") == link.model.pwm_mode:  # it may turn
+            heard.append(watching.hears)
+        put(name, value)
+
+    link.put = noted  # type: ignore[method-assign]  # of this one
+    told = {fact.name for fact in facts(link, bench.store, lambda: None, watching)}
+    assert ("protects_in_pwm" in told) == (protocol == "feetech")
     assert watching.written_before == 0 and watching.ended is True
-    assert 0.0 < watching.turned_unheard_s < 0.06  # it hears rig while the horn turns: Ctrl-Z stops it
+    assert all(heard) and 0.0 < watching.turned_unheard_s < 0.06  # it hears rig while the horn turns: Ctrl-Z stops it
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -157,6 +176,59 @@ def test_facts_end_where_the_keeper_had_to_act(protocol: str) -> None:
     with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
         list(facts(bench.driver._link, bench.store, None, watching))
     assert watching.ended is True and not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_servo_that_restarts_while_it_is_set_up_never_gets_its_torque(protocol: str) -> None:
+    """A Feetech forgets the mode, a Dynamixel has its whole limit for a goal: its torque would move it at once."""
+    bench = Bench(protocol)
+    use_limit_of_config(bench)
+    value, link = bench.driver._link.value, bench.driver._link
+
+    def restarting(name: str) -> int:
+        if name == link.model.roles["firmware"]:
+            bench.bus.power_cycle()
+            bench.bus.sleep_until(bench.bus.now_s() + 0.3)
+        return value(name)
+
+    link.value = restarting  # type: ignore[method-assign]  # of this one
+    if protocol == "feetech":  # it has no watchdog to be tried: the torque goes on when it is armed
+        bench.opened()
+        link.value = value  # type: ignore[method-assign]
+    with pytest.raises(Fault, match=r"ARM_READBACK|DEVICE_RESET"):
+        bench.armed() if protocol == "dynamixel" else bench.driver.arm(bench.limits)
+    assert not bench.servo.is_on and bench.wrong() == []
+
+
+@pytest.mark.parametrize("restarts_at", [2, 5, 10])
+def test_a_servo_that_restarts_while_facts_are_tried_never_gets_its_torque(
+    restarts_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a horn's start takes the supply down: in its own mode it would go to a goal of its own."""
+    bench, calls = Bench("feetech"), []
+    real = tried._still
+
+    def still(link: ServoLink, duty: int, *heard: Guardian | None) -> None:
+        calls.append(duty)
+        if len(calls) == restarts_at:
+            bench.bus.power_cycle()
+            bench.bus.sleep_until(bench.bus.now_s() + 0.3)
+            bench.servo.put("goal_position", 100)
+        real(link, duty, *heard)
+
+    monkeypatch.setattr(tried, "_still", still)
+    with pytest.raises(Fault, match="DEVICE_RESET"):
+        list(facts(bench.driver._link, bench.store, lambda: None))
+    assert not bench.servo.is_on and bench.wrong() == []
+
+
+def test_a_servo_that_drives_when_it_starts_is_not_rebooted() -> None:
+    bench = Bench()
+    bench.servo.put("startup_configuration", 1)
+    bench.servo._keep(bench.servo.model["startup_configuration"])
+    with pytest.raises(Fault, match="SERVO_SETUP"):
+        reboot(bench.bus, bench.driver._link)
+    assert not bench.servo.is_on
 
 
 @pytest.mark.parametrize("opens", [True, False])

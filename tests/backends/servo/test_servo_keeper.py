@@ -226,6 +226,22 @@ def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(saved: Saved, monkeyp
     assert started[0].returncode is not None  # one that comes late would write to another program's servo
 
 
+def test_a_keeper_ends_with_its_command_though_a_copy_of_it_lives(saved: Saved) -> None:
+    """As one that a law has forked: it must not keep the servo from being put back."""
+    keeper = saved.keeper()
+    copy = os.fork()
+    if copy == 0:
+        signal.pause()
+        os._exit(1)
+    try:
+        keeper._let_go()  # as where the command dies
+        assert keeper._process.wait(PATIENCE_S) == 0
+    finally:
+        os.kill(copy, signal.SIGKILL)
+        os.waitpid(copy, 0)
+    keeper.end(restored=False)
+
+
 def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(saved: Saved) -> None:
     one = saved.keeper(SILENCE_S)
     one.beat()

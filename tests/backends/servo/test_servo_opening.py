@@ -97,8 +97,9 @@ def test_another_model_is_refused_by_its_name(protocol: str) -> None:
     assert fault.code == "CONFIG_MISMATCH" and name in fault.detail
 
 
-def test_a_servo_that_has_our_id_as_its_second_is_found() -> None:
-    bench = Bench(others={"secondary_id": 1})
+@pytest.mark.parametrize("level", [2, 1, 0])  # at 0 it answers pings alone, and obeys in silence
+def test_a_servo_that_has_our_id_as_its_second_is_found(level: int) -> None:
+    bench = Bench(others={"secondary_id": 1, "status_return_level": level})
     assert refused(bench).code in ("SERVO_SETUP", "LINK_REPLY", "LINK_TIMEOUT")
 
 
@@ -169,6 +170,21 @@ def test_a_duty_that_does_not_act_proves_no_watchdog() -> None:
     info = bench.opened()
     assert bench.driver.failsafe is None
     assert any("nothing could be seen" in remark for remark in info.remarks)
+
+
+def test_a_duty_that_went_for_another_reason_proves_no_watchdog() -> None:
+    """As where the supply fails for an instant in the silence: its register tells that the watchdog has not acted."""
+    bench = Bench()
+    wait, client = bench.driver._client.wait, bench.driver._client
+
+    def failing(wait_s: float) -> None:
+        if bench.servo.value("bus_watchdog") == 1:
+            bench.bus.power_cycle()
+        wait(wait_s + 0.3)
+
+    client.wait = failing  # type: ignore[method-assign]  # of this one
+    bench.opened()
+    assert bench.driver.failsafe is None and not bench.servo.is_on
 
 
 def opened_by_config(bench: Bench, change: Callable[[Experiment], Experiment] = lambda e: e) -> None:

@@ -1,87 +1,105 @@
-"""The keeper's own process, without a servo: what it hears on its pipe, what it writes, what it believes."""
+"""The keeper's own process, without a servo: what it hears of its host, what it writes, what it believes."""
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rig.backends.servo.keeper import ServoKeeper
+from rig.core import heartbeat
 from rig.core.faults import Fault
 from rig.core.halted import Halts
-from rig.running.keeper.silence import BEAT, DONE, REST, Kept, Order, keep
+from rig.core.heartbeat import SIZE, Heartbeat
+from rig.core.memory_file import create_file
+from rig.running.keeper import silence
+from rig.running.keeper.silence import Kept, Order, keep
 
 
-class Counted(Kept):
-    """Counts the stops, and does nothing else."""
+class Timed(Kept):
+    """Notes when it is stopped, and does nothing else."""
 
-    def __init__(self) -> None:
+    def __init__(self, now_s: Callable[[], float]) -> None:
         super().__init__(-1, (), ())
-        self.stops = 0
-        self.stopped = threading.Event()
+        self.stops_s: list[float] = []
+        self._now_s = now_s
 
     def stop(self) -> bool:
-        self.stops += 1
-        self.stopped.set()
+        self.stops_s.append(self._now_s())
         return True
 
 
 class Keeping:
-    """``keep`` in a thread, and the host's end of its pipe."""
+    """``keep`` and its host in virtual time: at each of its times the host does what is beside it, and then is gone."""
 
-    def __init__(self, silence_s: float) -> None:
-        self.heard, self.tells = os.pipe()
-        self.kept, self.ended = Counted(), []  # type: tuple[Counted, list[bool]]
-        self.thread = threading.Thread(target=self._keep, args=(self.heard, silence_s), daemon=True)
-        self.thread.start()
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *events: tuple[float, str]) -> None:
+        memory = create_file(SIZE)
+        self.host, keepers = Heartbeat(memory), Heartbeat(memory)
+        os.close(memory)
+        self.now_s, self._events = 100.0, list(events)
+        self.found_silent: list[bool] = []  # before each of the host's beats
+        heard, self._tells = os.pipe()
+        self.kept = Timed(lambda: self.now_s - 100.0)
+        monkeypatch.setattr(silence, "select", SimpleNamespace(select=self._select))
+        for module in (silence, heartbeat):
+            monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: self.now_s))
+        self.is_done = keep(heard, keepers, 0.06, self.kept)
+        for one in (self.host, keepers):
+            one.close()
+        os.close(heard)
 
-    def _keep(self, heard: int, silence_s: float) -> None:
-        self.ended.append(keep(heard, silence_s, self.kept))
-
-    def over(self) -> bool:
-        self.thread.join(20.0)
-        os.close(self.heard)
-        return self.ended[0]
-
-
-@pytest.fixture(autouse=True)
-def _quiet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It tells its host on standard output, which is the test runner's here."""
-    real = os.write
-    monkeypatch.setattr(os, "write", lambda fd, data: len(data) if fd == 1 else real(fd, data))
-
-
-def test_a_host_that_falls_silent_is_stopped_once_until_it_is_heard_again() -> None:
-    keeping = Keeping(0.01)
-    for _ in range(2):
-        keeping.kept.stopped.clear()
-        os.write(keeping.tells, BEAT)
-        assert keeping.kept.stopped.wait(20.0)
-    os.write(keeping.tells, DONE)
-    assert keeping.over() and keeping.kept.stops == 2
-
-
-def test_a_host_at_rest_may_be_silent() -> None:
-    keeping = Keeping(0.01)
-    os.write(keeping.tells, BEAT + REST)
-    assert not keeping.kept.stopped.wait(0.2)
-    os.close(keeping.tells)
-    assert not keeping.over() and keeping.kept.stops == 0
+    def _select(self, listened: list[int], _: object, __: object, wait_s: float | None) -> tuple[list[int], ...]:
+        """What the host does until then; a word of it on the pipe ends the wait."""
+        until_s = math.inf if wait_s is None else self.now_s + wait_s
+        while self._events and 100.0 + self._events[0][0] <= until_s:
+            at_s, what = self._events.pop(0)
+            self.now_s = 100.0 + at_s
+            if what == "beats":
+                self.found_silent.append(self.host.was_silent)
+                self.host.beat()
+            elif what == "rests":
+                self.host.rest()
+            elif what == "is gone":
+                os.close(self._tells)
+                return listened, [], []
+            else:
+                os.write(self._tells, what.encode("ascii"))
+                return listened, [], []
+        self.now_s = until_s
+        return [], [], []
 
 
-def test_a_host_that_is_gone_is_not_one_that_is_done() -> None:
-    keeping = Keeping(30.0)
-    os.write(keeping.tells, BEAT)
-    os.close(keeping.tells)
-    assert not keeping.over()
+def test_a_host_that_falls_silent_is_stopped_once_until_it_is_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So long after its last beat, whenever the keeper looked before; it needs no word to be heard again."""
+    beats = [(t_s, "beats") for t_s in (0.0, 0.03, 0.05, 0.1, 0.5, 0.52)]
+    keeping = Keeping(monkeypatch, beats[0], (0.0, "l"), *beats[1:], (1.0, "is gone"))
+    assert keeping.kept.stops_s == pytest.approx([0.16, 0.58])
+    assert keeping.found_silent == [False, False, False, False, True, True]
+
+
+def test_a_host_at_rest_may_be_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    keeping = Keeping(monkeypatch, (0.0, "l"), (1.0, "beats"), (1.0, "l"), (1.03, "rests"), (2.0, "is gone"))
+    assert keeping.kept.stops_s == []
+
+
+@pytest.mark.parametrize(("ends", "is_done"), [("is gone", False), ("d", True)])
+def test_a_host_that_is_gone_is_not_one_that_is_done(ends: str, is_done: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    keeping = Keeping(monkeypatch, (0.0, "beats"), (0.0, "l"), (0.01, ends))
+    assert keeping.is_done == is_done and keeping.kept.stops_s == []
+
+
+def test_a_host_that_rests_was_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    keeping = Keeping(monkeypatch, (0.0, "beats"), (0.0, "l"), (0.5, "rests"), (0.6, "beats"), (0.61, "is gone"))
+    assert keeping.kept.stops_s == pytest.approx([0.06]) and keeping.found_silent == [False, False]
 
 
 ORDERS = (Order(b"duty", b"ok"), Order(b"torque", b"ok"))
@@ -156,9 +174,12 @@ def test_a_keeper_that_somebody_has_stopped_is_a_fault_before_the_next_drive() -
     """It hears nothing: if the command died then, the servo would drive on."""
     keeper = ServoKeeper.__new__(ServoKeeper)
     heard, keeper._pipe = os.pipe()
+    memory = create_file(SIZE)
+    keeper._heart, keeper._drives = Heartbeat(memory), False
+    os.close(memory)
     waits = [sys.executable, "-c", "input()"]
     with subprocess.Popen(waits, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as keeper._process:
-        keeper._halts = Halts(keeper._process.pid)
+        keeper._halts = Halts(keeper._process)
         keeper.beat()
         keeper._process.send_signal(signal.SIGSTOP)
         until_s, said = time.monotonic() + 20.0, ""
