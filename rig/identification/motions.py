@@ -52,7 +52,7 @@ def motions(window: Window, noise_rad: float, lsb_rad: float, *, through: bool =
                 a motor whose static friction is its moving one a rest says as much as a motion
     """
     y_rad, drive = window.y_rad, _Drive.of(window)
-    span = max(FEWEST_AT_REST, math.ceil(SHORTEST_REST_S / window.period_s))
+    span = shortest_rest(window)
     still = at_rest(y_rad, noise_rad, lsb_rad, span)
     if through:
         still &= drive.off
@@ -96,6 +96,31 @@ def at_rest(y_rad: Array, noise_rad: float, lsb_rad: float, span: int) -> NDArra
     np.add.at(count, np.flatnonzero(calm), 1)
     np.add.at(count, np.flatnonzero(calm) + span, -1)
     return np.asarray(np.cumsum(count)[:-1] > 0)
+
+
+def repeats(window: Window) -> NDArray[np.bool_]:
+    """For each row whether it repeats the reading of a shaft at rest, and so says nothing more, (n,).
+
+    A sensor without noise to dither it shows the same step all through a rest. So all of its rows have one error of
+    rounding, and are one chance. The first row of them tells when the shaft came to the step, the last one where it
+    rests. A shaft that slides through a step goes through the steps beside it in about as many rows: it rests where a
+    reading stands for longer than the one before and the one behind together.
+    """
+    y_rad, series = window.y_rad, window.series
+    found = np.zeros(y_rad.size, dtype=bool)
+    if series.noise_rad() >= DITHERED * series.resolution_rad():
+        return found
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(y_rad)) + 1, [y_rad.size]))
+    rows = np.concatenate(([0], np.diff(edges), [0]))
+    rests = rows[1:-1] > np.maximum(rows[:-2] + rows[2:], shortest_rest(window) - 1)
+    for first, stop in np.column_stack((edges[:-1], edges[1:]))[rests].tolist():
+        found[first + 1 : stop - 1] = True
+    return found
+
+
+def shortest_rest(window: Window) -> int:
+    """Rows of the shortest rest."""
+    return max(FEWEST_AT_REST, math.ceil(SHORTEST_REST_S / window.period_s))
 
 
 class _Drive(NamedTuple):

@@ -605,7 +605,7 @@ def _alone(fit: Fit, of: Sequence[str]) -> tuple[RecordingEstimate, ...]:
 
 
 def _freedom(fit: Fit) -> int:
-    return max(1, int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free))
+    return max(1, fit.problem.cut.freedom - len(fit.problem.free))
 
 
 def _found(law: Departure, fit: Fit, covariance: Array, gain: float) -> FoundLaw:

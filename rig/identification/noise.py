@@ -61,18 +61,19 @@ class Noise:
 WHITE = Noise()
 
 
-def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
+def noise_of(residual: Array, t_s: Array, lengths: Sequence[int], period_s: float | None = None) -> Noise:
     """The most likely noise of a ``residual``, (n,), rad; white unless coloured noise is much more likely.
 
     t_s       n times of the rows, s
     lengths   number of rows of each window, in order
+    period_s  from one row to the next; None: as in the first window
     """
     starts = _starts(lengths)
     power = float(residual @ residual)
     if power == 0.0:
         return WHITE
     scaled = residual / np.sqrt(power / residual.size)
-    period = float(np.median(np.diff(t_s[: lengths[0]])))
+    period = float(np.median(np.diff(t_s[: lengths[0]]))) if period_s is None else period_s
     longest = float(max(t_s[a + n - 1] - t_s[a] for a, n in zip(starts.tolist(), lengths, strict=True)))
     low = np.log([0.5 * period, 1e-4])
     high = np.log([10.0 * longest, 1e8])

@@ -33,7 +33,7 @@ from rig.identification.departures.fit import (
 )
 from rig.identification.departures.pieces import Cut
 from rig.identification.departures.prediction import rise_by_law
-from rig.identification.noise import WHITE, noise_of
+from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
 from rig.model.real_motor import RealMotor, index
 
@@ -378,7 +378,8 @@ class Chooser:
 
     def is_rounding(self, fit: Fit) -> bool:
         """Whether each row is off by no more than its rounding to the sensor's steps, which repeats as a wave would."""
-        return float(np.mean(np.abs(fit.residual_rad) <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
+        off_rad = np.abs(fit.problem.cut.counting(fit.residual_rad))
+        return float(np.mean(off_rad <= WITHIN_STEP * self.step_rad)) >= NEARLY_ALL
 
     def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Without laws that are not worth their numbers."""
@@ -429,7 +430,7 @@ class Chooser:
             noise = WHITE
             fit = solve(refitted(fit, problem))
             for _ in range(2):
-                noise = noise_of(fit.residual_rad, problem.cut.t_s, problem.cut.lengths)
+                noise = problem.cut.noise_of(fit.residual_rad)
                 if noise.white:
                     break
                 seen = refitted(fit, replace(problem, noise=noise))
@@ -451,8 +452,7 @@ class Chooser:
 
     def price(self, law: Departure, fit: Fit, beyond: float) -> float:
         """Gain in twice the log likelihood that a law must reach: Schwarz's criterion and ``beyond``."""
-        count = fit.residual_rad.size - 2 * fit.starts.shape[0]
-        return law.costs * math.log(max(count, 2)) + beyond
+        return law.costs * math.log(max(fit.problem.cut.freedom, 2)) + beyond
 
     def promises(self, fit: Fit, laws: Sequence[Departure]) -> list[Promise]:
         """What each absent law would gain, the best first."""
@@ -531,7 +531,7 @@ def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[f
 def with_own_noise(fit: Fit) -> Fit:
     """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
     cut = fit.problem.cut
-    noise = noise_of(fit.residual_rad, cut.t_s, cut.lengths)
+    noise = cut.noise_of(fit.residual_rad)
     problem = replace(fit.problem, robust_rad=math.inf, noise=noise)
     return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad, fit.motor))
 
@@ -684,5 +684,4 @@ class Columns:
         problem = self._fit.problem
         if math.isinf(problem.robust_rad):
             return problem.whitened(columns)
-        weight = (1.0 + (self._rows.residual_rad / problem.robust_rad) ** 2) ** -0.25 / problem.sigma_rad
-        return weight[:, None] * columns
+        return problem.robust_weight(self._rows.residual_rad)[:, None] * columns

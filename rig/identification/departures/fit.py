@@ -93,7 +93,7 @@ class Problem:
     limits     their bounds; without an entry: none
     sigma_rad  standard deviation of the white noise, rad
     robust_rad residuals beyond it count by their size, not by its square (soft L1); inf: least squares
-    noise      coloured noise; without robust_rad only. Rows without weight stand at the end of a piece
+    noise      coloured noise; without robust_rad only
     known      what is known of numbers beforehand, or from beside the tests; None: nothing
     """
 
@@ -107,10 +107,13 @@ class Problem:
 
     def whitened(self, rows: Array) -> Array:
         """``rows``, (n,) or (n, k), rad, filtered to unit white noise; each piece has noise of its own."""
-        white = self.noise.whiten(rows, self.cut.t_s, self.cut.lengths) / self.sigma_rad
-        if self.cut.weight is None:
+        cut = self.cut
+        white = self.noise.whiten(cut.counting(rows), cut.counting(cut.t_s), cut.counting_lengths) / self.sigma_rad
+        if cut.weight is None:
             return white
-        return np.asarray(white * (self.cut.weight if rows.ndim == 1 else self.cut.weight[:, None]))
+        every = np.zeros_like(rows)
+        every[cut.weight > 0.0] = white
+        return every
 
     def cost(self, residual: Array, motor: RealMotor) -> float:
         """Sum of squares of the whitened residual, large ones by their size; with the ``surprise`` of the motor."""
@@ -118,7 +121,7 @@ class Problem:
         if math.isinf(self.robust_rad):
             white = self.whitened(residual)
             return float(white @ white) + surprise
-        share = (residual / self.robust_rad) ** 2
+        share = (self.cut.counting(residual) / self.robust_rad) ** 2
         return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0)) + surprise
 
     def surprise(self, motor: RealMotor) -> float:
@@ -139,10 +142,15 @@ class Problem:
         if math.isinf(self.robust_rad):
             own = Rows(residual, self.whitened(residual), self.whitened(by_number), self._by_start(found.by_start))
         else:
-            weight = (1.0 + (residual / self.robust_rad) ** 2) ** -0.25 / self.sigma_rad
+            weight = self.robust_weight(residual)
             by = weight[:, None]
             own = Rows(residual, weight * residual, by * by_number, by * found.by_start)
         return self._with_known(own, motor)
+
+    def robust_weight(self, residual: Array) -> Array:
+        """(n,) 1/rad: of each row, less of a large residual, rad."""
+        weight = (1.0 + (residual / self.robust_rad) ** 2) ** -0.25 / self.sigma_rad
+        return weight if self.cut.weight is None else np.asarray(weight * self.cut.weight)
 
     def _by_start(self, by_start: Array) -> Array:
         white = self.whitened(by_start)
@@ -216,13 +224,13 @@ class Fit:
 
     @property
     def rms_rad(self) -> float:
-        """RMS residual, rad."""
-        return float(np.sqrt(np.mean(self.residual_rad**2)))
+        """RMS residual of the rows that count, rad."""
+        return float(np.sqrt(np.mean(self.problem.cut.counting(self.residual_rad) ** 2)))
 
     @property
     def scatter_rad(self) -> float:
         """Standard deviation of the residual by its median, which outliers do not move, rad."""
-        return float(np.median(np.abs(self.residual_rad))) / 0.6745
+        return float(np.median(np.abs(self.problem.cut.counting(self.residual_rad)))) / 0.6745
 
 
 def start(problem: Problem, motor: RealMotor) -> Fit:

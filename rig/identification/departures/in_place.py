@@ -141,7 +141,7 @@ def _fitted(
 
 def _extra(fit: Fit, law: Departure, other: Departure) -> float:
     """By how much Schwarz's criterion is higher for the numbers that ``other`` has more than ``law``."""
-    count = math.log(max(2, fit.residual_rad.size - 2 * fit.starts.shape[0] - len(fit.problem.free)))
+    count = math.log(max(2, fit.problem.cut.freedom - len(fit.problem.free)))
     return (len(other.numbers + other.shape) - len(law.numbers + law.shape)) * count
 
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from rig.identification.departures.departure import Bench
 from rig.identification.departures.laws import DAMPING
-from rig.identification.motions import Motion, fitted_rows
+from rig.identification.motions import Motion, fitted_rows, repeats
+from rig.identification.noise import Noise, noise_of
 from rig.model.compiled.real_motion import Windows
 from rig.model.compiled.row_filter import filtered
 from rig.model.real_motor import Frame, Readings, RealMotor, readings_of, windows_of
@@ -45,7 +46,7 @@ class Cut:
     rows      for each, the first rows of its pieces; the first one is 0
     most_s    for each, the longest that its pieces may be, s
     resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
-    weight    (n,) of each row, 0 or 1; None: every row counts
+    weight    (n,) of each row, 0 where it does not count, else 1; None: every row counts
     of        for each window the name of its recording; empty: nobody said
     coupling_rad_s   frequency of a soft coupling between the shaft and what the sensor shows, rad/s; 0: it is stiff
     """
@@ -77,7 +78,8 @@ class Cut:
             before += end - begin
             frames.append(Frame(0.5 * float(low + high), half, start, max(span, 1e-9)))
         whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows), of=tuple(of))
+        endless = tuple(math.inf for _ in windows)
+        return cls(windows, _centred(windows, frames), whole_ones, endless, None, _weight(windows), tuple(of))
 
     @classmethod
     def of_windows(cls, windows: Sequence[Window]) -> Cut:
@@ -124,7 +126,7 @@ class Cut:
             rows=self.rows + tuple(_first_rows(window, most_s) for window in windows),
             most_s=self.most_s + tuple(most_s for _ in windows),
             resting=None,
-            weight=None,
+            weight=_weight(self.windows + windows),
             of=() if further else self.of,
         )
 
@@ -161,12 +163,13 @@ class Cut:
                 windows[-1] = Window(one, last.first, len(one))
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         endless = tuple(math.inf for _ in windows)
-        return Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
+        weight = _weight(windows)
+        return Cut(tuple(windows), tuple(frames), ones, endless, None, weight, coupling_rad_s=self.coupling_rad_s)
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
         rows = (_first_rows(w, min(length_s, most_s)) for w, most_s in zip(self.windows, self.most_s, strict=True))
-        return replace(self, rows=tuple(rows), resting=None, weight=None)
+        return replace(self, rows=tuple(rows), resting=None)
 
     def only(self, chosen: NDArray[np.bool_]) -> Cut:
         """Some of its pieces, each as a window of its own; ``chosen``: (p,), at least one. Rows count as they do."""
@@ -226,6 +229,24 @@ class Cut:
         counts = np.add.reduceat(self.weight, self.begins) > 0.0
         speeds = counts if self.resting is None else counts & ~self.resting
         return int(np.count_nonzero(self.weight) - np.count_nonzero(counts) - np.count_nonzero(speeds))
+
+    def noise_of(self, residual_rad: Array) -> Noise:
+        """The most likely noise of a residual, (n,), rad, in the rows that count."""
+        if self.weight is None:
+            return noise_of(residual_rad, self.t_s, self.lengths)
+        residual_rad, t_s, lengths = self.counting(residual_rad), self.counting(self.t_s), self.counting_lengths
+        return noise_of(residual_rad, t_s, lengths, self.windows[0].period_s)
+
+    def counting(self, rows: Array) -> Array:
+        """Those of ``rows``, (n,) or (n, k), that count."""
+        return rows if self.weight is None else rows[self.weight > 0.0]
+
+    @cached_property
+    def counting_lengths(self) -> list[int]:
+        """Number of rows that count of each piece that has any."""
+        if self.weight is None:
+            return self.lengths
+        return [int(n) for n in np.add.reduceat(self.weight, self.begins) if n]
 
     @property
     def longest_s(self) -> float:
@@ -322,6 +343,12 @@ class Cut:
         v0 = starts[:, 0]
         side, top = np.sign(v0), max(float(np.abs(v0).max()), 1e-9)
         return np.column_stack((starts, side, np.where(np.abs(v0) > BENT_WITHIN * top, side, 0.0)))
+
+
+def _weight(windows: Sequence[Window]) -> Array | None:
+    """Weight of each row, 0 where it repeats a reading at rest, else 1; None: every row counts."""
+    of_no_weight = np.concatenate([repeats(window) for window in windows])
+    return np.where(of_no_weight, 0.0, 1.0) if of_no_weight.any() else None
 
 
 def _parabolas(t_s: Array, y_rad: Array, rows: Rows) -> Array:

@@ -50,6 +50,6 @@ def by_rounding(fit: Fit, step_rad: float) -> Array:
     own, off = both[:, :m] * size, both[:, m:]
     inverse = np.linalg.pinv(own.T @ own, rcond=1e-13, hermitian=True)
     by_waves = np.sum((inverse @ (own.T @ off)) ** 2, axis=1)
-    share = min(float(np.sum(off**2)) / count / unit(fit), 1.0)
+    share = min(float(np.sum(off**2)) / sum(cut.counting_lengths) / unit(fit), 1.0)
     grown = 1.0 - share + by_waves / np.maximum(np.diag(inverse) * unit(fit), 1e-300)
     return np.asarray(np.maximum(grown, 1.0))
