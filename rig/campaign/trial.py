@@ -197,5 +197,4 @@ def _second(campaign: Campaign, one: Draw, estimate: Estimate) -> Row:
 
 def _residual_rad(series: TimeSeries, theta: Theta) -> float:
     """RMS residual of a series, rad, with only its initial state fitted."""
-    solution = refit([series], theta)
-    return math.sqrt(solution.cost / solution.residual.size)
+    return refit([series], theta).rms_rad

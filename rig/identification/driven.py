@@ -237,7 +237,7 @@ def _joined(estimate: Estimate, fit: Fit, tests: Sequence[TimeSeries]) -> Estima
         delay_s=delay_s,
         ci95=intervals,
         covariance=covariance,
-        rms_rad=math.sqrt(predicted.cost / predicted.residual.size),
+        rms_rad=predicted.rms_rad,
         iterations=estimate.iterations + len(fit.iterates),
         iterates=np.concatenate((estimate.iterates, fit.iterates)),
         residual_rad=-predicted.residual,

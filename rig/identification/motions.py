@@ -104,7 +104,7 @@ def repeats(window: Window) -> NDArray[np.bool_]:
     A sensor without noise to dither it shows the same step all through a rest. So all of its rows have one error of
     rounding, and are one chance. The first row of them tells when the shaft came to the step, the last one where it
     rests. A shaft that slides through a step goes through the steps beside it in about as many rows: it rests where a
-    reading stands for longer than the one before and the one behind together.
+    reading stands for longer than the one before and the one behind together (docs/theory.md 7.6).
     """
     y_rad, series = window.y_rad, window.series
     found = np.zeros(y_rad.size, dtype=bool)

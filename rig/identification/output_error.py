@@ -16,7 +16,7 @@ from rig.identification.estimate import PARAMETERS
 from rig.identification.noise import WHITE, Noise
 from rig.model.real_motor import RealMotor, index
 from rig.model.sensitivity import Theta
-from rig.run_folder.recording.series import TimeSeries, Window, joined_times_s
+from rig.run_folder.recording.series import TimeSeries, Window
 
 Array = NDArray[np.float64]
 
@@ -41,14 +41,6 @@ class OutputErrorProblem:
     delay_bounds_s: tuple[float, float]
     free: tuple[bool, bool, bool, bool, bool]
     noise: Noise = WHITE
-
-    def lengths(self) -> list[int]:
-        """Number of rows of each window."""
-        return [window.t_s.size for window in self.windows]
-
-    def whiten(self, rows: Array) -> Array:
-        """``rows`` of all windows, (n,) or (n, p), any unit, filtered so that their noise is white."""
-        return self.noise.whiten(rows, joined_times_s(self.windows), self.lengths())
 
     def mask(self) -> NDArray[np.bool_]:
         """Which entries of the full vector are fitted."""
@@ -119,8 +111,18 @@ class Solution:
 
     @property
     def cost(self) -> float:
-        """Sum of squared residuals, rad^2."""
-        return float(self.residual @ self.residual)
+        """Sum of squared residuals of the rows that count, rad^2."""
+        residual = self.counting(self.residual)
+        return float(residual @ residual)
+
+    @property
+    def rms_rad(self) -> float:
+        """RMS residual of the rows that count, rad."""
+        return self.fit.rms_rad
+
+    def counting(self, rows: Array) -> Array:
+        """Those of ``rows``, (n,) or (n, p), that count."""
+        return self.fit.problem.cut.counting(rows)
 
 
 def refit(

@@ -21,7 +21,6 @@ from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identification.measurements import Measurements
-from rig.identification.noise import noise_of
 from rig.identification.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
 from rig.identification.plausibility import one_way
 from rig.identification.repetition import repeated_share, repetitions, with_repetition
@@ -233,7 +232,7 @@ def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErro
     for _ in range(NOISE_ROUNDS):
         if _exact(best, problem.windows):
             break
-        noise = noise_of(best.residual, joined_times_s(problem.windows), problem.lengths())
+        noise = best.fit.problem.cut.noise_of(best.residual)
         if noise.white:
             break
         problem = replace(problem, noise=noise)
@@ -268,7 +267,7 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
 
 def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     """Whether the residual is only rounding."""
-    return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
+    return solution.rms_rad < EXACT * spread_rad(windows)
 
 
 def _score(
@@ -323,13 +322,13 @@ def _estimate(
     scale = np.ones(mask.size)
     tau, K = math.exp(best.x[0]), math.exp(best.x[1])
     scale[:2] = tau, K
-    jacobian = problem.whiten(best.jacobian[:, mask] / scale[mask])
-    residual = problem.whiten(best.residual)
+    whitened = best.fit.problem.whitened
+    jacobian, residual = whitened(best.jacobian[:, mask] / scale[mask]), whitened(best.residual)
     fitted = np.flatnonzero(mask)
     # a window that begins at a standstill shows no velocity there: nothing else depends on it
     acts = (fitted < SHARED) | np.any(jacobian != 0.0, axis=0)
     jacobian, fitted = jacobian[:, acts], fitted[acts]
-    covariance, freedom = covariance_of(jacobian, residual)
+    covariance, freedom = covariance_of(best.counting(jacobian), best.counting(residual))
     pairs = repetitions(problem.windows, periods_s)
     share = repeated_share(residual, pairs)
     covariance = with_repetition(covariance, jacobian, pairs, share)
@@ -354,7 +353,7 @@ def _estimate(
             for name, value, error in zip(PARAMETERS, values, errors, strict=True)
         },
         covariance=shared,
-        rms_rad=math.sqrt(best.cost / best.residual.size),
+        rms_rad=best.rms_rad,
         iterations=len(best.iterates),
         rows=(min(p.rows[0] for p in problem.windows), max(p.rows[1] for p in problem.windows)),
         iterates=best.iterates,

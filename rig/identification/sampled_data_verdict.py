@@ -177,7 +177,7 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     moved = _moved(estimate, tests)
     if abs(float(moved.x[4])) <= SLIPPED * max(test.period_s for test in tests):
         return math.inf
-    return math.sqrt(moved.cost / moved.residual.size)
+    return moved.rms_rad
 
 
 def late_s(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
@@ -213,7 +213,7 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
     period = max(test.period_s for test in tests)
     moved = _moved(estimate, tests)
     slip = float(moved.x[4])
-    gain = estimate.rms_rad**2 * moved.residual.size / moved.cost if moved.cost > 0.0 else math.inf
+    gain = (estimate.rms_rad / moved.rms_rad) ** 2 if moved.rms_rad > 0.0 else math.inf
     if abs(slip) > SLIPPED * period and gain > 1.02:
         way = "later" if slip > 0.0 else "earlier"
         return estimate.judged(
@@ -277,15 +277,14 @@ def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         first = refit(tests[:1], theta, free, bounds)
         first_free = [*(PARAMETERS.index(name) for name in free), len(PARAMETERS), len(PARAMETERS) + 1]
         model = Theta(math.exp(first.x[0]), math.exp(first.x[1]), *(float(x) for x in first.x[2:5]))
-        scatter, _ = covariance_of(first.jacobian[:, first_free], first.residual)
+        scatter, _ = covariance_of(*map(first.counting, (first.jacobian[:, first_free], first.residual)))
         ratios = []
         for test in tests[1:]:
             own = refit([test], theta, free, bounds)
             given = refit([test], model)
-            rms = math.sqrt(given.cost / given.residual.size)
-            by_model = given.jacobian[:, first_free[:-2]]
+            by_model = given.counting(given.jacobian[:, first_free[:-2]])
             vague = float(np.einsum("ni,ij,nj", by_model, scatter[: len(by_model.T), : len(by_model.T)], by_model))
-            if rms > NEGLIGIBLE * spread_rad([test]):
+            if given.rms_rad > NEGLIGIBLE * spread_rad([test]):
                 expected = own.cost + (VAGUE * vague if math.isfinite(vague) else math.inf)
                 ratios.append(math.sqrt(given.cost / expected) if expected > 0.0 else math.inf)
     except IdentifyError:

@@ -56,7 +56,7 @@ def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias:
             delay = estimate.delay_s
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, delay)
     solution = refit(tests, theta, free, bounds)
-    rms = math.sqrt(solution.cost / solution.residual.size)
+    rms = solution.rms_rad
     estimate = replace(
         estimate,
         rms_rad=rms,

@@ -11,13 +11,16 @@ from synthetic import Bench, motor, record, simulate
 
 from rig.identification import sampled_data
 from rig.identification.departures.budget import TYPE_A
+from rig.identification.departures.choice import WITHIN_STEP
 from rig.identification.departures.fit import CORE, Fit, Problem, limits_of, solve, start, unit
 from rig.identification.departures.nuisances import OF
 from rig.identification.departures.pieces import Cut
 from rig.identification.departures.rounding import by_rounding
+from rig.identification.motions import repeats
 from rig.identification.motor_law import motor_law
-from rig.model.real_motor import RealMotor
-from rig.run_folder.recording.series import TimeSeries
+from rig.identification.noise import Noise
+from rig.model.real_motor import Frame, Pieces, RealMotor, response
+from rig.run_folder.recording.series import TimeSeries, Window
 
 STEP_RAD = 2.0 * math.pi / 1024
 PHASES = 40
@@ -83,3 +86,58 @@ def test_the_answer_counts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     told = scatter()
     monkeypatch.setattr("rig.identification.motor_law.by_rounding", lambda fit, _: np.ones(len(fit.problem.free)))
     assert max(np.divide(told, scatter())) > 1.5
+
+
+ROWS = np.arange(600)
+
+
+def seen(true_rad: np.ndarray, noise_steps: float = 0.0) -> Window:
+    """A shaft at 5 ms behind the sensor."""
+    noise = noise_steps * np.random.default_rng(1).standard_normal(true_rad.size)
+    y_rad = STEP_RAD * np.round(true_rad / STEP_RAD + noise)
+    return Window(TimeSeries(0.005 * ROWS, y_rad, 0.005 * ROWS, np.zeros(600)), 0, 600)
+
+
+def test_of_a_reading_at_rest_the_first_row_and_the_last_count() -> None:
+    """The shaft turns, rests for 400 rows, and turns on."""
+    turned = STEP_RAD * np.interp(ROWS, [0, 100, 500, 599], [0.0, 50.2, 50.2, 99.7])
+    window = seen(turned)
+    rests = np.flatnonzero(repeats(window))
+    assert rests.size >= 396 and np.all(np.diff(rests) == 1)
+    assert np.ptp(window.y_rad[rests[0] - 1 : rests[-1] + 2]) == 0.0
+    assert not repeats(seen(turned, 0.5)).any()  # noise dithers the steps: there each row says more
+    slow = STEP_RAD * ROWS / 60.0  # the shaft slides: 60 rows, 0.3 s, in each step
+    assert not repeats(seen(slow)).any()
+
+
+def test_rows_that_do_not_count_change_no_fit_and_no_noise() -> None:
+    window = seen(STEP_RAD * np.interp(ROWS, [0, 100, 500, 599], [0.0, 50.2, 50.2, 99.7]))
+    cut = Cut.whole([window.series], 0.0).every(1.0)
+    assert cut.weight is not None and cut.freedom < 250
+    problem = Problem(cut, CORE, {}, 0.001, noise=Noise(0.1, 4.0))
+    off = np.random.default_rng(2).standard_normal(600)
+    wild = np.where(cut.weight > 0.0, off, 1e3)
+    assert np.array_equal(problem.whitened(off), problem.whitened(wild))
+    assert cut.noise_of(off) == cut.noise_of(wild)
+    for one in (problem, replace(problem, noise=Noise(), robust_rad=1.0)):
+        assert one.cost(off, RealMotor(0.1, 5.0, 0.5)) == one.cost(wild, RealMotor(0.1, 5.0, 0.5))
+
+
+def test_rests_that_are_one_chance_scatter_a_fit_less_and_leave_it_within_the_steps() -> None:
+    """Each rest of 150 rows repeats one error of rounding: as so many rows they asked for a cogging of 18 mV."""
+    t_s, u_V = np.arange(2400) * 0.005, np.repeat([0.0, 3.0, 0.0, 6.0, 0.0, 9.0, 0.0, -3.0, 0.0, -6.0, 0.0, -9.0], 200)
+    true = RealMotor(0.12, 4.2, 0.9)
+    y_rad = response(true, Frame(duration_s=12.0), (t_s, u_V), t_s, Pieces.one())
+    test = TimeSeries(t_s, y_rad, t_s, u_V)
+    cuts = [Cut.whole([replace(test, y_rad=rounded(test, phase))], 0.0) for phase in np.arange(8) / 8]
+
+    def fits(cuts: list[Cut]) -> list[Fit]:
+        limits, sigma_rad = limits_of(CORE, cuts[0], (0.0, 0.0)), STEP_RAD / math.sqrt(12.0)
+        return [solve(start(Problem(cut, CORE, limits, sigma_rad), true)) for cut in cuts]
+
+    once, as_rows = fits(cuts), fits([replace(cut, weight=None) for cut in cuts])
+    for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V"):
+        of_once, of_rows = (np.std([getattr(fit.motor, name) for fit in every]) for every in (once, as_rows))
+        assert of_once < 0.75 * of_rows, name
+    assert max(float(np.abs(fit.residual_rad).max()) for fit in once) < WITHIN_STEP * STEP_RAD
+    assert max(float(np.abs(fit.residual_rad).max()) for fit in as_rows) > WITHIN_STEP * STEP_RAD

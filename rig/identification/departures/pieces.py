@@ -84,8 +84,8 @@ class Cut:
     @classmethod
     def of_windows(cls, windows: Sequence[Window]) -> Cut:
         """Each window as one piece, for a motor that has no parts over position and time."""
-        ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        return cls(tuple(windows), tuple(Frame() for _ in windows), ones, tuple(math.inf for _ in windows))
+        ones, endless = tuple(np.zeros(1, dtype=np.int64) for _ in windows), tuple(math.inf for _ in windows)
+        return cls(tuple(windows), tuple(Frame() for _ in windows), ones, endless, None, _weight(windows))
 
     def each(self, of: Sequence[str]) -> Cut:
         """The same, with a course of time of its own for each recording; ``of``: for each window its recording."""

@@ -278,6 +278,10 @@ class TimeSeries:
         Positions count as quantised if most differences between sorted distinct values are near multiples of a
         smallest one.
         """
+        return self._resolution_rad
+
+    @cached_property
+    def _resolution_rad(self) -> float:
         steps = np.diff(np.unique(np.round(self.y_rad, 12)))
         steps = steps[steps > 1e-9]
         if steps.size < 3:
