@@ -18,7 +18,7 @@ from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
 from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, Shifts, budget
-from rig.identification.departures.choice import Choice, Chooser, as_likely, levels, with_own_noise
+from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels, with_own_noise
 from rig.identification.departures.coupled import coupling_rad_s, takes_enough
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
@@ -342,6 +342,8 @@ class Beginning:
         linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
         bench = whole.every(0.5 * cycle_s).bench(motor, linearity_rad)
         sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+        if plain.rms_rad <= AT_NOISE * sigma:
+            whole = whole.rests_once()
         turns_one_way = one_way(tests)
         core = tuple(name for name in CORE if name != "bias_V") if turns_one_way else CORE
         chooser = Chooser(

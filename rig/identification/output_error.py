@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.identification.departures.choice import AT_NOISE
 from rig.identification.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve, unit
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import PARAMETERS
@@ -35,12 +36,14 @@ class OutputErrorProblem:
 
     free   which of the shared five are fitted; the others keep their start value
     noise  of the residual; the fit minimises the whitened squares
+    once   whether a rest behind a sensor without noise is one chance
     """
 
     windows: tuple[Window, ...]
     delay_bounds_s: tuple[float, float]
     free: tuple[bool, bool, bool, bool, bool]
     noise: Noise = WHITE
+    once: bool = False
 
     def mask(self) -> NDArray[np.bool_]:
         """Which entries of the full vector are fitted."""
@@ -50,6 +53,7 @@ class OutputErrorProblem:
         """Local least-squares solution from the full vector ``x0``."""
         names = tuple(name for name, is_free in zip(NAMES, self.free, strict=True) if is_free)
         cut = Cut.of_windows(self.windows)
+        cut = cut.rests_once() if self.once else cut
         problem = Problem(cut, names, limits_of(names, cut, self.delay_bounds_s), 1.0, noise=self.noise)
         shared = x0[:SHARED].tolist()
         motor = RealMotor(math.exp(shared[0]), math.exp(shared[1]), *shared[2:])
@@ -125,6 +129,18 @@ class Solution:
         return self.fit.problem.cut.counting(rows)
 
 
+def rests_once(problem: OutputErrorProblem, found: Solution) -> tuple[OutputErrorProblem, Solution]:
+    """The problem and its solution with each rest as one chance, where the motor leaves no more than the sensor does.
+
+    Where it leaves more, rows at rest differ from it by what it lacks, and each shows that for as long as it lasts.
+    """
+    noise_rad = math.sqrt(sum(window.series.noise_rad() ** 2 for window in problem.windows) / len(problem.windows))
+    if found.rms_rad > AT_NOISE * noise_rad or Cut.of_windows(problem.windows).rests_once().weight is None:
+        return problem, found
+    problem = replace(problem, once=True)
+    return problem, problem.solve(found.x).after(found)
+
+
 def refit(
     tests: Sequence[TimeSeries],
     theta: Theta,
@@ -142,7 +158,8 @@ def refit(
     tau, K, fc, asym, delay = (name in free for name in PARAMETERS)
     problem = OutputErrorProblem(windows, reach, (tau, K, fc, asym, delay))
     shared = [math.log(theta.tau_s), math.log(theta.K_rad_s_V), theta.fc_V, theta.asym_V, theta.delay_s]
-    return problem.solve(np.array(shared + [value for window in windows for value in initial_state(window)]))
+    found = problem.solve(np.array(shared + [value for window in windows for value in initial_state(window)]))
+    return rests_once(problem, found)[1]
 
 
 def initial_state(window: Window) -> tuple[float, float]:

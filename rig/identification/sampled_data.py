@@ -21,7 +21,14 @@ from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.estimator import Estimator
 from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identification.measurements import Measurements
-from rig.identification.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
+from rig.identification.output_error import (
+    SHARED,
+    OutputErrorProblem,
+    Solution,
+    covariance_of,
+    initial_state,
+    rests_once,
+)
 from rig.identification.plausibility import one_way
 from rig.identification.repetition import repeated_share, repetitions, with_repetition
 from rig.identification.sampled_data_verdict import NEGLIGIBLE, confounding, judge
@@ -126,7 +133,7 @@ def _fitted(
     best = _of_fewer_rows(problem, tests, guesses, cycles_s)
     if best is None:
         best = _extended(problem, _candidates(problem, guesses), cycles_s)
-    problem, best = _with_noise(problem, best)
+    problem, best = _with_noise(*rests_once(problem, best))
     return _estimate(problem, best, tests, periods_s)
 
 

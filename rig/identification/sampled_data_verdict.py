@@ -200,7 +200,7 @@ def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
     tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
     reach = REACH_PERIODS * period
-    return min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_cost)
+    return min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_rms_rad)
 
 
 def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -241,8 +241,8 @@ def _holds(estimate: Estimate, name: str, value: float) -> bool:
     return low <= value <= high
 
 
-def _cost(solution: Solution) -> float:
-    return solution.cost
+def _rms_rad(solution: Solution) -> float:
+    return solution.rms_rad
 
 
 def _sticking(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -285,8 +285,8 @@ def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             by_model = given.counting(given.jacobian[:, first_free[:-2]])
             vague = float(np.einsum("ni,ij,nj", by_model, scatter[: len(by_model.T), : len(by_model.T)], by_model))
             if given.rms_rad > NEGLIGIBLE * spread_rad([test]):
-                expected = own.cost + (VAGUE * vague if math.isfinite(vague) else math.inf)
-                ratios.append(math.sqrt(given.cost / expected) if expected > 0.0 else math.inf)
+                expected = own.rms_rad**2 + (VAGUE * vague / len(by_model) if math.isfinite(vague) else math.inf)
+                ratios.append(given.rms_rad / math.sqrt(expected) if expected > 0.0 else math.inf)
     except IdentifyError:
         return estimate  # a test is too short for a fit of its own
     if ratios and max(ratios) > TRANSFER:

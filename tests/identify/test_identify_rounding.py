@@ -89,13 +89,14 @@ def test_the_answer_counts_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 ROWS = np.arange(600)
+T_S = np.asarray(0.005 * np.arange(2400), dtype=np.float64)
 
 
 def seen(true_rad: np.ndarray, noise_steps: float = 0.0) -> Window:
     """A shaft at 5 ms behind the sensor."""
     noise = noise_steps * np.random.default_rng(1).standard_normal(true_rad.size)
     y_rad = STEP_RAD * np.round(true_rad / STEP_RAD + noise)
-    return Window(TimeSeries(0.005 * ROWS, y_rad, 0.005 * ROWS, np.zeros(600)), 0, 600)
+    return Window(TimeSeries(T_S[:600], y_rad, T_S[:600], np.zeros(600)), 0, 600)
 
 
 def test_of_a_reading_at_rest_the_first_row_and_the_last_count() -> None:
@@ -112,7 +113,7 @@ def test_of_a_reading_at_rest_the_first_row_and_the_last_count() -> None:
 
 def test_rows_that_do_not_count_change_no_fit_and_no_noise() -> None:
     window = seen(STEP_RAD * np.interp(ROWS, [0, 100, 500, 599], [0.0, 50.2, 50.2, 99.7]))
-    cut = Cut.whole([window.series], 0.0).every(1.0)
+    cut = Cut.whole([window.series], 0.0).rests_once().every(1.0)
     assert cut.weight is not None and cut.freedom < 250
     problem = Problem(cut, CORE, {}, 0.001, noise=Noise(0.1, 4.0))
     off = np.random.default_rng(2).standard_normal(600)
@@ -125,11 +126,11 @@ def test_rows_that_do_not_count_change_no_fit_and_no_noise() -> None:
 
 def test_rests_that_are_one_chance_scatter_a_fit_less_and_leave_it_within_the_steps() -> None:
     """Each rest of 150 rows repeats one error of rounding: as so many rows they asked for a cogging of 18 mV."""
-    t_s, u_V = np.arange(2400) * 0.005, np.repeat([0.0, 3.0, 0.0, 6.0, 0.0, 9.0, 0.0, -3.0, 0.0, -6.0, 0.0, -9.0], 200)
+    u_V = np.repeat([0.0, 3.0, 0.0, 6.0, 0.0, 9.0, 0.0, -3.0, 0.0, -6.0, 0.0, -9.0], 200)
     true = RealMotor(0.12, 4.2, 0.9)
-    y_rad = response(true, Frame(duration_s=12.0), (t_s, u_V), t_s, Pieces.one())
-    test = TimeSeries(t_s, y_rad, t_s, u_V)
-    cuts = [Cut.whole([replace(test, y_rad=rounded(test, phase))], 0.0) for phase in np.arange(8) / 8]
+    y_rad = response(true, Frame(duration_s=12.0), (T_S, u_V), T_S, Pieces.one())
+    test = TimeSeries(T_S, y_rad, T_S, u_V)
+    cuts = [Cut.whole([replace(test, y_rad=rounded(test, phase))], 0.0).rests_once() for phase in np.arange(8) / 8]
 
     def fits(cuts: list[Cut]) -> list[Fit]:
         limits, sigma_rad = limits_of(CORE, cuts[0], (0.0, 0.0)), STEP_RAD / math.sqrt(12.0)

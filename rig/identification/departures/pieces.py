@@ -78,14 +78,18 @@ class Cut:
             before += end - begin
             frames.append(Frame(0.5 * float(low + high), half, start, max(span, 1e-9)))
         whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
-        endless = tuple(math.inf for _ in windows)
-        return cls(windows, _centred(windows, frames), whole_ones, endless, None, _weight(windows), tuple(of))
+        return cls(windows, _centred(windows, frames), whole_ones, tuple(math.inf for _ in windows), of=tuple(of))
 
     @classmethod
     def of_windows(cls, windows: Sequence[Window]) -> Cut:
         """Each window as one piece, for a motor that has no parts over position and time."""
-        ones, endless = tuple(np.zeros(1, dtype=np.int64) for _ in windows), tuple(math.inf for _ in windows)
-        return cls(tuple(windows), tuple(Frame() for _ in windows), ones, endless, None, _weight(windows))
+        ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
+        return cls(tuple(windows), tuple(Frame() for _ in windows), ones, tuple(math.inf for _ in windows))
+
+    def rests_once(self) -> Cut:
+        """The same, with each rest behind a sensor without noise as one chance; the same cut where there is none."""
+        repeated = np.concatenate([repeats(window) for window in self.windows])
+        return replace(self, weight=np.where(repeated, 0.0, 1.0)) if repeated.any() else self
 
     def each(self, of: Sequence[str]) -> Cut:
         """The same, with a course of time of its own for each recording; ``of``: for each window its recording."""
@@ -119,16 +123,17 @@ class Cut:
         """
         windows = tuple(series.predictable(longest_delay_s) for series, _ in further)
         frames = [*self.frames, *(self.frames[number] for _, number in further)]
-        return replace(
+        every = replace(
             self,
             windows=self.windows + windows,
             frames=_centred(self.windows + windows, frames),
             rows=self.rows + tuple(_first_rows(window, most_s) for window in windows),
             most_s=self.most_s + tuple(most_s for _ in windows),
             resting=None,
-            weight=_weight(self.windows + windows),
+            weight=None,
             of=() if further else self.of,
         )
+        return every if self.weight is None else every.rests_once()
 
     @classmethod
     def of_motions(cls, windows: Sequence[Window], frames: Sequence[Frame], found: Sequence[Sequence[Motion]]) -> Cut:
@@ -163,8 +168,8 @@ class Cut:
                 windows[-1] = Window(one, last.first, len(one))
         ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
         endless = tuple(math.inf for _ in windows)
-        weight = _weight(windows)
-        return Cut(tuple(windows), tuple(frames), ones, endless, None, weight, coupling_rad_s=self.coupling_rad_s)
+        every = Cut(tuple(windows), tuple(frames), ones, endless, coupling_rad_s=self.coupling_rad_s)
+        return every if self.weight is None else every.rests_once()
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
@@ -343,12 +348,6 @@ class Cut:
         v0 = starts[:, 0]
         side, top = np.sign(v0), max(float(np.abs(v0).max()), 1e-9)
         return np.column_stack((starts, side, np.where(np.abs(v0) > BENT_WITHIN * top, side, 0.0)))
-
-
-def _weight(windows: Sequence[Window]) -> Array | None:
-    """Weight of each row, 0 where it repeats a reading at rest, else 1; None: every row counts."""
-    of_no_weight = np.concatenate([repeats(window) for window in windows])
-    return np.where(of_no_weight, 0.0, 1.0) if of_no_weight.any() else None
 
 
 def _parabolas(t_s: Array, y_rad: Array, rows: Rows) -> Array:
