@@ -205,6 +205,9 @@ def test_what_nobody_knows_of_a_servos_loop_is_in_the_answer() -> None:
         low, high = stamped.at_95("tau_s") or (math.nan, math.nan)
         assert 0.5 * (high - low) / 0.05 == pytest.approx(math.hypot(0.01, 2.0 * 20.0 * late_s))
         assert ("which of them is late" in stamped.reasons[0]) == (late_s > 1e-3)
+        low, high = stamped.at_95("fc_V") or (math.nan, math.nan)
+        rubs = 3.0 * 2.0 * 20.0 * late_s if late_s > 1e-3 else 0.0
+        assert 0.5 * (high - low) / 0.2 == pytest.approx(math.hypot(0.01, rubs))
     assert late.at_95("fc_V") == pytest.approx((0.198, 0.202))
     assert late.verdict == "doubtful" and "a smaller P" in late.reasons[0]
     assert by_own_loop(found(), OwnLoop(KNOWN, 5.0)).verdict == "ok"
