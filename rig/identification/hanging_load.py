@@ -3,7 +3,8 @@
 The friction of such a gear grows with what it bears, and what it bears is the load. Where the load takes a good part of
 the drive, the plain motor beside a force alone is so far from the record that laws which stand in for the gear's
 friction gain more at first. What they lead to predicts nothing, and without them nothing is left. So where the choice
-predicts badly, it is made once more from both together, and the better one by what it predicts is taken.
+predicts badly, it is made once more from both together, and the better one by what it predicts is taken
+(docs/theory.md 12.7).
 """
 
 from __future__ import annotations
