@@ -47,7 +47,7 @@ class ServoKeeper:
         try:
             memory = create_file(SIZE)
         except OSError as error:
-            raise _unwatched(error) from error
+            raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
         heard, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
         keep_from_copies(self._pipe)
@@ -65,7 +65,7 @@ class ServoKeeper:
             )
         except OSError as error:
             self._let_go()
-            raise _unwatched(error) from error
+            raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
         finally:
             os.close(heard)
             os.close(memory)
@@ -131,10 +131,6 @@ class ServoKeeper:
         no_longer_own(self._pipe)
         with contextlib.suppress(OSError):
             os.close(self._pipe)
-
-
-def _unwatched(error: OSError) -> Fault:
-    return Fault("SERVO_UNWATCHED", error.strerror or str(error))
 
 
 def starter(descriptor: int, silence_s: float) -> Callable[[ServoLink, BeforeStore], ServoKeeper]:
