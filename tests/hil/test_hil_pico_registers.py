@@ -249,7 +249,7 @@ def kept_by(cell: str) -> list[tuple[str, str]]:
 
 
 def test_each_row_of_the_table_is_in_the_source_and_has_its_test() -> None:
-    paths = [*Path(__file__).parent.glob("test_hil_pico*.py"), ROOT / "tests" / "doctor" / "test_doctor_loopback.py"]
+    paths = [*Path(__file__).parent.glob("test_hil_*.py"), ROOT / "tests" / "doctor" / "test_doctor_loopback.py"]
     tests = "".join(path.read_text(encoding="utf-8") for path in paths)
     named: set[str] = set()
     for rule, section, kept, test in rules():
