@@ -256,14 +256,19 @@ class ServoLink:
         except ValueError as error:
             raise self.client.misfit(str(error)) from error
 
-    def one_answers(self, name: str, wait_s: float) -> bool:
+    def one_answers(self, name: str | None, wait_s: float) -> bool:
         """Whether one answer, and nothing but that, comes to one question for a register, and ``wait_s`` after it.
+
+        name  None: to a ping
 
         Raises Fault LINK_LOST, SERVO_REFUSED.
         """
-        register, before = self.model[name], self.client.statistics
+        before, ask = self.client.statistics, self.bus.ping(self.bus.id)
+        if name is not None:
+            register = self.model[name]
+            ask = self.bus.reading(register.address, register.size, str(register))
         try:
-            self.client.asked(self.bus.reading(register.address, register.size, str(register)), self._timeout_s)
+            self.client.asked(ask, self._timeout_s)
         except Fault as fault:
             if fault.code in ("LINK_LOST", REFUSAL):
                 raise

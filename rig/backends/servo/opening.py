@@ -19,6 +19,7 @@ _SUPPLY_SHARE: Final = 0.05  # by which the voltage register and drive.supply_V 
 _LIMIT_SHARE: Final = 0.03  # that the supply must keep from the servo's own voltage limits
 _LISTENS_S: Final = 0.05  # for another master
 _QUESTIONS: Final = 4  # that tell whether one servo alone answers
+_PINGS: Final = 2  # of them besides, for one that answers nothing else
 _ANSWERS_S: Final = 0.03  # within which a second answer comes, also behind a slow adapter
 _TORQUE_BY_GOAL, _SLAVE = 0x08, 0x02  # bits of Dynamixel's drive mode
 _TORQUE_AT_START, _RAM_AT_START = 0x01, 0x02  # bits of its startup configuration
@@ -200,16 +201,18 @@ def check_alone(link: ServoLink) -> None:
 def check_one(link: ServoLink) -> None:
     """Raise Fault LINK_UNIT where two servos answer to one id: both would obey.
 
-    Two answers come one after the other, or damage each other: positions, and clocks, are hardly the same.
+    Two answers come one after the other, or damage each other: positions, and clocks, are hardly the same. One that
+    answers pings alone shows in those, unless it is of the same model and firmware, and as quick to the bit.
     """
     roles = link.model.roles
     asked = [roles[role] for role in ("position", "tick") if role in roles]
     twice = sum(not link.one_answers(asked[k % len(asked)], _ANSWERS_S) for k in range(_QUESTIONS))
-    if 2 * twice >= _QUESTIONS:
+    pinged = sum(not link.one_answers(None, _ANSWERS_S) for _ in range(_PINGS))
+    if 2 * twice >= _QUESTIONS or pinged == _PINGS:
         raise Fault(
             "LINK_UNIT",
-            f"to {twice} of {_QUESTIONS} questions more came than one whole answer: as where two servos have id "
-            f"{link.bus.id}",
+            f"to {twice + pinged} of {_QUESTIONS + _PINGS} questions more came than one whole answer: as where two "
+            f"servos have id {link.bus.id}",
         )
 
 
