@@ -266,9 +266,9 @@ def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: Variant)
     [
         ("interrupts on in a drive", "interrupts on, section 16.3"),
         ("baud rate of a port that is on", "20.5"),
+        ("watchdog's flag left", "WDRF"),
         *evidence(
             ("ICR1 before the mode", "16.6"),
-            ("watchdog's flag left", "WDRF"),
             ("as it was", "16.6"),
             ("TCNT1 in PWM", "16.7.3"),
             ("the low byte first", "16.3"),
