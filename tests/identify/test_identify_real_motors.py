@@ -43,7 +43,7 @@ def test_u95_of_those_called_ok_hold_the_truth() -> None:
 
 
 def test_most_are_called_ok() -> None:
-    """Of the singles 32, 73 %. It was 33 until a sag that three sizes of drive tell was doubtful: K was 84 % off, and ok."""
+    """Of the singles 32, 73 %. 33 until a sag that three sizes tell was doubtful: K was 84 % off, and ok."""
     singles, pairs = list(rows()[:SINGLES]), list(rows()[SINGLES:])
     assert len(called_ok(singles)) >= 0.7 * SINGLES
     assert len(called_ok(pairs)) >= 0.5 * PAIRS
