@@ -15,8 +15,9 @@ KEYS = [backend.key for backend in PLAIN]
 
 @pytest.mark.parametrize("key", ["board", *evidence(*(key for key in KEYS if key != "board"))])
 def test_runs_on_one_powered_device_with_faults_at_random(key: str) -> None:
-    day = soak.spend(key, 0.01, 3)
-    assert day.hours >= 0.01
+    hours = 0.01 if key == "board" else 0.015  # there the first run ends early
+    day = soak.spend(key, hours, 3)
+    assert day.hours >= hours
     assert day.runs >= 2
     assert sum(day.rows.values()) == day.runs == len(day.memory_MB)
     assert day.trouble == []

@@ -107,13 +107,13 @@ def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seed", "number", "pair", "laws"),
+    ("seed", "number", "pair", "laws", "verdict"),
     [
         *evidence(
-            (17, 469, False, {"stribeck"}),
-            (17, 131, True, {"drift", "cogging"}),
-            (19, 107, True, {"drift", "bristle"}),
-            (19, 383, False, {"viscous_by_direction"}),
+            (17, 469, False, {"stribeck"}, "ok"),
+            (17, 131, True, {"drift", "cogging"}, "ok"),
+            (19, 107, True, {"drift", "bristle"}, "ok"),
+            (19, 383, False, {"viscous_by_direction"}, "doubtful"),  # its residual is not white: u95 is 15 %
         ),
     ],
     ids=[
@@ -123,12 +123,12 @@ def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
         "a law that spoils the plain estimate: the search does not become a test",
     ],
 )
-def test_the_numbers_of_a_whole_run_hold(seed: int, number: int, pair: bool, laws: set[str]) -> None:
+def test_the_numbers_of_a_whole_run_hold(seed: int, number: int, pair: bool, laws: set[str], verdict: str) -> None:
     one = row_of_run(CAMPAIGN.model_copy(update={"seed": seed}), number, pair)
     assert set(one.found) == laws
     assert one.error is not None
     assert max(map(abs, one.error)) < 0.004  # f_c was 8 and 6 % off, and called ok
-    assert one.verdict == "ok"
+    assert one.verdict == verdict
 
 
 @pytest.mark.evidence

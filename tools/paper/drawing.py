@@ -24,7 +24,7 @@ PAPER = "#7b2a8c"
 
 def finish(figure: Figure, alt: str, caption: str, backend: str = BACKEND) -> Picture:
     """The figure as an image with its caption."""
-    return render(figure, backend, alt, caption)
+    return render(figure, f"backend: {backend}", alt, caption)
 
 
 def course(cycle: LimitCycle, points: int = 400, periods: float = 1.0) -> dict[str, Array]:
