@@ -43,7 +43,7 @@ def test_u95_of_those_called_ok_hold_the_truth() -> None:
 
 
 def test_most_are_called_ok() -> None:
-    """Of the singles 32, of the pairs 7. One more each until a sag that three sizes tell was doubtful: K was 84 % off."""
+    """Of the singles 32, of the pairs 7. One more each until a sag of three sizes was doubtful: K was 84 % off."""
     singles, pairs = list(rows()[:SINGLES]), list(rows()[SINGLES:])
     assert len(called_ok(singles)) >= 0.7 * SINGLES
     assert len(called_ok(pairs)) >= 0.4 * PAIRS
