@@ -25,7 +25,7 @@ from rig.identification.mean_cycle import Cycle
 from rig.identification.measurements import Measurements, measurements
 from rig.identification.motor_law import MotorLaw, motor_law
 from rig.identification.opinion import RecordingEstimate
-from rig.identification.plausibility import is_cut_off, judge_motor, judge_records
+from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, judge_records
 from rig.identification.preprocessing import from_recording
 from rig.identification.reading_filter import reading_filter_s
 from rig.identification.records import left_out, require_known
@@ -284,8 +284,12 @@ def _takes_filter(data: Measurements, estimate: Estimate | None) -> bool:
 
 def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
     """A sentence where the rows of plain files have the time stamps of other rows; empty where they have their own."""
-    if estimate is None or estimate.spoiled or any(test.stage is not None for test in data.tests):
-        return []
+    if (
+        estimate is None
+        or estimate.spoiled
+        or any(test.stage is not None or hole_rows(test).size for test in data.tests)
+    ):
+        return []  # an unknown drive in a gap looks like other times, too
     try:
         rows = stamps_off_by(data.tests, estimate)
     except IdentifyError:

@@ -246,21 +246,31 @@ def _units(test: TimeSeries) -> list[Objection]:
     return found
 
 
+def hole_rows(test: TimeSeries) -> NDArray[np.intp]:
+    """Indices of the rows before holes in the samples."""
+    allowed_s = GAP_PERIODS * test.period_s
+    if test.t_u_s is not None:
+        allowed_s = max(allowed_s, TIMED_GAP_S)
+    return np.flatnonzero(np.diff(test.t_s) > allowed_s)
+
+
 def _holes(test: TimeSeries) -> list[Objection]:
     """Holes in the samples."""
     found: list[Objection] = []
     steps = np.diff(test.t_s)
-    k = int(np.argmax(steps))
-    allowed_s = GAP_PERIODS * test.period_s
-    if test.t_u_s is not None:
-        allowed_s = max(allowed_s, TIMED_GAP_S)
-    if steps[k] > allowed_s:
-        row = test.first_row + k
+    holes = hole_rows(test)
+    if holes.size:
+        k = int(holes[np.argmax(steps[holes])])
+        starts, ends = np.append(0, holes + 1), np.append(holes, len(steps))
+        part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
+        first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
+        gap = f"gap of {steps[k]:.3g} s after row {test.first_row + k}"
+        many = gap if holes.size == 1 else f"{holes.size} gaps, the largest a {gap}"
         found.append(
             Objection(
                 "doubtful",
-                f"{test.name}: gap of {steps[k]:.3g} s after row {row}, where the drive is unknown: identify the part "
-                f"before or after it (--rows :{row} or --rows {row + 1}:)",
+                f"{test.name}: {many}: the drive there is unknown; identify the longest part without a gap "
+                f"(--rows {first}:{last})",
             )
         )
     return found

@@ -9,6 +9,7 @@ import numpy as np
 
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.output_error import Solution, covariance_of, refit
+from rig.identification.plausibility import hole_rows
 from rig.identification.verdict import ROW_UP, in_percent, intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
@@ -95,7 +96,8 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             f"the delay is at its bound, {1e3 * longest:.3g} ms: record the times at which the drive acts, t_u_s, or "
             "check that u of a row is the drive set after that row's y was read",
         )
-    if estimate.ci95["delay_s"][1] < -EARLY * period:
+    gaps = any(hole_rows(test).size for test in tests)  # an unknown drive in a gap looks like an early one, too
+    if estimate.ci95["delay_s"][1] < -EARLY * period and not gaps:
         return estimate.judged(
             "doubtful",
             f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "

@@ -131,3 +131,13 @@ def test_the_drift_of_a_summed_velocity_is_no_turn_where_the_drive_never_asks_fo
     drifts = TimeSeries(t_s, np.cumsum(0.05 * u_V) + drift_rad, t_s, u_V)
     assert one_way([drifts]) and one_way([replace(drifts, y_rad=-drifts.y_rad)])
     assert not one_way([replace(drifts, u_V=np.where(u_V == 0.0, -0.1, u_V))])
+
+
+def test_of_several_gaps_the_largest_is_named_and_the_longest_part_without_one() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    kept = np.ones(whole.t_s.size, dtype=bool)
+    kept[100:120] = kept[400:410] = False  # of 601: 100 rows, 280, 191
+    test = replace(whole, t_s=whole.t_s[kept], y_rad=whole.y_rad[kept], u_V=whole.u_V[kept], first_row=10)
+    (objection,) = judge_records([test])
+    assert "2 gaps, the largest a gap of 0.21 s after row 109" in objection.reason
+    assert "(--rows 110:389)" in objection.reason

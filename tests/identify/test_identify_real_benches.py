@@ -86,6 +86,15 @@ def answered(*records: Recorded) -> Answer:
     return answer
 
 
+def test_gaps_are_not_taken_for_other_time_stamps() -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0))
+    kept = np.ones(t_s.size, dtype=bool)
+    for row in np.flatnonzero(np.diff(u_V))[1:7:2]:  # where the drive steps
+        kept[row - 1 : row + 10] = False
+    first, *others = answered((t_s[kept], u_V[kept], y_rad[kept])).reasons
+    assert "3 gaps" in first and not any("--time-row" in reason for reason in others)
+
+
 def right(answer: Answer, motor: RealMotor, share: float, *names: str) -> bool:
     return all(abs(float(getattr(answer, name) or 0.0) / getattr(motor, name) - 1.0) < share for name in names)
 
