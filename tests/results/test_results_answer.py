@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,23 @@ def test_list_panel_report_compare_tune_export_and_models_take_the_answer_and_no
     assert api.read(old_run).result == result
 
 
+def test_the_page_states_no_number_that_is_not_known(old_run: Path) -> None:
+    run = load(old_run)
+    assert run.result.answer is not None
+    grade = {
+        "tau_s": GradedNumber(value=0.17, u95=0.01, grade="good"),
+        "K_rad_s_V": GradedNumber(grade="not known"),
+        "fc_V": GradedNumber(grade="not known"),
+        "fc_less_bias_V": GradedNumber(value=0.5, u95=0.01, grade="good"),
+    }
+    answer = run.result.answer.model_copy(update={"verdict": "doubtful", "grade": grade})
+    top = headline(replace(run, result=run.result.model_copy(update={"answer": answer})))
+    said = " ".join(top.sentences)
+    assert "63 % of its final speed" in said
+    assert "Each volt" not in said and "Coulomb friction takes" not in said
+    assert top.quantities[2].parameter.symbol == "f_c − a"
+
+
 # -- how it is shown --------------------------------------------------------------------------------------------------
 
 
@@ -219,10 +237,10 @@ def test_each_number_has_its_grade_and_the_answer_says_where_it_holds_and_what_i
 def test_where_it_holds_at_one_drive_alone_is_said_so() -> None:
     holds = HoldsResult(drive_V=(5.648, 5.652), speed_rad_s=(10.0, 120.0), travel_rad=(0.0, 900.0), ways="forward")
     (line,) = validity(Answer(method="sampled-data", holds=holds))
-    assert line == "holds at 5.65 V, 10 and 120 rad/s, one way"
+    assert line == "holds at 5.65 V, between 10 and 120 rad/s, one way"
     chirp = holds.model_copy(update={"drive_V": (1e-15, 5.65)})  # goes through zero, and through what friction takes
     (line,) = validity(Answer(method="sampled-data", fc_V=0.5, holds=chirp))
-    assert line == "holds up to 5.65 V, 10 and 120 rad/s, one way"
+    assert line == "holds up to 5.65 V, between 10 and 120 rad/s, one way"
 
 
 def test_a_number_that_may_be_off_by_more_than_itself_is_unknown() -> None:

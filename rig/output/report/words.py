@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -12,7 +12,7 @@ from rig.core.estimators import LEADING
 from rig.identification.departures import DEPARTURES
 from rig.output.report.source import ReportedRun
 from rig.output.report.style import stage_kind
-from rig.run_folder.results import BreakawayResult, EstimateResult, known
+from rig.run_folder.results import Answer, BreakawayResult, EstimateResult, known
 from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY, graded_words, share, validity
 from rig.run_folder.results.answer_words import percent as in_percent
 from rig.run_folder.results.answer_words import rounded as as_digits
@@ -151,7 +151,7 @@ def headline(run: ReportedRun) -> Headline:
     if answer is None or not answer.model_fields_set & EstimateResult.model_fields.keys():
         return _nothing(run)
     outcome: HeadlineOutcome = next((o for o in ("ok", "doubtful", "refused") if o == answer.verdict), "doubtful")
-    quantities = tuple(quantity(p, answer, run.truth) for p in HEADLINE_PARAMETERS)
+    quantities = tuple(_headed(quantity(p, answer, run.truth), answer) for p in HEADLINE_PARAMETERS)
     name = answer.method.replace("-", " ")
     models_from = run.result.models_from or ""
     sentences: list[str] = []
@@ -172,7 +172,7 @@ def headline(run: ReportedRun) -> Headline:
         if run.faults:
             title += ", and the run ended with a fault"
             next_steps.append(Step("Cure the fault above first."))
-        sentences.extend(_plain_words(quantities, run))
+        sentences.extend(_plain_words(quantities, run, _unknown(answer)))
         if run.laws:
             titles = {law.name: law.title for law in DEPARTURES}
             laws = ", ".join(titles.get(law.name, law.name.replace("_", " ")) for law in run.laws)
@@ -196,22 +196,40 @@ def headline(run: ReportedRun) -> Headline:
     return Headline(outcome, title, tuple(sentences), answer.reasons, tuple(next_steps), answer.method, quantities)
 
 
-def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun) -> list[str]:
+def _headed(one: Quantity, answer: Answer) -> Quantity:
+    """What a shaft that turned one way tells of friction is named so: less the asymmetry, or with it."""
+    if one.parameter.key != "fc_V" or "fc_less_bias_V" not in (answer.grade or {}):
+        return one
+    sign = "+" if answer.holds is not None and answer.holds.ways == "backward" else "−"
+    return replace(
+        one, parameter=replace(one.parameter, symbol=f"f_c {sign} a", meaning="friction one way, as a voltage")
+    )
+
+
+def _unknown(answer: Answer) -> set[str]:
+    """The keys of the parameters that are not known."""
+    return {key for key, one in (answer.grade or {}).items() if one.grade == "not known"}
+
+
+def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun, unknown: set[str]) -> list[str]:
+    """What the numbers mean, but for those that are not known."""
     tau, gain, friction = (q.exact for q in quantities)
     if tau is None or gain is None or friction is None:
         return []
-    words = (
-        f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms. Each volt beyond "
-        f"friction adds {gain:.3g} rad/s. Coulomb friction takes {friction:.3g} V of the drive."
-    )
+    said = {
+        "tau_s": f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms.",
+        "K_rad_s_V": f"Each volt beyond friction adds {gain:.3g} rad/s.",
+        "fc_V": f"Coulomb friction takes {friction:.3g} V of the drive.",
+    }
+    words = " ".join(sentence for key, sentence in said.items() if key not in unknown)
     found = run.result.breakaway or BreakawayResult()
     plus = _some_V(found.static_plus_V, found.static_plus_range_V)
     minus = _some_V(found.static_minus_V, found.static_minus_range_V)
     if plus and minus:
         words += (
-            f" To move it from rest takes some {plus} towards rising positions and some {minus} towards falling ones."
+            f" To move the shaft from rest takes some {plus} towards rising positions, {minus} towards falling ones."
         )
-    return [words]
+    return [words.strip()] if words else []
 
 
 def _some_V(value: float | None, reach: tuple[float | None, float | None] | None) -> str:

@@ -101,10 +101,11 @@ def validity(answer: Answer) -> Iterator[str]:
         drive, speed = (
             list(dict.fromkeys(f"{known(end):.3g}" for end in ends)) for ends in (holds.drive_V, holds.speed_rad_s)
         )
-        near = "at" if len(drive) == 1 else "between"
+        near, fast = ("at" if len(ends) == 1 else "between" for ends in (drive, speed))
         if known(holds.drive_V[0]) < known(answer.value("fc_V")):  # a drive that goes through zero, as a chirp does
             near, drive = "up to", drive[-1:]
-        yield f"holds {near} {' and '.join(drive)} V, {' and '.join(speed)} rad/s, {ways}"
+        at = "" if fast == near else f"{fast} "
+        yield f"holds {near} {' and '.join(drive)} V, {at}{' and '.join(speed)} rad/s, {ways}"
     if predicts is not None and math.isfinite(known(predicts.error)):
         linear = known(predicts.linear_error)
         beside = f" (a linear model: {_seen(linear)})" if math.isfinite(linear) else ""
