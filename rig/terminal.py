@@ -400,7 +400,8 @@ def comparison_words(found: ComparisonResult) -> list[str]:
         sure = "" if trend.shows else " (none shows)"
         places = max(0, 1 - math.floor(math.log10(half))) if 0.0 < half < math.inf else 3  # two digits of its interval
         slope = f"{round(trend.slope, places) + 0.0:+.{places}f} ±{half:.{places}f} {trend.unit}{sure}"
-        lines.append(f"trend over {trend.over}: {name} {slope if trend.is_known else 'unknown'}")
+        unsure = f"not known to 100 {trend.unit}: give runs farther apart"
+        lines.append(f"trend over {trend.over}: {name} {slope if trend.is_known else unsure}")
     lines += [f"left out: {one.folder}: {one.reason}" for one in found.left_out]
     return lines + [f"note: {note}" for note in found.notes]
 

@@ -162,7 +162,20 @@ def test_the_report_lays_the_runs_over_each_other(tmp_path: Path) -> None:
         api.compare(runs, scatter_percent=(1.0, -1.0, 0.0))
 
 
-@pytest.mark.parametrize(("half", "said"), [(99.0, "tau +3 ±99 %/h (none shows)"), (699.0, "tau unknown")])
+def test_a_large_difference_is_in_per_cent_of_the_other(tmp_path: Path) -> None:
+    first, second = (
+        write_run(tmp_path / "a", Told()),
+        write_run(tmp_path / "b", Told(tau_s=0.34, K_rad_s_V=1.3), hour=1),
+    )
+    off = [run["off_percent"] for run in compared(first, second)["runs"]]
+    assert (off[0]["tau_s"], off[1]["tau_s"]) == (pytest.approx(-50.0), pytest.approx(100.0))
+    assert (off[0]["K_rad_s_V"], off[1]["K_rad_s_V"]) == (pytest.approx(400.0), pytest.approx(-80.0))
+
+
+@pytest.mark.parametrize(
+    ("half", "said"),
+    [(99.0, "tau +3 ±99 %/h (none shows)"), (699.0, "tau not known to 100 %/h: give runs farther apart")],
+)
 def test_a_slope_that_may_be_anything_is_unknown(half: float, said: str) -> None:
     trend = TrendResult(
         over="time", parameter="tau_s", unit="%/h", slope=3.0, ci95=(3.0 - half, 3.0 + half), chance=0.9, shows=False

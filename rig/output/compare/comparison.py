@@ -243,18 +243,23 @@ def _run(run: ComparedRun, bench: int, off: tuple[Array, Array, float], beyond: 
             for key, value, e in zip(PARAMETERS, numbers, errors, strict=True)
         },
         laws=run.laws,
-        off_percent={key: 100.0 * float(one) for key, one in zip(PARAMETERS, by, strict=True)},
+        off_percent={key: _percent(key, float(one)) for key, one in zip(PARAMETERS, by, strict=True)},
         off_ci95_percent={
-            key: (100.0 * float(one - normal * e), 100.0 * float(one + normal * e))
+            key: (_percent(key, float(one - normal * e)), _percent(key, float(one + normal * e)))
             for key, one, e in zip(PARAMETERS, by, error, strict=True)
         },
         chance=chance,
         beyond_ci95_percent={
-            key: (100.0 * (one.by - one.half), 100.0 * (one.by + one.half))
+            key: (_percent(key, one.by - one.half), _percent(key, one.by + one.half))
             for key, one in zip(PARAMETERS, beyond, strict=True)
         },
         beyond_chance={key: one.chance for key, one in zip(PARAMETERS, beyond, strict=True)},
     )
+
+
+def _percent(key: str, by: float) -> float:
+    """``by`` in %: a difference of logarithms, but of f_c, whose differences are shares already."""
+    return 100.0 * (by if key == "fc_V" else math.expm1(by))
 
 
 def _measurably(runs: Sequence[ComparedRun], values: Array, odd: Sequence[int] | None, chance: float) -> Difference:

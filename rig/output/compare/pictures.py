@@ -210,7 +210,8 @@ def tracking(runs: Sequence[LaidOver], backend: str) -> Picture:
     return render(
         figure, backend, "Tracking errors of the runs laid over each other.",
         "Wanted less measured position while each run's own model drove its motor along the trajectory, as a mean over "
-        f"{SMOOTH} samples; the RMS is of the samples. What repeats from run to run is a law that the model lacks.",
+        f"{SMOOTH} samples; the RMS is of the samples after the trajectory has faded in. What repeats from run to run "
+        "is a law that the model lacks.",
     )  # fmt: skip
 
 
