@@ -15,6 +15,8 @@ import click
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 
+VALUES = {"--bridge": "NAME", "--no-load-rpm": "RPM", "--counts-per-turn": "COUNTS"}  # of what has no default
+
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False), default=Path("bench.yaml"))
@@ -85,7 +87,7 @@ def init(
         _init_servo(file, servo, port, servo_id, supply_V, no_load_rpm)
         return
     if board == "servo":
-        fail(EXIT_BAD_INPUT, "--board servo does not say which", "a servo: --servo MODEL, such as --servo xl330")
+        fail(EXIT_BAD_INPUT, "--board servo does not say which", "a servo: --servo MODEL, such as --servo xl330-m288")
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
     from rig.running import preflight
@@ -102,7 +104,8 @@ def init(
     if sensor == "encoder":
         wanted += [limits, gear]
     if asks and not sys.stdin.isatty() and None in wanted:
-        fail(EXIT_BAD_INPUT, "there is nobody to ask", f"give {' '.join(['--yes', *missing])}; `rig init --help`")
+        needs = " ".join(["--yes", *(f"{option} {VALUES[option]}" for option in missing)])
+        fail(EXIT_BAD_INPUT, "there is nobody to ask", f"give {needs}; `rig init --help`")
     asks = asks and sys.stdin.isatty()
     if file.exists():
         fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
@@ -268,6 +271,8 @@ def _init_servo(
     click.echo(f"{file}: written; `rig check {shlex.quote(str(file))}` accepts it")
     if answers.adapter == "ftdi-1ms":
         click.echo("the adapter's latency timer must be at 1 ms: `rig doctor` says how")
+    if port is None:
+        click.echo("the servo in it is emulated, nothing moves; for yours give --port, such as --port /dev/ttyUSB0")
     where = "where its shaft stands now" if port is not None else "the middle of its turn"
     click.echo(
         f"zero is {where} (sensor.servo.zero_counts); take everything off the horn, then "

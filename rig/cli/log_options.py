@@ -46,15 +46,14 @@ def _servo_law(
         if gain is not None or scale is not None:
             fail(EXIT_BAD_INPUT, "--gain and --p-scale are for the log of a servo's own loop", "add --servo MODEL")
         return None
-    from rig.backends.servo.models import MODELS
+    from rig.backends.servo.first_config import model_named
 
-    if model not in MODELS:
-        fail(EXIT_BAD_INPUT, f"{model} is no servo that rig knows", f"give one of {', '.join(MODELS)}")
+    servo = model_named(model)
     in_counts = any(text is not None and text.rpartition(":")[2] == "counts" for text in texts.values())
     if in_counts and rest["counts_per_turn"] is None:
-        rest["counts_per_turn"] = float(MODELS[model].counts_per_turn)
-    roles = MODELS[model].roles
-    slope = MODELS[model].role("slope") if "slope" in roles else None
+        rest["counts_per_turn"] = float(servo.counts_per_turn)
+    roles = servo.roles
+    slope = servo.role("slope") if "slope" in roles else None
     slew_V_s = slope.shipped * slope.scale if slope is not None and slope.shipped is not None else math.inf
     P, *others = gain or (None,)
     if any(others):
@@ -63,9 +62,9 @@ def _servo_law(
             f"--gain: the law that rig knows is duty = P x error, and I is {others[0]:g}, D {others[1]:g}",
             "write 0 into both registers, and record again",
         )
-    shipped = [MODELS[model][f"position_{one}_gain"].shipped for one in "id"]
+    shipped = [servo[f"position_{one}_gain"].shipped for one in "id"]
     return ServoLaw(
-        P, scale_of(MODELS[model].protocol, scale), slew_V_s, is_P_alone=bool(others) or shipped == [0, 0], model=model
+        P, scale_of(servo.protocol, scale), slew_V_s, is_P_alone=bool(others) or shipped == [0, 0], model=servo.name
     )
 
 

@@ -152,15 +152,14 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
             fail(
                 EXIT_BAD_INPUT, f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out"
             )
-    from rig.backends.servo.models import MODELS
+    from rig.backends.servo.first_config import model_named
     from rig.design.tune.margins import Margins
     from rig.running.run_tuning import servo_loop_of
     from rig.terminal import show_servo_loop
 
-    if model not in MODELS:
-        fail(EXIT_BAD_INPUT, f"{model} is no servo that rig knows", f"give one of {', '.join(MODELS)}")
+    servo = model_named(model)
     phase_deg, gain_dB = least
-    found = servo_loop_of(run_folder, MODELS[model], Margins(gain_dB, phase_deg, 0.0), p_scale)
+    found = servo_loop_of(run_folder, servo, Margins(gain_dB, phase_deg, 0.0), p_scale)
     if as_json:
         click.echo(json_text({"ok": True, "run": run_folder.resolve().name, **found.as_json()}), nl=False)
     else:

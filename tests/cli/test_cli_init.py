@@ -153,8 +153,8 @@ def test_every_board_sensor_and_limits_run_on_their_emulated_chip(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((), "give --yes --bridge --no-load-rpm;"),
-        (("--sensor", "encoder", *ANSWERED[1:]), "give --yes --counts-per-turn;"),
+        ((), "give --yes --bridge NAME --no-load-rpm RPM;"),
+        (("--sensor", "encoder", *ANSWERED[1:]), "give --yes --counts-per-turn COUNTS;"),
         (("--yes", "--sensor", "encoder"), "--bridge, --no-load-rpm, --counts-per-turn have no default"),
         (
             (*ANSWERED, "--counts-per-turn", 64),

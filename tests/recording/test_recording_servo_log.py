@@ -205,6 +205,8 @@ def test_what_nobody_knows_of_a_servos_loop_is_in_the_answer() -> None:
         low, high = stamped.at_95("tau_s") or (math.nan, math.nan)
         assert 0.5 * (high - low) / 0.05 == pytest.approx(math.hypot(0.01, 2.0 * 20.0 * late_s))
         assert ("which of them is late" in stamped.reasons[0]) == (late_s > 1e-3)
+        when = f"moves {1e3 * abs(delay_s):.2g} ms {'after' if delay_s > 0.0 else 'before'} the duty"
+        assert (when in stamped.reasons[0]) == (late_s > 1e-3)
         low, high = stamped.at_95("fc_V") or (math.nan, math.nan)
         rubs = 3.0 * 2.0 * 20.0 * late_s if late_s > 1e-3 else 0.0
         assert 0.5 * (high - low) / 0.2 == pytest.approx(math.hypot(0.01, rubs))
@@ -226,7 +228,7 @@ def test_the_options_of_the_command(tmp_path: Path) -> None:
     servo = ("--servo", "xl330-m288", "--gain", "400")
     for options, words in (
         (("--gain", "400"), "add --servo MODEL"),
-        (("--servo", "ax12", "--gain", "400"), "no servo that rig knows"),
+        (("--servo", "ax12", "--gain", "400"), "rig knows no servo"),
         ((*servo, "--drive", "V"), "--drive and --servo are both given"),
         (("--servo", "sts3215", "--gain", "16,0,32"), "duty = P x error, and I is 0, D 32"),
         (("--servo", "sts3215", "--gain", "nan"), "must be the servo's P"),

@@ -80,7 +80,7 @@ def test_the_command_prints_and_writes_nothing(tmp_path: Path) -> None:
     shown = rig("tune", run, "--servo", "xl330-m288")
     assert shown.exit_code == 0 and "84 position_p_gain" in shown.output and "rig writes none" in shown.output
     for more, words in (
-        (("--servo", "ax12"), "no servo that rig knows"),
+        (("--servo", "ax12"), "rig knows no servo"),
         (("--servo", "sts3215", "--loop", "velocity"), "--loop is for rig's own loop"),
         (("--p-scale", "0.1"), "add --servo"),
         (("--servo", "xl330-m288", "--p-scale", "inf"), "must be a number"),

@@ -102,8 +102,8 @@ class ServoBackend(RegisterBackend):
     def notes(self, d: DeviceSetup) -> Iterator[str]:
         yield from super().notes(d)
         yield (
-            "the travel limits of a servo are in this host alone: no firmware of rig's holds them, and when within its "
-            "step of 1 ms a servo samples and drives no manual says"
+            "a servo's travel limits are in this host alone: no firmware of rig's holds them. No manual says when "
+            "within its step of 1 ms a servo samples and drives"
         )
 
         if d.daq.servo is not None and d.daq.servo.attached != "nothing" and d.load is None:

@@ -53,7 +53,9 @@ def model_named(name: str, *, is_read: bool = False) -> ServoModel:
         raise AnswerError(f"rig knows no servo {name!r}", f"one of {', '.join(sorted(MODELS))}")
     if len(found) > 1 and not is_read:
         names = " or ".join(one.name for one in found)
-        raise AnswerError(f"{name} may be {names}", f"name it, such as --servo {found[-1].name}, or give its --port")
+        raise AnswerError(
+            f"{name} may be {names}", f"name it, such as --servo {found[-1].name}; `rig init` with --port reads it"
+        )
     return found[0]
 
 
