@@ -46,10 +46,11 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
             "`rig servo facts` measures it, --p-scale states it"
         )
     if late > ASKED and late_s > LATE_S:
+        when = f"{1e3 * abs(delay_s):.2g} ms {'after' if delay_s > 0.0 else 'before'}"
         reasons.append(
-            f"the shaft moves {1e3 * delay_s:.2g} ms after the duty that goals and positions say: which of them is "
-            f"late nobody knows, and that makes tau and K up to {in_percent(late)} wrong, f_c up to "
-            f"{in_percent(rubs)}; write each goal when its row's position is read, and record with a smaller P"
+            f"the shaft moves {when} the duty that goals and positions say: which of them is late nobody knows, and "
+            f"that makes tau and K up to {in_percent(late)} wrong, f_c up to {in_percent(rubs)}; write each goal when "
+            "its row's position is read, and record with a smaller P"
         )
     elif late > ASKED:
         reasons.append(

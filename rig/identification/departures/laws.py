@@ -160,7 +160,7 @@ DEPARTURES: list[Departure] = [
         over_position=True,
     ),
     Departure(
-        "cogging", "cogging", "the poles of the motor, the teeth of a gear, or a load behind one?",
+        "cogging", "cogging", "the poles of the motor, the teeth of a gear, or a pendulum?",
         lambda bench: min(0.05, bench.half_drive_V), _SWEEPS,
         trials=lambda bench: [{"cogging_per_rad": order} for order in orders(bench)], limits=_order_limits,
         shown=lambda bench: bool(orders(bench)), over_position=True,
