@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
-from rig.backends.servo.guardian import Guardian
+from rig.backends.servo.guardian import Guardian, beat
 from rig.backends.servo.opening import ServoSetup, check_ready, leave_no_trace, look, set_up
 from rig.core.faults import Fault
 from rig.core.signals import percent
@@ -196,9 +196,7 @@ def _lives(link: ServoLink, guardian: Guardian | None, wait_s: float) -> None:
     until_s = link.now_s() + wait_s
     while True:
         if guardian is not None:
-            if guardian.has_acted:
-                raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
-            guardian.beat()
+            beat(guardian)
         if (left_s := until_s - link.now_s()) <= 0.0:
             return
         link.client.wait(min(left_s, _LOOK_S))

@@ -250,3 +250,20 @@ def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(saved: Saved) -> 
     one.rest()
     assert [*told, one.has_acted] == [True, False]
     one.end(restored=True)
+
+
+def test_a_drive_that_was_on_its_way_when_the_keeper_acted_does_not_last(saved: Saved) -> None:
+    """A command that stands still ahead of a write, goes on, and stands still again behind it."""
+    link, roles = saved.link, saved.bench.setup.model.roles
+    link.put(roles["torque"], 0)
+    link.hold(roles["mode"], saved.bench.setup.model.pwm_mode)
+    link.put(roles["drive"], 0)
+    one = saved.keeper(SILENCE_S)
+    one.beat()
+    assert wait_for(lambda: one.has_acted)
+    time.sleep(2.0 * SILENCE_S)  # its stop is over
+    link.put(roles["torque"], 1)
+    link.put(roles["drive"], 100)
+    assert wait_for(lambda: link.value(roles["torque"]) == 0 and link.value(roles["applied"]) == 0)
+    one.rest()
+    one.end(restored=True)
