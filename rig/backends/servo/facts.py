@@ -120,9 +120,9 @@ def facts(
 def _still(link: ServoLink, duty: int, guardian: Guardian | None = None) -> None:
     """Torque on with duty 0, then this one; heard by the keeper where the duty may turn the horn."""
     roles = link.model.roles
-    _lives(link, guardian, 0.0)
     link.put(roles["drive"], 0)
     check_ready(link)
+    _lives(link, guardian, 0.0)  # last: what the keeper has just switched off stays off
     link.put(roles["torque"], 1)
     link.put(roles["drive"], duty)
     _lives(link, guardian, _ACTS_S)

@@ -201,6 +201,21 @@ def test_no_drive_follows_the_stop_of_the_keeper(protocol: str) -> None:
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_facts_switch_no_torque_on_after_the_stop_of_the_keeper(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.opened()
+
+    def stands_still(link: ServoLink) -> None:
+        watching.has_acted = True
+
+    monkeypatch.setattr(tried, "check_ready", stands_still)
+    with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
+        tried._still(bench.driver._link, 100, watching)
+    assert not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_servo_that_restarts_while_it_is_set_up_never_gets_its_torque(protocol: str) -> None:
     """A Feetech forgets the mode, a Dynamixel has its whole limit for a goal: its torque would move it at once."""
     bench = Bench(protocol)
