@@ -210,7 +210,7 @@ def test_bytes_that_a_keeper_has_read_are_no_dead_port(
 ) -> None:
     """It has the same open port: it may be quicker once both have seen that there is something."""
     port = SerialPort(terminal[1])
-    looks = [([port.descriptor], [], []), ([], [], [])]
+    looks: list[tuple[list[int], list[int], list[int]]] = [([port.descriptor], [], []), ([], [], [])]
     monkeypatch.setattr(serial_port, "select", SimpleNamespace(select=lambda *_: looks.pop(0)))
     assert port.read(0.0) == b""
     port.close()
