@@ -203,3 +203,14 @@ def test_a_port_that_keeps_on_does_not_hang_up_when_it_is_closed() -> None:
     finally:
         os.close(ours)
         os.close(theirs)
+
+
+def test_bytes_that_a_keeper_has_read_are_no_dead_port(
+    terminal: tuple[dict[str, int], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has the same open port: it may be quicker once both have seen that there is something."""
+    port = SerialPort(terminal[1])
+    looks: list[tuple[list[int], list[int], list[int]]] = [([port.descriptor], [], []), ([], [], [])]
+    monkeypatch.setattr(serial_port, "select", SimpleNamespace(select=lambda *_: looks.pop(0)))
+    assert port.read(0.0) == b""
+    port.close()

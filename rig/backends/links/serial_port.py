@@ -85,11 +85,15 @@ class SerialPort:
             raise Fault("LINK_LOST", f"{self._port} takes no more bytes: the device does not read")
 
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte, or b"" after ``timeout_s``; LINK_LOST if the port is dead."""
+        """What has arrived, at least one byte, or b"" after ``timeout_s`` at most; LINK_LOST if the port is dead."""
         try:
             if not select.select([self._fd], [], [], timeout_s)[0]:
                 return b""
             data = os.read(self._fd, _READ_BYTES)
+            if not data and not select.select([self._fd], [], [], 0.0)[0]:
+                return b""  # a keeper, which has this open port, too, was quicker; one that hung up stays readable
+        except BlockingIOError:
+            return b""  # as well
         except (OSError, ValueError) as error:  # ValueError: select on a closed port
             raise Fault("LINK_LOST", f"{self._port}: {error}") from error
         if not data:

@@ -22,7 +22,7 @@ from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
-from rig.backends.servo.guardian import Guardian
+from rig.backends.servo.guardian import Guardian, beat
 from rig.backends.servo.opening import ServoSetup, check_ready, error_words, leave_no_trace, look, other_mode, set_up
 from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
@@ -160,9 +160,7 @@ class ServoDriver(RegisterDriver[Ask]):
     def _exchange(self, request: Ask) -> Reply:
         """As of ``RegisterDriver``; an answer that tells of an error is a fault by its name."""
         if self._guardian is not None:
-            if self._guardian.has_acted:
-                raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
-            self._guardian.beat()
+            beat(self._guardian)
         reply = super()._exchange(request)
         if self._bus.alerts(reply.pdu):
             self._raise_alert(reply.pdu[0])

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import ServoLink
-from rig.backends.servo.guardian import Guardian
+from rig.backends.servo.guardian import Guardian, beat
 from rig.backends.servo.opening import ServoSetup, check_ready, leave_no_trace, look, set_up
 from rig.core.faults import Fault
 from rig.core.signals import percent
@@ -120,9 +120,9 @@ def facts(
 def _still(link: ServoLink, duty: int, guardian: Guardian | None = None) -> None:
     """Torque on with duty 0, then this one; heard by the keeper where the duty may turn the horn."""
     roles = link.model.roles
-    _lives(link, guardian, 0.0)
     link.put(roles["drive"], 0)
     check_ready(link)
+    _lives(link, guardian, 0.0)  # last: what the keeper has just switched off stays off
     link.put(roles["torque"], 1)
     link.put(roles["drive"], duty)
     _lives(link, guardian, _ACTS_S)
@@ -196,9 +196,7 @@ def _lives(link: ServoLink, guardian: Guardian | None, wait_s: float) -> None:
     until_s = link.now_s() + wait_s
     while True:
         if guardian is not None:
-            if guardian.has_acted:
-                raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
-            guardian.beat()
+            beat(guardian)
         if (left_s := until_s - link.now_s()) <= 0.0:
             return
         link.client.wait(min(left_s, _LOOK_S))

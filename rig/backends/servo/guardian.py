@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from rig.core.faults import Fault
+
 
 class Guardian(Protocol):
     """Who stops the servo if this process dies or hangs."""
@@ -24,3 +26,14 @@ class Guardian(Protocol):
     def end(self, *, restored: bool) -> None:
         """It is needed no more."""
         ...
+
+
+def beat(guardian: Guardian) -> None:
+    """Tell it that this process lives, right before it drives.
+
+    Whether it has acted is looked at last: this process may have stood still anywhere ahead of that.
+    Raises Fault SERVO_UNWATCHED, DEVICE_WATCHDOG.
+    """
+    guardian.beat()
+    if guardian.has_acted:
+        raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")

@@ -76,11 +76,13 @@ class ServoKeeper:
             is_ready = select.select([self._process.stdout], [], [], _STARTS_S)[0]
             if not is_ready or self._process.stdout.read(len(_READY)) != _READY:
                 raise Fault("SERVO_UNWATCHED", "it was not ready in time")
-        except (OSError, Fault) as error:
+        except BaseException as error:  # Ctrl-C, too
             self._process.kill()  # one that comes late would write to a servo that is another program's by then
             self._process.wait()
             self._let_go()
             self._close()
+            if not isinstance(error, OSError | Fault):
+                raise
             raise Fault("SERVO_UNWATCHED", error.detail if isinstance(error, Fault) else str(error)) from error
 
     @property

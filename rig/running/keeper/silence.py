@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import select
 import signal
@@ -30,6 +31,7 @@ _ATTEMPTS: Final = 3  # of a stop, at least
 _PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
 _ANSWERS_S: Final = 0.015
 _RESTORES_S: Final = 0.1  # an EEPROM takes its time
+_AGAIN_S: Final = 0.5  # between two stops of a host that stays silent
 _TURN_S: Final = 0.2  # longest wait for another process that stops the device
 _STOPS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -64,17 +66,20 @@ def main(arguments: list[str]) -> int:
 def keep(pipe: int, heart: Heartbeat, silence_s: float, kept: Kept) -> bool:
     """Until the host is done (True) or gone (False). Stops the device each time the host falls silent.
 
-    It wakes when the last beat that it has seen is ``silence_s`` old, and looks whether another has come meanwhile.
+    It wakes when the last beat that it has seen is ``silence_s`` old, and looks whether another has come meanwhile. It
+    stops the device again while the host stays silent: what that was just writing may have come after the stop, and a
+    stop may be lost.
     """
-    answered_s = AT_REST  # the beat after which it has stopped the device: once, until the host is heard again
+    answered_s, again_s = AT_REST, math.inf  # the last beat after which it has stopped the device, and when it is again
     while True:
         wait_s: float | None = None
         if (heard_s := heart.heard_s) != AT_REST:
-            wait_s = silence_s if heard_s == answered_s else heard_s + silence_s - time.monotonic()
+            due_s = again_s if heard_s == answered_s else heard_s + silence_s
+            wait_s = min(due_s - time.monotonic(), silence_s)
             if wait_s <= 0.0:
                 heart.tell_silent()  # first: a host that goes on just now must not drive
-                kept.stop()
-                answered_s = heard_s
+                kept.stop_in_turn()
+                answered_s, again_s = heard_s, time.monotonic() + _AGAIN_S
                 continue
         if not select.select([pipe], [], [], wait_s)[0]:
             continue
@@ -100,6 +105,11 @@ class Kept:
             confirmed = self._given(self._stop, _ANSWERS_S)[-1] or confirmed
             written += 1
         return confirmed
+
+    def stop_in_turn(self) -> bool:
+        """As ``stop``, but not while the keeper of a law stops the device."""
+        with turn_on(self._link, _TURN_S):
+            return self.stop()
 
     def restore(self) -> bool:
         """Put the device back, one order after the other; whether each was confirmed.

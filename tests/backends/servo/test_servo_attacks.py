@@ -182,6 +182,40 @@ def test_facts_end_where_the_keeper_had_to_act(protocol: str) -> None:
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_no_drive_follows_the_stop_of_the_keeper(protocol: str) -> None:
+    """Rig looks last, when all but the write is done: it may have stood still anywhere ahead of that."""
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.driver._start_guardian = watching
+    bench.armed()
+    bench.tick(1.0)
+    driven = bench.servo.of("drive")
+
+    def stands_still() -> None:
+        watching.has_acted = True
+
+    watching.beat = stands_still  # type: ignore[method-assign]  # of this one
+    with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
+        bench.driver.write(-1.0)
+    assert bench.servo.of("drive") == driven != 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_facts_switch_no_torque_on_after_the_stop_of_the_keeper(protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.opened()
+
+    def stands_still(link: ServoLink) -> None:
+        watching.has_acted = True
+
+    monkeypatch.setattr(tried, "check_ready", stands_still)
+    with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
+        tried._still(bench.driver._link, 100, watching)
+    assert not bench.servo.is_on
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_a_servo_that_restarts_while_it_is_set_up_never_gets_its_torque(protocol: str) -> None:
     """A Feetech forgets the mode, a Dynamixel has its whole limit for a goal: its torque would move it at once."""
     bench = Bench(protocol)

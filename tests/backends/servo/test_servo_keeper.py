@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
@@ -217,13 +218,20 @@ def test_a_keeper_that_does_not_begin_is_a_fault_and_ended(saved: Saved, monkeyp
 
     def mute(*_: object, **options: Any) -> subprocess.Popen[bytes]:
         started.append(start(["sleep", "600"], **options))
-        return started[0]
+        return started[-1]
 
     monkeypatch.setattr(keepers, "_STARTS_S", 0.1)
     monkeypatch.setattr("rig.backends.servo.keeper.subprocess.Popen", mute)
     with pytest.raises(Fault, match="SERVO_UNWATCHED"):
         saved.keeper()
-    assert started[0].returncode is not None  # one that comes late would write to another program's servo
+
+    def ctrl_c(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(keepers, "select", SimpleNamespace(select=ctrl_c))
+    with pytest.raises(KeyboardInterrupt):
+        saved.keeper()
+    assert None not in [one.returncode for one in started]  # one that comes late would write to another program's servo
 
 
 def test_a_keeper_ends_with_its_command_though_a_copy_of_it_lives(saved: Saved) -> None:
@@ -249,4 +257,25 @@ def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(saved: Saved) -> 
     told = [one.has_acted]  # it stays said
     one.rest()
     assert [*told, one.has_acted] == [True, False]
+    time.sleep(4.0 * SILENCE_S)  # by then it sleeps, until it is told
+    one.beat()
+    assert wait_for(lambda: one.has_acted)
+    one.rest()
+    one.end(restored=True)
+
+
+def test_a_drive_that_was_on_its_way_when_the_keeper_acted_does_not_last(saved: Saved) -> None:
+    """A command that stands still ahead of a write, goes on, and stands still again behind it."""
+    link, roles = saved.link, saved.bench.setup.model.roles
+    link.put(roles["torque"], 0)
+    link.hold(roles["mode"], saved.bench.setup.model.pwm_mode)
+    link.put(roles["drive"], 0)
+    one = saved.keeper(SILENCE_S)
+    one.beat()
+    assert wait_for(lambda: one.has_acted)
+    time.sleep(2.0 * SILENCE_S)  # its stop is over
+    link.put(roles["torque"], 1)
+    link.put(roles["drive"], 100)
+    assert wait_for(lambda: link.value(roles["torque"]) == 0 and link.value(roles["applied"]) == 0)
+    one.rest()
     one.end(restored=True)

@@ -73,9 +73,10 @@ def test_a_servo_that_could_move_unasked_is_refused_and_nothing_is_written(
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_two_servos_of_one_id_are_refused_as_both_would_obey(protocol: str, mute: bool) -> None:
     bench = Bench(protocol)
-    bench.bystanders[0].put("id", bench.own.id)
+    other = bench.bystanders[0]
+    other.put("id", bench.own.id)
     if mute:
-        bench.bystanders[0].put({"dynamixel": "status_return_level", "feetech": "response_level"}[protocol], 0)
+        other.put({"dynamixel": "status_return_level", "feetech": "response_level"}[protocol], 0)
     fault = refused(bench)
     assert fault.code == "LINK_UNIT" and f"two servos have id {bench.own.id}" in fault.detail
 

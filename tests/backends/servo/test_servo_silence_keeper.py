@@ -29,7 +29,7 @@ class Timed(Kept):
     """Notes when it is stopped, and does nothing else."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
-        super().__init__(-1, (), ())
+        super().__init__(0, (), ())
         self.stops_s: list[float] = []
         self._now_s = now_s
 
@@ -78,11 +78,14 @@ class Keeping:
         return [], [], []
 
 
-def test_a_host_that_falls_silent_is_stopped_once_until_it_is_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So long after its last beat, whenever the keeper looked before; it needs no word to be heard again."""
+def test_a_host_that_falls_silent_is_stopped_and_again_until_it_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So long after its last beat, whenever the keeper looked before; it needs no word to be heard again.
+
+    What it was just writing may come after a stop, and a stop may be lost: where it stays silent the next one follows.
+    """
     beats = [(t_s, "beats") for t_s in (0.0, 0.03, 0.05, 0.1, 0.5, 0.52)]
-    keeping = Keeping(monkeypatch, beats[0], (0.0, "l"), *beats[1:], (1.0, "is gone"))
-    assert keeping.kept.stops_s == pytest.approx([0.16, 0.58])
+    keeping = Keeping(monkeypatch, beats[0], (0.0, "l"), *beats[1:], (1.7, "rests"), (9.0, "is gone"))
+    assert keeping.kept.stops_s == pytest.approx([0.16, 0.58, 1.08, 1.58])
     assert keeping.found_silent == [False, False, False, False, True, True]
 
 
