@@ -200,7 +200,7 @@ def test_what_others_wrote_into_the_folder_of_runs_hides_none_of_the_rest(tmp_pa
         unseen.append(f"20260110T000000Z-run-{name}")
     odd.append(hostile("20260111T000000Z-run-large"))
     with (tmp_path / odd[-1] / "meta.json").open("wb") as file:
-        file.truncate(3 << 30)
+        file.truncate(1 << 30)
     app = make_app(Panel.of(Access(HERE), tmp_path, opened=tmp_path / os.fsdecode(unseen[0])))
     with TestClient(app, base_url="http://127.0.0.1:8470", headers=ORIGIN) as client:
         rows = client.get("/api/runs").json()["runs"]
