@@ -21,6 +21,7 @@ from rig.config.campaign import Campaign
 from rig.core.estimators import LEADING
 from rig.identification import identify
 from rig.identification.departures.choice import ASKED, Asked
+from rig.identification.departures.profile import profiles
 from rig.identification.measurements import measurements
 from rig.identification.motor_law import Beginning
 from shared import rows_file
@@ -63,9 +64,22 @@ def test_a_stribeck_effect_that_looks_like_a_dead_band_is_not_called_ok() -> Non
     assert "dead band of the drive" in one.reasons
 
 
+def beginning(campaign: Campaign, number: int) -> Beginning:
+    """The search for laws of this single motor, before it begins."""
+    recordings = case(campaign, number, kinds_of(number, False, campaign.seed)).recordings()
+    plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
+    data = measurements(recordings, with_cycles=True, plain_is_hysteretic=False)
+    return Beginning.of(data.tests, plain, data.periods_s)
+
+
 def test_a_dead_band_that_swallows_a_small_drive_is_not_excluded_by_its_slope_at_0() -> None:
     """Some of its drives are smaller than its dead band of 20 mV: with none friction is 14 % off."""
-    one = row(CAMPAIGN.model_copy(update={"seed": 16}), 42, False)
+    campaign = CAMPAIGN.model_copy(update={"seed": 16})
+    begun = beginning(campaign, 42)
+    choice = begun.chooser.choose(begun.whole, begun.motor, begun.cycle_s)
+    assert choice.laws == ()
+    assert "dead_band" in [profile.law.name for profile in profiles(choice.fit, (), begun.chooser)]
+    one = row(campaign, 42, False)
     assert one.kinds == ("dead_band 0.02",)
     assert one.found == ()
     assert one.verdict == "doubtful" and one.error is not None and one.u95 is not None
@@ -83,10 +97,7 @@ def test_a_dead_band_that_was_found_may_have_another_size() -> None:
 
 
 def test_a_law_that_predicts_less_than_is_asked_is_dropped() -> None:
-    recordings = case(CAMPAIGN, 5, kinds_of(5, False, 1)).recordings()
-    plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
-    data = measurements(recordings, with_cycles=True, plain_is_hysteretic=False)
-    begun = Beginning.of(data.tests, plain, data.periods_s)
+    begun = beginning(CAMPAIGN, 5)
 
     def names(asked: Asked) -> list[str]:
         choice = replace(begun.chooser, asked=asked).choose(begun.whole, begun.motor, begun.cycle_s)
