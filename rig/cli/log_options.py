@@ -15,6 +15,7 @@ from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, par
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 
 _COLUMN = "[COLUMN:]UNIT"
+_OLDEST_S = 0.5  # position of a log
 
 
 def _units(quantity: str) -> str:
@@ -39,12 +40,18 @@ class Gains(click.ParamType):  # type: ignore[type-arg]
 
 
 def _servo_law(
-    model: str | None, gain: tuple[float, ...] | None, scale: float | None, rest: dict[str, Any], texts: dict[str, Any]
+    model: str | None,
+    gain: tuple[float, ...] | None,
+    scale: float | None,
+    age: str | None,
+    rest: dict[str, Any],
+    texts: dict[str, Any],
 ) -> ServoLaw | None:
-    """The law of --servo, --gain and --p-scale; None without them. Counts of its position are the servo's own."""
+    """The law of --servo and the options of its loop; None without them. Counts of its position are the servo's own."""
     if model is None:
-        if gain is not None or scale is not None:
-            fail(EXIT_BAD_INPUT, "--gain and --p-scale are for the log of a servo's own loop", "add --servo MODEL")
+        if (gain, scale, age) != (None, None, None):
+            words = "--gain, --p-scale and --position-age are for the log of a servo's own loop"
+            fail(EXIT_BAD_INPUT, words, "add --servo MODEL")
         return None
     from rig.backends.servo.first_config import model_named
 
@@ -62,9 +69,17 @@ def _servo_law(
             f"--gain: the law that rig knows is duty = P x error, and I is {others[0]:g}, D {others[1]:g}",
             "write 0 into both registers, and record again",
         )
+    age_s = 0.0 if age is None else parse_period(age, "--position-age")
+    if age_s > _OLDEST_S:
+        fail(EXIT_BAD_INPUT, f"--position-age {age}: no link makes a position so old", f"give at most {_OLDEST_S:g}s")
     shipped = [servo[f"position_{one}_gain"].shipped for one in "id"]
     return ServoLaw(
-        P, scale_of(servo.protocol, scale), slew_V_s, is_P_alone=bool(others) or shipped == [0, 0], model=servo.name
+        P,
+        scale_of(servo.protocol, scale),
+        slew_V_s,
+        is_P_alone=bool(others) or shipped == [0, 0],
+        model=servo.name,
+        position_age_s=age_s,
     )
 
 
@@ -92,6 +107,9 @@ _OPTIONS = (
         metavar="1/RAD",
         help="Of --servo: the share of full duty that a P of 1 makes of 1 rad, as `rig servo facts` measures it.",
     ),
+    click.option(
+        "--position-age", metavar="TIME", help="Of --servo: how old the position is at its row's time, such as 6ms."
+    ),
     click.option("--goal", metavar=_COLUMN, help=f"Of --servo: the goal, in {_units('goal')}."),
     click.option("--time-row", type=int, default=0, help="-1: each time stands a row too late, and moves up."),
 )
@@ -106,7 +124,8 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
         period = given.pop("period")
         rest = {name: given.pop(name) for name in ("counts_per_turn", "full", "supply_V", "drive_row", "time_row")}
         rest |= {"run": given.pop("run_column"), "reversed": given.pop("is_reversed")}
-        servo = _servo_law(given.pop("servo_model"), given.pop("gain"), given.pop("p_scale"), rest, texts)
+        model, gain, scale = given.pop("servo_model"), given.pop("gain"), given.pop("p_scale")
+        servo = _servo_law(model, gain, scale, given.pop("position_age"), rest, texts)
         log = None
         if (
             servo is not None

@@ -50,7 +50,8 @@ def by_own_loop(answer: Answer, loop: OwnLoop) -> Answer:
         reasons.append(
             f"the shaft moves {when} the duty that goals and positions say: which of them is late nobody knows, and "
             f"that makes tau and K up to {in_percent(late)} wrong, f_c up to {in_percent(rubs)}; write each goal when "
-            "its row's position is read, and record with a smaller P"
+            "its row's position is read, and record with a smaller P; or, if the positions are old, say so: "
+            "--position-age"
         )
     elif late > ASKED:
         reasons.append(

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
+import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 import servo_log
 from command_line import rig
@@ -65,6 +69,41 @@ def test_the_drive_is_gain_times_error_within_full_duty_and_each_goal_holds_unti
     np.testing.assert_allclose(rows_V, [3.0, 0.6, -6.0])
     first = ServoLaw(0.5, KNOWN, goal_first=True).drive(0.5, t_s, y_rad, goal_rad, 6.0)[1]
     np.testing.assert_allclose(first[:10], 6.0 * 0.5 * (0.3 - middles[:10]), atol=1e-12)
+
+
+def test_old_positions_are_of_the_time_before_and_goals_change_that_much_after_them(tmp_path: Path) -> None:
+    t_s, still = np.array([0.0, 0.01, 0.02, 0.03]), np.zeros(4)
+    goal_rad = np.array([0.0, 1.0, 0.5, 0.5])
+    _, u_V, _ = ServoLaw(1.0, KNOWN, position_age_s=0.006).drive(1.0, t_s, still, goal_rad, 5.0)
+    np.testing.assert_allclose(u_V[:-1], np.repeat([0.0, 5.0, 2.5], [16, 10, 4]))
+    file = written(tmp_path / "log.csv", [(0.01 * k, 0.1 * k, 0.1 * k + 0.2, 5.0) for k in range(30)])
+    old = log_of()
+    assert old.servo is not None
+    found = read(file, replace(old, servo=replace(old.servo, position_age_s=0.006)))
+    np.testing.assert_allclose(found.t_s, 0.01 * np.arange(30) - 0.006)
+
+
+def test_parquet_becomes_a_csv_by_the_command_that_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As LeRobot's data sets are; pyarrow, which reads them, need not be here."""
+    (tmp_path / "a file.parquet").write_bytes(b"PAR1\x15PAR1")
+    with pytest.raises(RecordingError, match="is parquet") as told:
+        read(tmp_path / "a file.parquet", log_of(supply_V=5.0))
+    words = shlex.split(told.value.cure)
+    code, path = words[words.index("-c") + 1 :][:2]
+    columns = {"observation.state": [[0.1 * k, 7.0] for k in range(30)], "action": [[0.1 * k + 0.2] for k in range(30)]}
+    table = pandas.DataFrame({**columns, "timestamp": 0.01 * np.arange(30)})
+    monkeypatch.setattr(pandas, "read_parquet", {str(tmp_path / "a file.parquet"): table}.get)
+    monkeypatch.setattr(sys, "argv", ["-c", path.rstrip(";")])
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    log = log_of(supply_V=5.0)
+    named = {"time": "timestamp", "position": "observation.state.0", "goal": "action.0"}
+    assert all(f"--{name} {column}:" in told.value.cure for name, column in named.items())
+    units = {"time": "s", "position": "rad", "goal": "rad"}
+    columns_of: dict[str, Any] = {name: LogColumn(units[name], column) for name, column in named.items()}
+    found = read(tmp_path / "plain.csv", replace(log, **columns_of))
+    np.testing.assert_allclose(found.y_rad, 0.1 * np.arange(30), atol=1e-9)
+    np.testing.assert_allclose(found.u_V, 5.0 * 0.5 * 0.2)
 
 
 def test_a_ramp_bounds_how_quickly_the_drive_changes() -> None:
@@ -233,6 +272,9 @@ def test_the_options_of_the_command(tmp_path: Path) -> None:
         (("--servo", "sts3215", "--gain", "16,0,32"), "duty = P x error, and I is 0, D 32"),
         (("--servo", "sts3215", "--gain", "nan"), "must be the servo's P"),
         ((*servo, "--p-scale", "inf"), "must be a number"),
+        ((*servo, "--position-age", "1s"), "no link makes a position so old"),
+        ((*servo, "--position-age", "6"), "--position-age 6 is no time"),
+        (("--position-age", "6ms"), "add --servo MODEL"),
         # 4096 counts a turn need not be said
         ((*servo, "--time", "s", "--position", "counts", "--goal", "counts"), "the position never changes"),
     ):

@@ -39,6 +39,13 @@ _NO_CSV: Final = {
     b"PK\x03\x04": ("is an Excel workbook or a zip file", "export the sheet as CSV in UTF-8, or unpack it"),
     b"\xff\xfe": ("is UTF-16 text", "iconv -f UTF-16 -t UTF-8 {path} > plain.csv"),
     b"\xfe\xff": ("is UTF-16 text", "iconv -f UTF-16 -t UTF-8 {path} > plain.csv"),
+    b"PAR1": (
+        "is parquet, as LeRobot's data sets are",
+        'pip install pandas pyarrow, and python -c "import sys, pandas as p; t = p.read_parquet(sys.argv[1]); '
+        "p.concat([p.DataFrame(t[c].tolist()).add_prefix(c + '.') if t[c].dtype == object else t[c] for c in t], "
+        "axis=1).to_csv('plain.csv', index=False)\" {path}; the first motor is then --position "
+        "observation.state.0:deg --goal action.0:deg --time timestamp:s",
+    ),
     b"\x89HDF": ("is an HDF5 file", "export t_s, u_V and y_rad as CSV"),
 }
 

@@ -211,6 +211,7 @@ def servo_recording(
             source, f"nothing says which goal it had in the {periods_s[k]:.3g} s before this row",
             "cut the log here, and give both parts", rows[k + 1],
         )  # fmt: skip
+    t_s = t_s - servo.position_age_s
     edges_s, u_V, at_rows_V = servo.drive(P, t_s, y_rad, goal_rad, supply_V)
     scale = servo.scale
     said = (

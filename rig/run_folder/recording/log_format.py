@@ -180,7 +180,7 @@ class LogColumn:
         return cls(unit, column.strip() or None)
 
 
-def parse_period(text: str) -> float:
+def parse_period(text: str, option: str = "--period") -> float:
     """A time such as 2ms, 500us or 0.01s, in s, above 0. Raises LogFormatError."""
     found = _PERIOD.fullmatch(text)
     try:
@@ -188,7 +188,7 @@ def parse_period(text: str) -> float:
     except ValueError:
         period_s = math.nan
     if not 0.0 < period_s < LARGEST:
-        raise LogFormatError(f"--period {text} is no time above 0", "give a number with its unit: --period 2ms")
+        raise LogFormatError(f"{option} {text} is no time above 0", f"give a number with its unit: {option} 2ms")
     return period_s
 
 

@@ -80,6 +80,7 @@ class ServoLaw:
     goal_first whether each row's goal was written before its position was read
     is_P_alone whether its I and D are known to be 0
     model      its name; "": nobody says
+    position_age_s   of each row's position at its row's time, at which its goal is written
     """
 
     P: float | None
@@ -88,6 +89,7 @@ class ServoLaw:
     goal_first: bool = False
     is_P_alone: bool = True
     model: str = ""
+    position_age_s: float = 0.0
 
     def drive(
         self, P: float, t_s: Floats, y_rad: Floats, goal_rad: Floats, supply_V: float
@@ -95,7 +97,7 @@ class ServoLaw:
         """Edges, s, and drives, V, from each edge on, (m,), and the drive at each of the n rows, V, (n,).
 
         P                      of its register, 1
-        t_s, y_rad, goal_rad   (n,) of the rows, t_s rising, n >= 2
+        t_s, y_rad, goal_rad   (n,) of the rows, n >= 2; t_s, rising, are the times of the positions
         supply_V               at full duty
         Between rows the position is interpolated; each step has the mean of its ramp.
         """
@@ -107,8 +109,10 @@ class ServoLaw:
         part = np.concatenate([np.arange(n) / n for n in steps])
         period_s = np.diff(t_s)[row]
         edges = t_s[row] + part * period_s
-        position = PchipInterpolator(t_s, y_rad)(edges + 0.5 * period_s / steps[row])
-        held = goal_rad[row + 1] if self.goal_first else goal_rad[row]
+        middles = edges + 0.5 * period_s / steps[row]
+        position = PchipInterpolator(t_s, y_rad)(middles)
+        written = np.searchsorted(t_s + self.position_age_s, middles, side="right") - 1
+        held = goal_rad[np.maximum(written, 0) + self.goal_first]
         gain = self.scale.middle * P
         u_V = supply_V * np.clip(gain * (held - position), -1.0, 1.0)
         if math.isfinite(self.slew_V_s):
