@@ -11,6 +11,8 @@ from typing import Final
 _WAKES_S: Final = 0.1  # one that was stopped together with this process may go on so much later
 _STOPPED: Final = getattr(os, "CLD_STOPPED", 5)  # not on Windows
 _ENDED: Final = -1
+# 0 on macOS before Python 3.13, which tells of no stop, and on Windows
+_LOOKS: Final = os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT if hasattr(os, "waitid") else 0
 
 
 class Halts:
@@ -42,10 +44,10 @@ class Halts:
 
     def _event(self) -> int | None:
         """_STOPPED, _ENDED or another code of SIGCHLD that says so; None: it goes on."""
-        if not hasattr(os, "waitid"):  # on macOS before Python 3.13: it tells of no stop
+        if not _LOOKS:
             return None if self._process.poll() is None else _ENDED
         try:
-            told = os.waitid(os.P_PID, self._process.pid, os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            told = os.waitid(os.P_PID, self._process.pid, _LOOKS)
         except ChildProcessError:  # somebody has waited for it
             return _ENDED
         return None if told is None else told.si_code

@@ -99,14 +99,6 @@ class Reply(NamedTuple):
     at_most_s: float
 
 
-class _Sent(NamedTuple):
-    """A request that left between two times, s, and its length."""
-
-    from_s: float
-    by_s: float
-    bytes: int
-
-
 class BusClient(Generic[Req]):
     """Asks one device on a bus.
 
@@ -121,7 +113,7 @@ class BusClient(Generic[Req]):
         self._protocol = protocol
         self._pace = 1.0  # share of what the config says that the fastest exchange took, at most 1
         self._quiet_until_s = -math.inf  # a new request must not begin before
-        self._heard = 0  # bytes that came while it was idle
+        self._reckoned: dict[tuple[int, int], tuple[float, float]] = {}  # by the bytes of request and reply
         self._counts = dict.fromkeys(("exchanges", "timeouts", "bad_replies", "exceptions", "stale_bytes"), 0)
 
     @property
@@ -162,14 +154,15 @@ class BusClient(Generic[Req]):
         self._drain()
         return self._await(request, timeout_s, self._send(request), strict=False)
 
-    def in_tick(self, request: Req, timeout_s: float, *, after_silence: bool) -> Reply:
+    def in_tick(self, request: Req, timeout_s: float, *, after_silence: bool, idle_s: float = 0.0) -> Reply:
         """Within the tick: anything but the reply is a fault, and what follows it on the line is suspect.
 
         after_silence  whether bytes that nobody asked for, before the request, are a fault too
+        idle_s         for so long nothing is asked
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, or the device's refusal.
         """
         try:
-            unasked = self._drain()
+            unasked = self._drain(idle_s)
             if after_silence and unasked >= _UNASKED_BYTES:
                 raise self.misfit(
                     f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
@@ -182,7 +175,8 @@ class BusClient(Generic[Req]):
     def unheard(self, request: Req, wait_s: float) -> None:
         """Send a request and throw away all that comes within ``wait_s``. After it nothing is suspect."""
         self._drain()
-        self._send(request)
+        _, by_s, sent_bytes = self._send(request)
+        self._quiet_until_s = by_s + self._protocol.wire_s(sent_bytes) + self._protocol.pause_s
         self.wait(wait_s)
         self.is_suspect = False
 
@@ -192,109 +186,105 @@ class BusClient(Generic[Req]):
         while (left_s := until_s - self._transport.now_s()) > 0.0:
             self._throw_away(self._transport.read(left_s))
 
-    def idle(self, wait_s: float) -> None:
-        """Ask nothing for so long; what comes meanwhile came before the next request."""
-        until_s = self._transport.now_s() + wait_s
-        while (left_s := until_s - self._transport.now_s()) > 0.0:
-            data = self._transport.read(left_s)
-            self._heard += len(data)
-            self._throw_away(data)
-
     # ------------------------------------------------------------------ bytes
 
-    def _send(self, request: Req) -> _Sent:
-        """Send a request."""
+    def _send(self, request: Req) -> tuple[float, float, int]:
+        """Send a request. It left between two times, s; its length."""
         data = self._protocol.encode(request)
-        sent_s = self._transport.now_s()
+        from_s = self._transport.now_s()
         self._transport.write(data)
-        by_s = self._transport.now_s()
-        self._quiet_until_s = by_s + self._protocol.wire_s(len(data)) + self._protocol.pause_s
-        return _Sent(sent_s, by_s, len(data))
+        return from_s, self._transport.now_s(), len(data)
 
-    def _drain(self) -> int:
-        """Throw away what came unasked, and let the line be silent as long as it must; how many bytes."""
-        thrown, self._heard = self._heard, 0
+    def _drain(self, idle_s: float = 0.0) -> int:
+        """Throw away what came unasked, and let the line be silent as long as it must; how many bytes.
+
+        idle_s  that this must take at least; what comes meanwhile came before the next request
+        """
+        thrown, now_s = 0, self._transport.now_s()
+        until_s = now_s + idle_s
         while True:
-            left_s = self._quiet_until_s - self._transport.now_s()
-            data = self._transport.read(max(left_s, 0.0))
-            if not data:
-                if left_s <= 0.0:
-                    return thrown
-                continue
-            thrown += len(data)
-            self._throw_away(data)
-            if thrown > _ENDLESS_BYTES:
-                raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
+            left_s = max(self._quiet_until_s, until_s) - now_s
+            data = self._transport.read(left_s if left_s > 0.0 else 0.0)
+            if data:
+                thrown += len(data)
+                self._throw_away(data)
+                if thrown > _ENDLESS_BYTES:
+                    raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
+            elif left_s <= 0.0:
+                return thrown
+            now_s = self._transport.now_s()
 
     def _throw_away(self, data: bytes) -> None:
         if data:
             self._counts["stale_bytes"] += len(data)
             self._quiet_until_s = self._transport.now_s() + self._protocol.pause_s
 
-    def _await(self, request: Req, timeout_s: float, sent: _Sent, *, strict: bool) -> Reply:
+    def _await(self, request: Req, timeout_s: float, sent: tuple[float, float, int], *, strict: bool) -> Reply:
         """The reply to a request; raises as ``in_tick``.
 
         strict  the first thing that comes is the reply, or a fault; else what does not fit is thrown away
         """
-        transport = self._transport
+        transport, protocol = self._transport, self._protocol
         self._counts["exchanges"] += 1
-        until_s = sent.by_s + timeout_s
+        until_s = sent[1] + timeout_s
+        left_s = timeout_s
         data = b""
-        received_s = sent.by_s
         objection: Fault | None = None
-        is_read = True  # all of ``data`` has been looked at
         while True:
-            if is_read:
-                left_s = until_s - transport.now_s()
-                # when the time is over whatever is there still counts: it is this process that was late, then
-                more = transport.read(max(left_s, 0.0))
-                if not more and left_s <= 0.0:
-                    break
-                data += more
-                received_s = transport.now_s()
-                self._quiet_until_s = received_s + self._protocol.pause_s
-            is_read = True
-            frame: Frame | None = None
-            try:
-                frame = self._protocol.take(data)
-                if frame is None:
-                    continue
-                self._protocol.check(frame, request)
-            except Damaged as damaged:
-                objection = self.misfit(f"asked for {request.about}: {damaged}")
-            except Fault as fault:
-                objection = self._counted(fault)
-                if fault.code == self._protocol.refusal:
-                    raise
-            else:
-                return self._accepted(frame, data, sent, received_s, strict=strict)
-            if strict:
-                raise objection
-            # where replies that were late come together, the one to this request is the last
-            dropped = frame.length if frame is not None and self._protocol.late_come_together else len(data)
-            self._counts["stale_bytes"] += dropped
-            data = data[dropped:]
-            is_read = not data
+            # when the time is over whatever is there still counts: it is this process that was late, then
+            more = transport.read(left_s if left_s > 0.0 else 0.0)
+            if not more and left_s <= 0.0:
+                break
+            data += more
+            received_s = transport.now_s()
+            self._quiet_until_s = received_s + protocol.pause_s
+            left_s = until_s - received_s
+            while data:
+                frame: Frame | None = None
+                try:
+                    frame = protocol.take(data)
+                    if frame is None:
+                        break
+                    protocol.check(frame, request)
+                except Damaged as damaged:
+                    objection = self.misfit(f"asked for {request.about}: {damaged}")
+                except Fault as fault:
+                    objection = self._counted(fault)
+                    if fault.code == protocol.refusal:
+                        raise
+                else:
+                    return self._accepted(frame, data, sent, received_s, strict=strict)
+                if strict:
+                    raise objection
+                # where replies that were late come together, the one to this request is the last
+                dropped = frame.length if frame is not None and protocol.late_come_together else len(data)
+                self._counts["stale_bytes"] += dropped
+                data = data[dropped:]
         self._counts["timeouts"] += 1
         about = request.about
         if data:
             raise self.misfit(f"asked for {about}: {len(data)} bytes that are no whole reply, {data[:24].hex(' ')}")
         raise objection or Fault(
-            "LINK_TIMEOUT", f"no reply from {self._protocol.name} within {timeout_s * 1e3:g} ms, asked for {about}"
+            "LINK_TIMEOUT", f"no reply from {protocol.name} within {timeout_s * 1e3:g} ms, asked for {about}"
         )
 
-    def _accepted(self, frame: Frame, data: bytes, sent: _Sent, received_s: float, *, strict: bool) -> Reply:
-        extra = len(data) - frame.length
+    def _accepted(
+        self, frame: Frame, data: bytes, sent: tuple[float, float, int], received_s: float, *, strict: bool
+    ) -> Reply:
+        length, (from_s, by_s, sent_bytes) = frame.length, sent
+        extra = len(data) - length
         if extra:
             self._counts["stale_bytes"] += extra
             if strict and extra >= _UNASKED_BYTES:
                 raise self.misfit(
                     f"{extra} bytes beyond the reply: another master, or two answers to one request; the reply is "
-                    f"{data[: frame.length].hex(' ')}"
+                    f"{data[:length].hex(' ')}"
                 )
-        to_device_s, reckoned_s = self._reckoned_s(sent.bytes, frame.length)
+        if (ways := self._reckoned.get((sent_bytes, length))) is None:
+            ways = self._reckoned[sent_bytes, length] = self._reckoned_s(sent_bytes, length)
+        to_device_s, reckoned_s = ways
         # a host that stood still while it sent, did so before the request left, unless the reply was there too soon
-        since_s = sent.by_s if received_s - sent.by_s >= _TOO_SOON * self._pace * reckoned_s else sent.from_s
+        since_s = by_s if received_s - by_s >= _TOO_SOON * self._pace * reckoned_s else from_s
         took_s = received_s - since_s
         # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits for the
         # adapter, the system's buffers and this process (measured in docs/modbus.md); of an exchange quicker than the
@@ -302,7 +292,7 @@ class BusClient(Generic[Req]):
         until_executed_s = self._pace * to_device_s
         if reckoned_s > 0.0:
             until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
-        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s, received_s - sent.from_s)
+        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s, received_s - from_s)
 
     def _reckoned_s(self, sent_bytes: int, received_bytes: int) -> tuple[float, float]:
         """What an exchange takes by the config: until the device executes it, and until the reply is here."""

@@ -476,9 +476,10 @@ class RegisterDriver(ABC, Generic[Req]):
         """The drive of a tick."""
         self._t_u_s = self._driven_s = self._exchange(self._writing_drive(units)).executed_s
 
-    def _exchange(self, request: Req) -> Reply:
-        """The exchange of a tick. While armed it waits for as long as the device's watchdog lets the last drive act.
+    def _exchange(self, request: Req, idle_s: float = 0.0) -> Reply:
+        """The exchange of a tick, after ``idle_s`` in which nothing is asked.
 
+        While armed it waits for as long as the device's watchdog lets the last drive act.
         One request is under way at a time, so what comes late can only be its reply. Where one reply after the other is
         late, the link is not fit for the period: LINK_TIMEOUT.
         """
@@ -486,7 +487,7 @@ class RegisterDriver(ABC, Generic[Req]):
         if self._armed and self.failsafe is not None:
             held_s = self._transport.now_s() - self._driven_s
             wait_s = max(wait_s, min(self.failsafe.time_s, LONGEST_WATCHDOG_S) - held_s)
-        reply = self._client.in_tick(request, wait_s, after_silence=self._armed)
+        reply = self._client.in_tick(request, wait_s, after_silence=self._armed, idle_s=idle_s)
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._timeout_s else 0
         if self._late_in_a_row >= _LATE_REPLIES:
             raise Fault(

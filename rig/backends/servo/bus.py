@@ -30,11 +30,15 @@ class Ask(NamedTuple):
     data     its bytes
     about    its subject in words, for a fault
     replies  bytes of data that the answer must hold; None: any number
+    begins   how the answer begins where it is as it must be, and is not as short as that to a write; empty: not told
+    length   of that answer
     """
 
     data: bytes
     about: str
     replies: int | None = 0
+    begins: bytes = b""
+    length: int = 0
 
 
 class Answer(NamedTuple):
@@ -56,7 +60,7 @@ def _first(stream: PacketStream[F], data: bytes) -> tuple[F, int] | None:
 class Bus(Protocol[Ask]):
     """One servo on a bus: what it is asked, and what it must answer.
 
-    id, baud  of the servo, of the line
+    id, baud  of the servo that is asked, of the line
     echoes    the adapter ties both lines together: the host hears what it sends, and compares it. It is seen at the
               first answer: of a Feetech an echo could be taken for one
     """
@@ -64,26 +68,41 @@ class Bus(Protocol[Ask]):
     refusal = REFUSAL
     echoes = False
     status: Callable[[int], bytes]  # the answer of a servo that has nothing to tell
+    body_of: Callable[[bytes], bytes | str]  # of a packet of the right length
+    _said = 0  # where in it the error byte is
 
     def __init__(self, id: int, baud: int) -> None:
         self.id = id
         self.name = f"servo {id}"
         self.turnaround_s = TURNAROUND_S
         self._baud = baud
-        self._sent = b""
-        self._confirmed: dict[int, bytes] = {}  # made once for each id: asked for in each tick
+        self._sent, self._begins, self._length = b"", b"", 0
+
+    @property
+    def id(self) -> int:
+        """Of the servo that is asked."""
+        return self._id
+
+    @id.setter
+    def id(self, id: int) -> None:
+        self._id, self._plain = id, self.status(id)
+        self._done = Answer(id, b"\0", len(self._plain))
 
     @override
     def encode(self, request: Ask) -> bytes:
-        self._sent = request.data
-        return request.data
+        self._sent, _, _, self._begins, self._length = request
+        return self._sent
 
     @override
     def take(self, data: bytes) -> Answer | None:
-        if not self.echoes and data == self.confirmed():  # the answer to each drive
-            return Answer(self.id, b"\0", len(data))
+        if data == self._plain and not self.echoes:  # the answer to each drive
+            return self._done
         self.echoes = self.echoes or data.startswith(self._sent)
         if not self.echoes:
+            if len(data) == self._length and data.startswith(self._begins):
+                body = self.body_of(data)
+                if isinstance(body, bytes):
+                    return Answer(self._id, body[self._said :], self._length)
             return self.answer(data)
         own = len(self._sent)
         if data[:own] != self._sent[: len(data)]:
@@ -101,9 +120,10 @@ class Bus(Protocol[Ask]):
 
     @override
     def check(self, frame: Answer, request: Ask) -> None:
-        if frame.id != self.id:
+        if frame.id != self._id:
             raise Fault("LINK_UNIT", f"servo {frame.id} answered, servo {self.id} was asked for {request.about}")
-        self.check_error(frame.pdu[0], request)
+        if frame.pdu[0]:
+            self.check_error(frame.pdu[0], request)
         if request.replies is not None and len(frame.pdu) != 1 + request.replies:
             raise Fault(
                 "LINK_REPLY",
@@ -135,15 +155,14 @@ class Bus(Protocol[Ask]):
 
     def confirmed(self) -> bytes:
         """The answer to a write that was done, without any error."""
-        if self.id not in self._confirmed:
-            self._confirmed[self.id] = self.status(self.id)
-        return self._confirmed[self.id]
+        return self._plain
 
 
 class DynamixelBus(Bus):
     """Protocol 2.0."""
 
-    status = staticmethod(dynamixel.status)
+    status, body_of = staticmethod(dynamixel.status), staticmethod(dynamixel.body_of)
+    _said = 1
 
     @override
     def answer(self, data: bytes) -> Answer | None:
@@ -167,7 +186,8 @@ class DynamixelBus(Bus):
 
     @override
     def reading(self, address: int, length: int, about: str) -> Ask:
-        return Ask(dynamixel.read(self.id, address, length), about, length)
+        begins = dynamixel.status_head(self.id, length)
+        return Ask(dynamixel.read(self.id, address, length), about, length, begins, dynamixel.reply_bytes(length))
 
     @override
     def writing(self, address: int, data: bytes, about: str) -> Ask:
@@ -185,7 +205,7 @@ class DynamixelBus(Bus):
 class FeetechBus(Bus):
     """Feetech's protocol. Nothing in an answer tells which request it is for, and one damaged packet in 256 passes."""
 
-    status = staticmethod(feetech.status)
+    status, body_of = staticmethod(feetech.status), staticmethod(feetech.body_of)
 
     @override
     def answer(self, data: bytes) -> Answer | None:
@@ -200,7 +220,8 @@ class FeetechBus(Bus):
 
     @override
     def reading(self, address: int, length: int, about: str) -> Ask:
-        return Ask(feetech.read(self.id, address, length), about, length)
+        begins = feetech.status_head(self.id, length)
+        return Ask(feetech.read(self.id, address, length), about, length, begins, feetech.reply_bytes(length))
 
     @override
     def writing(self, address: int, data: bytes, about: str) -> Ask:

@@ -22,7 +22,7 @@ from rig.backends.registers.driver import UNHURRIED_S, RegisterDriver
 from rig.backends.registers.map import Register, RegisterSpan
 from rig.backends.servo.before import BeforeStore, put_back
 from rig.backends.servo.bus import Ask, ServoLink, bus_of
-from rig.backends.servo.guardian import Guardian, beat
+from rig.backends.servo.guardian import Guardian, beat, stopped_by_keeper
 from rig.backends.servo.opening import ServoSetup, check_ready, error_words, leave_no_trace, look, other_mode, set_up
 from rig.backends.servo.registers import ServoMap, servo_map
 from rig.backends.servo.steps import STEP_S, WRAPS, Steps
@@ -115,6 +115,7 @@ class ServoDriver(RegisterDriver[Ask]):
         self._start_guardian = guardian
         self._only_stops = answered
         self._guardian: Guardian | None = None
+        self._voltage_scale = setup.model.role("voltage").scale
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
         self._ways: deque[_Way] = deque(maxlen=_WAYS)  # the latest drives since it was armed
@@ -157,11 +158,14 @@ class ServoDriver(RegisterDriver[Ask]):
         return reply.pdu[1:]
 
     @override
-    def _exchange(self, request: Ask) -> Reply:
+    def _exchange(self, request: Ask, idle_s: float = 0.0) -> Reply:
         """As of ``RegisterDriver``; an answer that tells of an error is a fault by its name."""
-        if self._guardian is not None:
-            beat(self._guardian)
-        reply = super()._exchange(request)
+        try:
+            reply = super()._exchange(request, idle_s)
+        except Fault as fault:
+            if self._guardian is not None and self._guardian.has_acted:  # it speaks on the bus, too
+                raise stopped_by_keeper() from fault
+            raise
         if self._bus.alerts(reply.pdu):
             self._raise_alert(reply.pdu[0])
         else:
@@ -374,7 +378,7 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
         try:
-            values = super()._values(span, reply)
+            values = span.values(self._cells(reply))
         except ValueError as error:
             raise self._client.misfit(str(error)) from error
         values["position"] = self._unwrapped(round(values["position"]))
@@ -407,14 +411,16 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def _tick_reading(self) -> Reply:
         """Where the servo tells no clock, at another place within its step each tick: the mean is then the truth."""
-        if not self._steps.is_known:
-            self._dithered = (self._dithered + _GOLDEN) % 1.0
-            self._client.idle(self._dithered * STEP_S)
-        return super()._tick_reading()
+        if self._steps.is_known:
+            return self._exchange(self._sampling)
+        self._dithered = (self._dithered + _GOLDEN) % 1.0
+        return self._exchange(self._sampling, self._dithered * STEP_S)
 
     @override
     def _tick_writing(self, units: int) -> None:
         last_s = self._t_u_s
+        if self._guardian is not None:
+            beat(self._guardian)
         try:
             super()._tick_writing(units)
         except Fault as fault:
@@ -473,8 +479,12 @@ class ServoDriver(RegisterDriver[Ask]):
 
     def _check_duty(self, values: Mapping[str, float]) -> None:
         """A servo that drives otherwise than it was told has restarted, protects itself, or has another master."""
-        low, high = self._may_act()
-        is_strange = not low - _STEPS_OFF <= values["applied"] <= high + _STEPS_OFF
+        applied = values["applied"]
+        # in most readings it is what the last drive gives; whether it may be another one is looked at only then
+        is_strange = abs(applied - self._ways[-1].at(self._transport.now_s() + STEP_S)) > _STEPS_OFF
+        if is_strange:
+            low, high = self._may_act()
+            is_strange = not low - _STEPS_OFF <= applied <= high + _STEPS_OFF
         self._strange = self._strange + 1 if is_strange else 0
         if not is_strange:
             return
@@ -490,8 +500,8 @@ class ServoDriver(RegisterDriver[Ask]):
         raise Fault("SERVO_OVERLOAD", f"{words}: it protects itself, or somebody else drives it")
 
     def _check_health(self, values: Mapping[str, float]) -> None:
-        model, setup = self._setup.model, self._setup
-        supply_V = values["voltage"] * model.role("voltage").scale
+        setup = self._setup
+        supply_V = values["voltage"] * self._voltage_scale
         hot, weak = values["temperature"] >= setup.hot_degC, supply_V < (1.0 - _SAG_SHARE) * setup.supply_V
         self._bad = self._bad + 1 if hot or weak else 0
         if self._bad < _IN_A_ROW:

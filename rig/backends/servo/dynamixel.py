@@ -129,15 +129,19 @@ def _take(data: bytes | bytearray, at: int) -> tuple[Frame, int] | str | None:
     packet = whole_packet(data, at, header=len(_HEADER), length_bytes=2, shortest=SHORTEST, longest=LONGEST)
     if not isinstance(packet, bytes):
         return packet
+    body = body_of(packet)
+    return body if isinstance(body, str) else (Frame(packet[4], body[0], body[1:]), len(packet))
+
+
+def body_of(packet: bytes) -> bytes | str:
+    """Instruction and parameters of a packet of the right length, not stuffed any more; or why it is damaged."""
     if crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
         return "CRC"
-    id, body = packet[4], packet[7:-2]
-    if _BEGIN in body and not _is_fast_reply(id, body[0]):
+    body = packet[7:-2]
+    if _BEGIN in body and not _is_fast_reply(packet[4], body[0]):
         plain = body.replace(_STUFFED, _BEGIN)
-        if plain.replace(_BEGIN, _STUFFED) != body:
-            return "not stuffed"
-        body = plain
-    return Frame(id, body[0], body[1:]), len(packet)
+        return "not stuffed" if plain.replace(_BEGIN, _STUFFED) != body else plain
+    return body
 
 
 # ---------------------------------------------------------------------- requests
@@ -179,6 +183,11 @@ class Status(NamedTuple):
 def status(id: int, data: bytes = b"", error: int = 0, *, alert: bool = False) -> bytes:
     """A servo's answer as it is on the wire."""
     return Frame(id, Instruction.STATUS, bytes((_error(error, alert=alert),)) + data).encode()
+
+
+def status_head(id: int, n_data: int) -> bytes:
+    """How a servo's answer with so many bytes of data begins, up to its error byte, where nothing is stuffed."""
+    return _HEADER + bytes((one_id(id), n_data + 4 & 0xFF, n_data + 4 >> 8, Instruction.STATUS))
 
 
 def _error(error: int, *, alert: bool) -> int:

@@ -72,9 +72,15 @@ def _take(data: bytes | bytearray, at: int) -> tuple[Frame, int] | str | None:
     packet = whole_packet(data, at, header=len(_HEADER), length_bytes=1, shortest=SHORTEST, longest=LONGEST)
     if not isinstance(packet, bytes):
         return packet
+    body = body_of(packet)
+    return body if isinstance(body, str) else (Frame(packet[2], body[0], body[1:]), len(packet))
+
+
+def body_of(packet: bytes) -> bytes | str:
+    """Code and parameters of a packet of the right length; or why it is damaged."""
     if check_sum(packet[2:-1]) != packet[-1]:
         return "check sum"
-    return Frame(packet[2], packet[4], packet[5:-1]), len(packet)
+    return packet[4:-1]
 
 
 # ---------------------------------------------------------------------- numbers
@@ -135,6 +141,11 @@ class Status(NamedTuple):
 def status(id: int, data: bytes = b"", errors: int = 0) -> bytes:
     """A servo's answer as it is on the wire."""
     return Frame(one_id(id), errors, data).encode()
+
+
+def status_head(id: int, n_data: int) -> bytes:
+    """How a servo's answer with so many bytes of data begins, up to its errors."""
+    return _HEADER + bytes((one_id(id), n_data + 2))
 
 
 def status_of(frame: Frame) -> Status:

@@ -36,4 +36,9 @@ def beat(guardian: Guardian) -> None:
     """
     guardian.beat()
     if guardian.has_acted:
-        raise Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")
+        raise stopped_by_keeper()
+
+
+def stopped_by_keeper() -> Fault:
+    """What to say where it has acted."""
+    return Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")

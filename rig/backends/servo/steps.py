@@ -19,29 +19,24 @@ class Steps:
 
     low_s, high_s  between them is the host time of the step that is counted as 0, s
     count          of the step that was told last
+    is_known       whether any reading has told the clock
     """
 
     def __init__(self) -> None:
         self.low_s, self.high_s = -math.inf, math.inf
         self.count = 0
-        self._last: int | None = None
-
-    @property
-    def is_known(self) -> bool:
-        """Whether any reading has told the clock."""
-        return self._last is not None
-
-    @property
-    def _began_s(self) -> float:
-        return 0.5 * (self.low_s + self.high_s)
+        self.is_known = False
+        self._last = 0
+        self._began_s = math.nan
 
     def take(self, tick: int, t_s: float) -> float:
         """A reading that was executed at ``t_s`` told ``tick``. Returns the time of that step, s, at most a step ago.
 
         A clock that goes at another pace moves the bounds along: the last reading is always right.
         """
-        self.count += 0 if self._last is None else (tick - self._last) % WRAPS
-        self._last = tick
+        if self.is_known:
+            self.count += (tick - self._last) % WRAPS
+        self._last, self.is_known = tick, True
         high_s = t_s - self.count * STEP_S
         low_s = high_s - STEP_S
         self.low_s, self.high_s = max(self.low_s, low_s), min(self.high_s, high_s)
@@ -50,6 +45,7 @@ class Steps:
                 self.low_s = self.high_s = high_s
             else:
                 self.low_s = self.high_s = low_s
+        self._began_s = 0.5 * (self.low_s + self.high_s)
         return self._began_s + self.count * STEP_S
 
     def next_s(self, t_s: float) -> float:
