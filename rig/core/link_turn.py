@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
+
+if sys.platform != "win32":
+    import fcntl  # now: who stops a device must not wait for a disk
 
 _LOOKS_S: Final = 0.001
 
@@ -22,17 +26,13 @@ def turn_on(link: int, wait_s: float) -> Iterator[bool]:
     try:
         yield held
     finally:
-        if held:
-            import fcntl  # not everywhere
-
+        if held and sys.platform != "win32":
             with contextlib.suppress(OSError):  # the port is gone, and the lock with it
                 fcntl.lockf(link, fcntl.LOCK_UN)
 
 
 def _locked(link: int, until_s: float) -> bool:
-    try:
-        import fcntl  # not everywhere
-    except ImportError:
+    if sys.platform == "win32":  # has no such locks
         return False
     while True:
         try:

@@ -91,7 +91,7 @@ class ServoBackend(RegisterBackend):
         silent_ms = 1e3 * d.daq.watchdog_s
         keeper = (
             f"a keeper, a process on this machine, stops the servo if rig dies or is silent for {silent_ms:g} ms; it "
-            "does not cover cable, adapter or machine"
+            "does not cover cable, adapter or machine, nor what ends both at once, as the end of a container"
         )
         if servo is None or not has_watchdog(servo):
             return f"failsafe: none in the servo; {keeper}: keep the switch of its supply in reach"

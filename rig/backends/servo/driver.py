@@ -35,6 +35,7 @@ _REST_COUNTS: Final = 1  # that a shaft at rest may move by
 _REST_S: Final = 0.04  # for which it must
 _COASTS_S: Final = 1.0  # longest wait for rest
 _LOOK_S: Final = 0.005
+_BURST_S: Final = 0.2  # longest wait while the servo's keeper stops it
 _TURN_S: Final = 3.0  # longest wait for the servo's keeper: it stops, and puts back
 _CUTS_S: Final = 0.02  # until torque off shows in the duty that acts
 _IN_A_ROW: Final = 2  # readings that must say the same before it is a fault: one can be damaged
@@ -224,6 +225,11 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._only_stops:
             with turn_on(self.descriptor, _TURN_S) if self.descriptor is not None else nullcontext():
                 return super().safe_stop() and self._torque_off()
+        if self._guardian is not None and self._guardian.has_acted and self.descriptor is not None:
+            # its answers would be taken for ours; the turn is let go at once: if this process stood still, and had it,
+            # the keeper would wait
+            with turn_on(self.descriptor, _BURST_S):
+                pass
         stopped = super().safe_stop() or (self._met and self._cut_off())
         if self._guardian is not None and stopped:
             self._guardian.rest()  # the duty is 0

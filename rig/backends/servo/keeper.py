@@ -9,6 +9,7 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
 from rig.backends.servo.before import BeforeStore, order_of
@@ -22,6 +23,7 @@ from rig.core.memory_file import create_file
 _STARTS_S: Final = 10.0
 _ENDS_S: Final = 3.0
 _READY: Final = b"ready\n"
+_SMALL_INITS: Final = ("docker-init", "tini", "dumb-init", "catatonit")
 _LOOK, _DONE = b"l", b"d"  # as in ``rig.running.keeper.silence``
 
 
@@ -44,11 +46,21 @@ class ServoKeeper:
             "before": "" if store.path is None else str(store.path),
             "note": "" if store.note_path is None else str(store.note_path),
         }
+        if _is_all_of_its_container():
+            raise Fault(
+                "SERVO_UNWATCHED",
+                "rig is the process for which its container lives: its keeper would end with it. Start a shell in the "
+                "container, and rig from there",
+            )
         try:
             memory = create_file(SIZE)
+            try:
+                heard, self._pipe = os.pipe()
+            except OSError:
+                os.close(memory)
+                raise
         except OSError as error:
             raise Fault("SERVO_UNWATCHED", error.strerror or str(error)) from error
-        heard, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
         keep_from_copies(self._pipe)
         descriptors = (descriptor, heard, memory)
@@ -138,6 +150,18 @@ class ServoKeeper:
 def starter(descriptor: int, silence_s: float) -> Callable[[ServoLink, BeforeStore], ServoKeeper]:
     """What starts the keeper of a servo on an open port."""
     return lambda link, store: ServoKeeper(link, store, descriptor, silence_s)
+
+
+def _is_all_of_its_container() -> bool:
+    """Whether the kernel ends every process that this one sees as soon as this one ends, the keeper, too."""
+    if os.getpid() == 1:
+        return True
+    if os.getppid() != 1:
+        return False
+    try:  # an init that ends with its only child
+        return Path("/proc/1/comm").read_text(encoding="ascii", errors="replace").strip() in _SMALL_INITS
+    except OSError:
+        return False
 
 
 def stop_orders(link: ServoLink) -> list[Ask]:

@@ -5,7 +5,7 @@ says that it is ready on standard output. LINK is the descriptor of the open por
 which the host tells that it lives. PIPE ends with the host; a byte on it says that the host begins to drive, or that it
 is done. While the host lives this process writes nothing. It knows no protocol: the host has given it the bytes.
 
-It covers the end of the host's process. Cable, adapter and machine it does not.
+It covers the end of the host's process. Cable, adapter and machine it does not, nor what ends both at once.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ _ATTEMPTS: Final = 3  # of a stop, at least
 _PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
 _ANSWERS_S: Final = 0.015
 _RESTORES_S: Final = 0.1  # an EEPROM takes its time
-_AGAIN_S: Final = 0.5  # between two stops of a host that stays silent
+_AGAIN_S: Final = 0.5  # between two stops of a host that stays silent, or of a device that does not confirm them
+_GIVES_UP_S: Final = 30.0  # to stop the device of a host that is gone
 _TURN_S: Final = 0.2  # longest wait for another process that stops the device
 _STOPS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -56,10 +57,8 @@ def main(arguments: list[str]) -> int:
     ended = keep(pipe, Heartbeat(memory), orders["silence_s"], kept)
     if ended:
         return 0
-    with turn_on(link, _TURN_S):  # the keeper of a law stops the device, too, and a reply tells not to whom
-        confirmed = kept.stop()
-        restored = kept.restore()
-    kept.tell(orders["before"], orders["note"], stopped=confirmed, restored=restored)
+    stopped, restored = kept.outlive()
+    kept.tell(orders["before"], orders["note"], stopped=stopped, restored=restored)
     return 0
 
 
@@ -107,9 +106,28 @@ class Kept:
         return confirmed
 
     def stop_in_turn(self) -> bool:
-        """As ``stop``, but not while the keeper of a law stops the device."""
+        """As ``stop``, but not while the keeper of a law stops the device: a reply tells not to whom it is."""
         with turn_on(self._link, _TURN_S):
             return self.stop()
+
+    def outlive(self) -> tuple[bool, bool]:
+        """The host is gone: stop the device and put it back; whether each was confirmed.
+
+        Who else talks on a bus may jam it for a while: the stop is tried until it is confirmed, or the port is gone.
+        """
+        until_s = time.monotonic() + _GIVES_UP_S
+        while True:
+            with turn_on(self._link, _TURN_S):
+                stopped, restored = self.stop(), self.restore()
+            if stopped or self._is_gone() or time.monotonic() > until_s:
+                return stopped, restored
+            time.sleep(_AGAIN_S)
+
+    def _is_gone(self) -> bool:
+        """Whether the port is, as after its cable was pulled."""
+        look = select.poll()
+        look.register(self._link, 0)
+        return bool(look.poll(0))
 
     def restore(self) -> bool:
         """Put the device back, one order after the other; whether each was confirmed.

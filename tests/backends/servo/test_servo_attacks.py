@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from servo_bench import BYSTANDERS, PROTOCOLS, Bench
@@ -12,6 +16,7 @@ from rig.backends.driver import Timeouts
 from rig.backends.links.usb_port import usb_port
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo import facts as tried
+from rig.backends.servo import keeper as keepers
 from rig.backends.servo.before import BeforeStore, order_of, store_of
 from rig.backends.servo.bus import ServoLink
 from rig.backends.servo.driver import ServoDriver
@@ -198,6 +203,57 @@ def test_no_drive_follows_the_stop_of_the_keeper(protocol: str) -> None:
     with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
         bench.driver.write(-1.0)
     assert bench.servo.of("drive") == driven != 0
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("acts", [True, False])
+def test_a_stop_waits_until_that_of_the_keeper_is_over(
+    protocol: str, acts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On one bus the answers to both are the same."""
+    bench = Bench(protocol)
+    watching = Watching(bench)
+    bench.driver._start_guardian = watching
+    bench.armed()
+    bench.tick(1.0)
+    written, turns = len(bench.bus.bus.log), []
+
+    @contextmanager
+    def noted(link: int, wait_s: float) -> Iterator[bool]:
+        turns.append(("has", len(bench.bus.bus.log) - written))
+        yield True
+        turns.append(("lets go", len(bench.bus.bus.log) - written))
+
+    monkeypatch.setattr(bench.bus, "descriptor", 7, raising=False)
+    monkeypatch.setattr("rig.backends.servo.driver.turn_on", noted)
+    watching.has_acted = acts
+    assert bench.driver.safe_stop()
+    assert turns == ([("has", 0), ("lets go", 0)] if acts else [])
+
+
+@pytest.mark.parametrize(("pid", "parent", "first", "is_refused"), [
+    (1, 0, "python", True),  # docker run IMAGE rig run
+    (7, 1, "docker-init", True),  # the same with --init
+    (7, 1, "bash", False),  # from a shell in the container
+    (7, 1, "systemd", False),  # with no container at all
+    (7, 5, "docker-init", False),
+])  # fmt: skip
+def test_nobody_drives_whose_keeper_ends_with_it(
+    pid: int, parent: int, first: str, is_refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel ends all processes of a container with its first one."""
+    (tmp_path / "comm").write_text(f"{first}\n")
+    monkeypatch.setattr(keepers, "Path", lambda _: tmp_path / "comm")
+
+    def full() -> tuple[int, int]:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    told = SimpleNamespace(getpid=lambda: pid, getppid=lambda: parent, pipe=full, close=os.close)
+    monkeypatch.setattr(keepers, "os", told)
+    bench = Bench()
+    with pytest.raises(Fault, match="SERVO_UNWATCHED") as raised:
+        keepers.ServoKeeper(bench.driver._link, bench.store, 0, 0.06)
+    assert ("container" if is_refused else "Too many open files") in raised.value.detail
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

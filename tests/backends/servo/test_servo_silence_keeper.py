@@ -151,6 +151,41 @@ def test_no_order_of_a_restoring_goes_out_before_the_one_ahead_is_confirmed() ->
     assert set(device.heard) == {b"torque off", b"last"} and device.heard[-1] == b"last"
 
 
+class Jammed(Kept):
+    """A device that nothing reaches until its bus is free again; None: never."""
+
+    def __init__(self, link: int, free_after: int | None) -> None:
+        super().__init__(link, (), ())
+        self.tried, self._free_after = 0, free_after
+
+    def stop(self) -> bool:
+        self.tried += 1
+        return self._free_after is not None and self.tried > self._free_after
+
+    def restore(self) -> bool:
+        return self._free_after is not None and self.tried > self._free_after
+
+
+def test_who_outlives_its_host_tries_until_the_stop_is_confirmed_or_the_port_is_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = 0.0
+
+    def sleep(wait_s: float) -> None:
+        nonlocal now_s
+        now_s += wait_s
+
+    monkeypatch.setattr(silence, "time", SimpleNamespace(monotonic=lambda: now_s, sleep=sleep))
+    near, far = socket.socketpair()
+    jammed, dead = Jammed(near.fileno(), 3), Jammed(near.fileno(), None)
+    assert jammed.outlive() == (True, True) and jammed.tried == 4
+    assert dead.outlive() == (False, False) and dead.tried > 4  # another program may need the port
+    far.close()
+    gone = Jammed(near.fileno(), None)
+    assert gone.outlive() == (False, False) and gone.tried == 1
+    near.close()
+
+
 @pytest.mark.parametrize(("stopped", "restored", "words"), [
     (True, True, "stopped it and put its registers back"),
     (True, False, "stopped it"),
