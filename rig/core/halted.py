@@ -32,8 +32,7 @@ class Halts:
 
         To be asked often: one system call while it works.
         """
-        event = self._event()
-        if event is None:
+        if (event := self._event()) is None:
             self._since_s = math.inf
             return ""
         if event != _STOPPED:

@@ -20,6 +20,7 @@ LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
 _UNASKED_BYTES = 5  # the shortest reply; fewer between two exchanges are noise on the line
 _TOO_SOON = 0.5  # of the fastest exchange: no device replies within it
 _ENDLESS_BYTES = 2000  # of a line that is never quiet
+_new = tuple.__new__  # of a named tuple, without a call in between
 
 
 class Damaged(Exception):
@@ -152,7 +153,7 @@ class BusClient(Generic[Req]):
     def asked(self, request: Req, timeout_s: float) -> Reply:
         """Outside the tick: throw away whatever is not the reply, until the time is over. Raises as ``in_tick``."""
         self._drain()
-        return self._await(request, timeout_s, self._send(request), strict=False)
+        return self._exchange(request, timeout_s, strict=False)
 
     def in_tick(self, request: Req, timeout_s: float, *, after_silence: bool, idle_s: float = 0.0) -> Reply:
         """Within the tick: anything but the reply is a fault, and what follows it on the line is suspect.
@@ -167,7 +168,7 @@ class BusClient(Generic[Req]):
                 raise self.misfit(
                     f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
                 )
-            return self._await(request, timeout_s, self._send(request), strict=True)
+            return self._exchange(request, timeout_s, strict=True)
         except Fault:
             self.is_suspect = True
             raise
@@ -175,8 +176,9 @@ class BusClient(Generic[Req]):
     def unheard(self, request: Req, wait_s: float) -> None:
         """Send a request and throw away all that comes within ``wait_s``. After it nothing is suspect."""
         self._drain()
-        _, by_s, sent_bytes = self._send(request)
-        self._quiet_until_s = by_s + self._protocol.wire_s(sent_bytes) + self._protocol.pause_s
+        data = self._protocol.encode(request)
+        self._transport.write(data)
+        self._quiet_until_s = self._transport.now_s() + self._protocol.wire_s(len(data)) + self._protocol.pause_s
         self.wait(wait_s)
         self.is_suspect = False
 
@@ -187,13 +189,6 @@ class BusClient(Generic[Req]):
             self._throw_away(self._transport.read(left_s))
 
     # ------------------------------------------------------------------ bytes
-
-    def _send(self, request: Req) -> tuple[float, float, int]:
-        """Send a request. It left between two times, s; its length."""
-        data = self._protocol.encode(request)
-        from_s = self._transport.now_s()
-        self._transport.write(data)
-        return from_s, self._transport.now_s(), len(data)
 
     def _drain(self, idle_s: float = 0.0) -> int:
         """Throw away what came unasked, and let the line be silent as long as it must; how many bytes.
@@ -219,14 +214,22 @@ class BusClient(Generic[Req]):
             self._counts["stale_bytes"] += len(data)
             self._quiet_until_s = self._transport.now_s() + self._protocol.pause_s
 
-    def _await(self, request: Req, timeout_s: float, sent: tuple[float, float, int], *, strict: bool) -> Reply:
-        """The reply to a request; raises as ``in_tick``.
+    def _exchange(self, request: Req, timeout_s: float, *, strict: bool) -> Reply:
+        """Send a request and await its reply; raises as ``in_tick``.
+
+        It is one function because each call of another one costs as much as all that most of them do: between two
+        ticks the processor has forgotten them.
 
         strict  the first thing that comes is the reply, or a fault; else what does not fit is thrown away
         """
         transport, protocol = self._transport, self._protocol
+        now_s = transport.now_s
+        asked = protocol.encode(request)
+        from_s = now_s()
+        transport.write(asked)
+        by_s = now_s()  # it left between these two
         self._counts["exchanges"] += 1
-        until_s = sent[1] + timeout_s
+        until_s = by_s + timeout_s
         left_s = timeout_s
         data = b""
         objection: Fault | None = None
@@ -236,7 +239,7 @@ class BusClient(Generic[Req]):
             if not more and left_s <= 0.0:
                 break
             data += more
-            received_s = transport.now_s()
+            received_s = now_s()
             self._quiet_until_s = received_s + protocol.pause_s
             left_s = until_s - received_s
             while data:
@@ -253,7 +256,23 @@ class BusClient(Generic[Req]):
                     if fault.code == protocol.refusal:
                         raise
                 else:
-                    return self._accepted(frame, data, sent, received_s, strict=strict)
+                    length = frame.length
+                    if len(data) > length:
+                        self._count_extra(data, length, strict=strict)
+                    if (ways := self._reckoned.get((len(asked), length))) is None:
+                        ways = self._reckoned[len(asked), length] = self._reckoned_s(len(asked), length)
+                    to_device_s, reckoned_s = ways
+                    # a host that stood still while it sent, did so before the request left, unless the reply was there
+                    # too soon
+                    since_s = by_s if received_s - by_s >= _TOO_SOON * self._pace * reckoned_s else from_s
+                    took_s = received_s - since_s
+                    # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits
+                    # for the adapter, the system's buffers and this process (measured in docs/modbus.md); of an
+                    # exchange quicker than the sum both ways were
+                    until_executed_s = self._pace * to_device_s
+                    if reckoned_s > 0.0:
+                        until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
+                    return _new(Reply, (frame.pdu, since_s + until_executed_s, took_s, reckoned_s, received_s - from_s))
                 if strict:
                     raise objection
                 # where replies that were late come together, the one to this request is the last
@@ -268,31 +287,15 @@ class BusClient(Generic[Req]):
             "LINK_TIMEOUT", f"no reply from {protocol.name} within {timeout_s * 1e3:g} ms, asked for {about}"
         )
 
-    def _accepted(
-        self, frame: Frame, data: bytes, sent: tuple[float, float, int], received_s: float, *, strict: bool
-    ) -> Reply:
-        length, (from_s, by_s, sent_bytes) = frame.length, sent
+    def _count_extra(self, data: bytes, length: int, *, strict: bool) -> None:
+        """Bytes beyond the reply are stale; within the tick many of them are a fault."""
         extra = len(data) - length
-        if extra:
-            self._counts["stale_bytes"] += extra
-            if strict and extra >= _UNASKED_BYTES:
-                raise self.misfit(
-                    f"{extra} bytes beyond the reply: another master, or two answers to one request; the reply is "
-                    f"{data[:length].hex(' ')}"
-                )
-        if (ways := self._reckoned.get((sent_bytes, length))) is None:
-            ways = self._reckoned[sent_bytes, length] = self._reckoned_s(sent_bytes, length)
-        to_device_s, reckoned_s = ways
-        # a host that stood still while it sent, did so before the request left, unless the reply was there too soon
-        since_s = by_s if received_s - by_s >= _TOO_SOON * self._pace * reckoned_s else from_s
-        took_s = received_s - since_s
-        # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits for the
-        # adapter, the system's buffers and this process (measured in docs/modbus.md); of an exchange quicker than the
-        # sum both ways were
-        until_executed_s = self._pace * to_device_s
-        if reckoned_s > 0.0:
-            until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
-        return Reply(frame.pdu, since_s + until_executed_s, took_s, reckoned_s, received_s - from_s)
+        self._counts["stale_bytes"] += extra
+        if strict and extra >= _UNASKED_BYTES:
+            raise self.misfit(
+                f"{extra} bytes beyond the reply: another master, or two answers to one request; the reply is "
+                f"{data[:length].hex(' ')}"
+            )
 
     def _reckoned_s(self, sent_bytes: int, received_bytes: int) -> tuple[float, float]:
         """What an exchange takes by the config: until the device executes it, and until the reply is here."""

@@ -190,7 +190,10 @@ class RegisterDriver(ABC, Generic[Req]):
             self._check_armed(values)
         elif self._max_units > 0:  # armed before: a fault in a pause must not go unseen
             self._check_pause(values)
-        counts = self._checked(self._map.position, self._map.counts, values["position"])
+        try:
+            counts = self._map.counts(values["position"])
+        except ValueError as error:
+            raise self._client.misfit(f"{self._map.position}: {error}") from error
         self._seq = (self._seq + 1) & 0xFFFF
         return Sample(
             t_s=self._sampled_s(reply),

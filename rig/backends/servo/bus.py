@@ -21,6 +21,8 @@ _FEETECH_ID = 5  # address of a servo's id
 _PING_BYTES = 10 + 14  # of a ping and its answer
 _DYNAMIXEL, _FEETECH = dynamixel.Stream(), feetech.Stream()  # each answer is looked at by itself
 
+_new = tuple.__new__  # of a named tuple, without a call in between
+
 F = TypeVar("F")
 
 
@@ -102,7 +104,7 @@ class Bus(Protocol[Ask]):
             if len(data) == self._length and data.startswith(self._begins):
                 body = self.body_of(data)
                 if isinstance(body, bytes):
-                    return Answer(self._id, body[self._said :], self._length)
+                    return _new(Answer, (self._id, body[self._said :], self._length))
             return self.answer(data)
         own = len(self._sent)
         if data[:own] != self._sent[: len(data)]:

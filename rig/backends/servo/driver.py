@@ -167,8 +167,8 @@ class ServoDriver(RegisterDriver[Ask]):
             if self._guardian is not None and self._guardian.has_acted:  # it speaks on the bus, too
                 raise stopped_by_keeper() from fault
             raise
-        if self._bus.alerts(reply.pdu):
-            self._raise_alert(reply.pdu[0])
+        if (said := reply.pdu[0]) and self._bus.alerts(reply.pdu):
+            self._raise_alert(said)
         else:
             self._doubted = 0
         return reply
@@ -384,7 +384,8 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
         try:
-            values = span.values(self._cells(reply))
+            self._errors = reply.pdu[0]
+            values = span.values(reply.pdu[1:])
         except ValueError as error:
             raise self._client.misfit(str(error)) from error
         values["position"] = self._unwrapped(round(values["position"]))
@@ -428,7 +429,9 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             beat(self._guardian)
         try:
-            super()._tick_writing(units)
+            self._t_u_s = self._driven_s = self._exchange(
+                self._drives.get(units) or self._writing_drive(units)
+            ).executed_s
         except Fault as fault:
             raise self._why_refused(fault) from fault
         steps = self._steps

@@ -32,7 +32,7 @@ def beat(guardian: Guardian) -> None:
     """Tell it that this process lives, right before it drives.
 
     Whether it has acted is looked at last: this process may have stood still anywhere ahead of that.
-    Raises Fault SERVO_UNWATCHED, DEVICE_WATCHDOG.
+    Raises Fault SERVO_UNWATCHED, or that of ``stopped_by_keeper``.
     """
     guardian.beat()
     if guardian.has_acted:
@@ -40,5 +40,5 @@ def beat(guardian: Guardian) -> None:
 
 
 def stopped_by_keeper() -> Fault:
-    """What to say where it has acted."""
+    """DEVICE_WATCHDOG: what to raise where it has acted."""
     return Fault("DEVICE_WATCHDOG", "rig's keeper has heard nothing for too long, and stopped the servo")

@@ -26,6 +26,7 @@ from rig.core.heartbeat import AT_REST, Heartbeat
 from rig.core.link_turn import turn_on
 
 READY: Final = b"ready\n"
+_NAME: Final = "rig-keeper"
 DONE: Final = b"d"  # the device is as it was: end; any other byte: look at the heartbeat
 _ATTEMPTS: Final = 3  # of a stop, at least
 _PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
@@ -48,6 +49,8 @@ def main(arguments: list[str]) -> int:
     """Keep the device until the host says that it is done, or is gone."""
     for number in _STOPS:  # one to the whole group must not end it
         signal.signal(number, signal.SIG_IGN)
+    with contextlib.suppress(OSError):  # nor `killall -9 python3`
+        Path("/proc/self/comm").write_text(_NAME, encoding="ascii")
     link, pipe, memory = map(int, arguments)
     orders = json.loads(sys.stdin.buffer.readline())
     stop, restore = _orders(orders["stop"]), _orders(orders["restore"])

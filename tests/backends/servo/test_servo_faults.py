@@ -9,6 +9,7 @@ import pytest
 from evidence import evidence
 from servo_bench import PERIOD_S, PROTOCOLS, Bench
 
+from rig.backends.servo.bus import Answer
 from rig.backends.servo.emulated.faults import ReplyFault
 
 PHASES, BATCH = 201, 50
@@ -129,8 +130,13 @@ def test_an_alert_that_the_servos_register_denies_is_believed_the_second_time(
     bench = Bench(protocol)
     bench.armed()
     bench.tick(0.3)
-    left = iter([True] * answers)
-    monkeypatch.setattr(bench.driver._bus, "alerts", lambda _: next(left, False))
+    left, take = iter([0x80] * answers), bench.driver._bus.take
+
+    def damaged(data: bytes) -> Answer | None:
+        answer = take(data)
+        return answer and answer._replace(pdu=bytes((answer.pdu[0] | next(left, 0), *answer.pdu[1:])))
+
+    monkeypatch.setattr(bench.driver._bus, "take", damaged)
     fault = bench.fault_within(5, 0.3)
     assert (fault is None) if answers == 1 else (fault is not None and fault.code == "SERVO_ERROR")
 

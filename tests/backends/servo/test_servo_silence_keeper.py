@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -149,6 +150,28 @@ def test_no_order_of_a_restoring_goes_out_before_the_one_ahead_is_confirmed() ->
     device = Scripted((), (Order(b"torque off", b"ok"), Order(b"watchdog 0", b"ok"), Order(b"last", b"ok")), [False])
     assert not device.restore()
     assert set(device.heard) == {b"torque off", b"last"} and device.heard[-1] == b"last"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there a process may name itself")
+def test_who_kills_every_python_leaves_the_keeper_alive() -> None:
+    near, far = socket.socketpair()
+    heard, tells = os.pipe()
+    memory = create_file(SIZE)
+    given = (near.fileno(), heard, memory)
+    command = [sys.executable, "-P", "-m", "rig.running.keeper.silence", *map(str, given)]
+    orders = {"stop": [], "restore": [], "silence_s": 1.0, "before": "", "note": ""}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=given) as keeper:
+        assert keeper.stdin is not None and keeper.stdout is not None
+        keeper.stdin.write(json.dumps(orders).encode("ascii") + b"\n")
+        keeper.stdin.flush()
+        assert keeper.stdout.readline() == silence.READY
+        name = Path(f"/proc/{keeper.pid}/comm").read_text(encoding="ascii").strip()
+        os.write(tells, silence.DONE)
+    assert name == "rig-keeper" and keeper.returncode == 0
+    for one in (heard, tells, memory):
+        os.close(one)
+    near.close()
+    far.close()
 
 
 class Jammed(Kept):
