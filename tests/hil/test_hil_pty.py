@@ -15,7 +15,7 @@ from processes import PATIENCE_S, alive, rows, wait_until
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
-from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.backends.serial.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.config.schema import Emulated, EmulatedMotor
 
@@ -52,7 +52,7 @@ PARENT = (
     """
 import sys
 from pathlib import Path
-from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.config.schema import Emulated
 board = HostBoard()
 sys.argv[1] = board.start(Emulated.model_validate({emulated}), 1, trace=Path(sys.argv[1]))

@@ -18,11 +18,10 @@ from rig.backends.serial.emulated.firmware_build import (
 
 
 class ChipFirmware(NamedTuple):
-    """What the build gives: the very .hex that is flashed, and the emulated chip, for virtual time and as a process."""
+    """What the build gives: the very .hex that is flashed, and the emulated chip."""
 
     hex: Path
     library: Path
-    program: Path
 
 
 class PicoFirmware(NamedTuple):
@@ -41,8 +40,7 @@ def build_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = Non
     """
     tools = {"avr-gcc": f"apt-get install {AVR_PACKAGES} libsimavr-dev"}
     folder = make(build_folder, ["chip", *options.variables()], tools)
-    chip = folder / "chip"
-    return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
+    return ChipFirmware(folder / "uno" / f"{options.name}.hex", folder / "chip" / "librig_chip.so")
 
 
 def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> PicoFirmware:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Literal
 
+from typing_extensions import override
+
 from emulated_chips import build
-from emulated_chips.build import ChipFirmware
 from emulated_chips.truth import Contact, UnoTruth
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.device_options import device_options
@@ -37,17 +38,6 @@ def variant_of(bench: BenchParameters, baud: int, bridge: str | None) -> Variant
     )
 
 
-def chip_options(
-    firmware: ChipFirmware, bench: BenchParameters, seed: int, clock_error_ppm: float, options: Variant
-) -> dict[str, str]:
-    """Names and values of the emulated chip's options: of the bench, and which program runs behind which bridge."""
-    return {
-        **device_options(bench, seed, clock_error_ppm),
-        "hex": str(firmware.hex),
-        "bridge": options.bridge.lower(),
-    }
-
-
 class VirtualChip(VirtualDevice[UnoTruth]):
     """One emulated Uno, powered on at virtual time 0. Any number may live side by side.
 
@@ -63,6 +53,8 @@ class VirtualChip(VirtualDevice[UnoTruth]):
     Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
     """
 
+    step_s = 0.00025
+
     def __init__(
         self,
         bench: BenchParameters,
@@ -76,12 +68,14 @@ class VirtualChip(VirtualDevice[UnoTruth]):
         build_folder: Path | None = None,
     ) -> None:
         firmware = build.build_chip(options, build_folder)
-        wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
+        wanted = device_options(bench, seed, clock_error_ppm)
+        wanted |= {"hex": str(firmware.hex), "bridge": options.bridge.lower()}
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
         if wires is not None:
             wanted["bare"] = str(wires)
         super().__init__(UnoTruth, _load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
 
+    @override
     def reset(self, cause: int, boot_s: float = 0.0) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot loader, pins floating."""
         self._library.virtual_boot(self._board, cause, boot_s)
@@ -113,6 +107,13 @@ class VirtualChip(VirtualDevice[UnoTruth]):
     def longest_pulse_s(self) -> float:
         """Longest time for which the bridge has conducted without a break, edge by edge, since the last call, s."""
         return float(self._library.virtual_longest_pulse_s(self._board))
+
+
+def uno(
+    bench: BenchParameters, seed: int, clock_error_ppm: float, baud: int, bridge: str | None
+) -> partial[VirtualChip]:
+    """What makes the chip of a config; ``bridge`` as of ``variant_of``."""
+    return partial(VirtualChip, bench, seed, clock_error_ppm=clock_error_ppm, options=variant_of(bench, baud, bridge))
 
 
 @lru_cache

@@ -90,6 +90,7 @@ class VirtualPico(PortAndClock):
         """Put the shaft somewhere, as a hand would."""
         self._call("place", y_rad, v_rad_per_s)
 
+    @override
     def reset(self, cause: int, boot_s: float = 0.0) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot program, pins floating."""
         self._call("reset", cause, boot_s)
@@ -108,8 +109,8 @@ class VirtualPico(PortAndClock):
 
     # ------------------------------------------------------------------ what is true of it
 
+    @override
     def truth(self) -> ChipTruth:
-        """What is really the case now."""
         return ChipTruth(**self._call("look"))
 
     def stack_bytes(self) -> int:

@@ -27,18 +27,19 @@ from rig.backends.emulated.virtual_time import Wire
 
 _TRACE_S = 0.01
 _CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
+_STALL_S = 10.0  # longer than a host measures a clock for: time that a device loses then looks like a restart
 
 D = TypeVar("D")
 
 
 class Look(NamedTuple):
-    """A row of the trace: time, s, voltage at the motor, V, its shaft, and the number of its fault."""
+    """A row of the trace: time, s, voltage at the motor, V, its shaft, and the number of its fault, or else."""
 
     t_s: float
     drive_V: float
     y_rad: float
     v_rad_per_s: float
-    fault: int
+    last: int
 
 
 class Served(Protocol):
@@ -127,46 +128,63 @@ def unpacked(text: str, kind: type[D]) -> D:
     return device
 
 
-def run(asked: argparse.Namespace, opened: Callable[[contextlib.ExitStack], Served]) -> None:
+def run(asked: argparse.Namespace, opened: Callable[[contextlib.ExitStack], Served], last: str = "fault") -> None:
     """Run until a signal, or until standard input ends where that was asked for.
 
     asked   what ``parser`` found
     opened  the device at time 0; what it opens besides may go into the stack
+    last    of the columns of the trace
     """
     ends = signals()
+    take_priority()  # before a device starts a process, which inherits it
     try:
         with contextlib.ExitStack() as stack:
             file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="ascii"))
-            start_s = time.monotonic()
             device = opened(stack)
-            trace = _Trace(device, file, start_s)
+            clock = _Clock()
+            trace = _Trace(device, file, clock, last)
             if asked.link is not None:
                 stack.enter_context(linked(asked.link, device.name))
             sys.stdout.write(f"port {device.name}\n")
             sys.stdout.flush()
-            take_priority()
             gc.freeze()
-            _run(device, trace, start_s, ends, watches_stdin=asked.exit_with_stdin)
+            _run(device, trace, clock, ends, watches_stdin=asked.exit_with_stdin)
             device.power_off()
     except (OSError, EmulationError) as error:
         fail(str(error))
 
 
+class _Clock:
+    """The device's time, from 0 on: that of CLOCK_MONOTONIC, but for stalls that are too long to catch up with."""
+
+    def __init__(self) -> None:
+        self.start_s = time.monotonic()
+        self._last_s = 0.0
+
+    def now_s(self) -> float:
+        stood_s = time.monotonic() - self.start_s - self._last_s
+        if stood_s > _STALL_S:
+            sys.stderr.write(f"the emulated device stood still for {stood_s:.1f} s, and its clock with it\n")
+            self.start_s += stood_s
+        self._last_s = time.monotonic() - self.start_s
+        return self._last_s
+
+
 class _Trace:
     """The truth over time as CSV; nothing without a file."""
 
-    def __init__(self, device: Served, file: TextIO | None, start_s: float) -> None:
-        self._device, self._file, self._start_s = device, file, start_s
+    def __init__(self, device: Served, file: TextIO | None, clock: _Clock, last: str) -> None:
+        self._device, self._file, self._clock = device, file, clock
         self.next_s = math.inf if file is None else 0.0
         if file is not None:
-            file.write("t_s,drive_V,y_rad,v_rad_per_s,fault\n")
+            file.write(f"t_s,drive_V,y_rad,v_rad_per_s,{last}\n")
             device.watch(self.row)
 
     def row(self) -> None:
         if self._file is None:
             return
-        t_s, drive_V, y_rad, v_rad_per_s, fault = self._device.look()
-        self._file.write(f"{self._start_s + t_s:.6f},{drive_V:.6f},{y_rad:.6f},{v_rad_per_s:.6f},{fault}\n")
+        t_s, drive_V, y_rad, v_rad_per_s, last = self._device.look()
+        self._file.write(f"{self._clock.start_s + t_s:.6f},{drive_V:.6f},{y_rad:.6f},{v_rad_per_s:.6f},{last}\n")
         self._file.flush()
 
     def rows_to(self, t_s: float) -> None:
@@ -177,14 +195,14 @@ class _Trace:
             self.next_s += _TRACE_S
 
 
-def _run(device: Served, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:
+def _run(device: Served, trace: _Trace, clock: _Clock, ends: int, *, watches_stdin: bool) -> None:
     end_s, stdin = math.inf, sys.stdin.fileno()
-    now_s = time.monotonic() - start_s
+    now_s = clock.now_s()
     while now_s < end_s:
         files = [ends, *device.files(), *([stdin] if watches_stdin else [])]
         until_s = min(device.next_event_s(), trace.next_s, end_s, now_s + _CATCH_UP_S)
         ready = set(select.select(files, [], [], max(until_s - now_s, 0.0))[0])
-        now_s = time.monotonic() - start_s
+        now_s = clock.now_s()
         if ends in ready:
             if os.read(ends, 1)[0] != signal.SIGUSR1:
                 return
@@ -193,5 +211,8 @@ def _run(device: Served, trace: _Trace, start_s: float, ends: int, *, watches_st
         if stdin in ready and not os.read(stdin, 64):
             watches_stdin, end_s = False, now_s + ORPHAN_S
         trace.rows_to(now_s)
+        device.advance_to(now_s)
+        now_s = clock.now_s()  # after that, which may take long: a device hears nothing before its host has said it
         device.serve(ready, now_s)
+        now_s = clock.now_s()
         device.advance_to(now_s)

@@ -45,13 +45,6 @@ _EMULATORS: Final = (  # ports that begin with, what is emulated there, a source
 PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
 
 
-class HostFirmware(NamedTuple):
-    """What the build gives: the program of the process, and the shared library for virtual time."""
-
-    program: Path
-    library: Path
-
-
 class Variant(NamedTuple):
     """What a board's firmware is built with (firmware/boards/variant.mk); the defaults are the plain ``rig_uno.hex``.
 
@@ -126,15 +119,14 @@ def require_emulator(port: str | None) -> None:
             sys.path.append(_TOOLS)
 
 
-def build(build_folder: Path | None = None) -> HostFirmware:
-    """Build what is not up to date. Processes that build at the same time wait for each other.
+def build(build_folder: Path | None = None) -> Path:
+    """Build what of the emulated board's library is not up to date. Processes that build at once wait for each other.
 
     build_folder  where to; default: ``build/firmware`` in the repository, a folder of the user's cache for an
                   installed rig
     Raises EmulationError if make or the C compiler is missing, or the build fails.
     """
-    folder = make(build_folder, ["host"], {}) / "host"
-    return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
+    return make(build_folder, ["host"], {}) / "host" / "librig_host.so"
 
 
 def build_uno(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:

@@ -89,8 +89,8 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
         """Where the shaft really was while it was kept: after each wait of the host, each 0.5 ms of an exchange."""
         return ShaftPath(self._shaft_t_s, self._shaft_rad)
 
+    @override
     def reset(self, cause: int) -> None:
-        """Reset the chip: 1 power-on, 2 external, 4 brown-out, 8 watchdog (bits may be combined)."""
         self._library.virtual_reset(self._board, cause)
 
     def hang(self) -> None:
@@ -130,7 +130,7 @@ def _load(build_folder: Path | None) -> ctypes.CDLL:
     """The library, built once for this process, with its signatures (firmware/boards/host/virtual.c)."""
     real, where = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
     return load(
-        str(firmware_build.build(build_folder).library),
+        str(firmware_build.build(build_folder)),
         {
             "virtual_reset": (None, [ctypes.c_uint8]),
             "virtual_hang": (None, []),
