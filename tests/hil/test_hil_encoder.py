@@ -13,17 +13,15 @@ from both_chips import PICO, UNO, Chip, name_of
 from chip_host import SETTLE_S, ChipHost
 from evidence import evidence
 from pico_host import PicoHost
-from virtual_host import SESSION, TICK_S, VirtualHost
+from virtual_host import SESSION, TICK_S, Told, VirtualHost
 
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import (
     STATUS_LAW,
     STATUS_ZERO,
-    Block,
     Code,
     DeviceState,
-    FrameReader,
     Kind,
     RelaySetup,
     Setup,
@@ -294,14 +292,13 @@ def test_the_relay_in_the_chip_swings_about_any_centre_of_counts(chip: Chip) -> 
         assert host.arm_anew() == Code.NONE
         relay = RelaySetup((-high, -low, low, high), 16 * centre, 2**24, 1, 10)
         assert host.ask(Kind.RELAY, relay.pack()).kind == Kind.RELAY_REPLY
-        reader, blocks = FrameReader(), []
+        told = Told()
         for _ in range(200 if chip is UNO else 100):
             host.send(Kind.KEEP)
             host.wait(0.02)
-            packets = reader.feed(host.board.read(0.0))
-            blocks += [Block.unpack(packet.body) for packet in packets if packet.kind == Kind.BLOCK]
-        assert all(block.status & STATUS_LAW for block in blocks)
-        away = [counts - centre for block in blocks for counts, _ in block.rows]
+            told.take(host.board.read(0.0))
+        assert all(block.status & STATUS_LAW for block in told.blocks)
+        away = [counts - centre for _, counts, _ in told.rows()]
         assert len(away) > (3900 if chip is UNO else 1900)
         settled = away[len(away) // 2 :]
         assert min(settled) < -20 and max(settled) > 20 and max(map(abs, away)) < 2000

@@ -11,7 +11,7 @@ from device_relay import DeviceRelay
 from device_strokes import DeviceStrokes
 from evidence import evidence
 from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, armed_pico, pico
-from virtual_host import TICK_S
+from virtual_host import TICK_S, Told
 
 from emulated_chips.pico_parameters import pico_parameters
 from emulated_chips.virtual_pico import VirtualPico
@@ -20,9 +20,7 @@ from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.frames import (
     STATUS_ARMED,
     STATUS_LAW,
-    Block,
     Code,
-    FrameReader,
     Kind,
     RelaySetup,
     StrokesSetup,
@@ -79,7 +77,7 @@ def test_a_zero_cuts_a_long_pulse_and_the_next_drive_does_not_take_it_up() -> No
 @pytest.mark.parametrize("stall_s", [*evidence(0.0), 0.018])
 def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: float) -> None:
     """Each row is on the grid of the ticks, and its drive the law's, while the main loop is busy for 18 ms, too."""
-    reader, blocks, numbers = FrameReader(), [], []
+    told = Told()
     with armed_pico(QUIET) as host:
         board = host.board
         host.send(Kind.RELAY, RELAY.pack())
@@ -88,23 +86,20 @@ def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: floa
             if stall_s and k % 5 == 2:
                 board.stall("main loop", stall_s)
             host.wait(0.0093)
-            for packet in reader.feed(board.read(0.0)):
-                if packet.kind == Kind.BLOCK:
-                    numbers.append(packet.seq)
-                    blocks.append(Block.unpack(packet.body))
+            told.take(board.read(0.0))
         assert board.broken_rule() == "" and host.truth().resets == 0
-    rows = [(b.t_first_us + k * b.period_us, *row) for b in blocks for k, row in enumerate(b.rows)]
-    assert len(rows) > 200 and numbers == list(range(len(numbers)))
+    rows = told.rows()
+    assert len(rows) > 200 and told.numbers == list(range(len(told.numbers)))
     assert all(abs(later - now - 1000) <= 1 for (now, *_), (later, *_) in pairwise(rows))
     law = DeviceRelay(RELAY.centre, RELAY.z_bound, RELAY.drive, RELAY.direction)
     assert all(drive == law.step(counts) for _, counts, drive in rows)
-    assert len({drive for *_, drive in rows}) == 4 and max(b.delay_us for b in blocks) < 12
+    assert len({drive for *_, drive in rows}) == 4 and max(b.delay_us for b in told.blocks) < 12
 
 
 @pytest.mark.parametrize("options", [*evidence((Variant(),)), FAST], ids=["115200", str(FAST.baud)])
 def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) -> None:
     """Each row's drive is the law's, on the grid of the ticks, also while the main loop is busy; the pins follow it."""
-    reader, blocks, numbers, pins = FrameReader(), [], [], set()
+    told, pins = Told(), set()
     with armed_pico(QUIET, options=options) as host:
         board = host.board
         packet = host.ask(Kind.STROKES, STROKES.pack())
@@ -115,14 +110,11 @@ def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) 
                 board.stall("main loop", 0.018)
             host.wait(0.0093)
             pins.add(round(host.pin_V() / UNIT_V))
-            for packet in reader.feed(board.read(0.0)):
-                if packet.kind == Kind.BLOCK:
-                    numbers.append(packet.seq)
-                    blocks.append(Block.unpack(packet.body))
+            told.take(board.read(0.0))
         assert host.state().status == STATUS_ARMED | STATUS_LAW
         assert board.broken_rule() == "" and host.truth().resets == 0
-    rows = [(b.t_first_us + k * b.period_us, *row) for b in blocks for k, row in enumerate(b.rows)]
-    assert len(rows) > 850 and numbers == list(range(len(numbers)))
+    rows = told.rows()
+    assert len(rows) > 850 and told.numbers == list(range(len(told.numbers)))
     assert all(
         abs(later - now - 1000) <= 3 for (now, *_), (later, *_) in pairwise(rows)
     )  # a byte's interrupt may go first
@@ -132,7 +124,7 @@ def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) 
 
 
 def test_requests_at_any_phase_of_the_tick_cost_no_tick() -> None:
-    reader, blocks = FrameReader(), []
+    told = Told()
     with armed_pico(QUIET, options=FAST) as host:
         host.send(Kind.RELAY, RELAY.pack())
         rng = random.Random(1)
@@ -140,8 +132,8 @@ def test_requests_at_any_phase_of_the_tick_cost_no_tick() -> None:
             host.send(Kind.KEEP)
             host.send(Kind.READ)
             host.wait(rng.uniform(0.4e-3, 3e-3))
-            blocks += [Block.unpack(p.body) for p in reader.feed(host.board.read(0.0)) if p.kind == Kind.BLOCK]
-    times = [b.t_first_us for b in blocks]
+            told.take(host.board.read(0.0))
+    times = [b.t_first_us for b in told.blocks]
     assert len(times) > 8
     assert all(later - now == pytest.approx(10 * 1000, abs=1) for now, later in pairwise(times))
 

@@ -15,6 +15,7 @@ from processes import PATIENCE_S, alive, rows, wait_until
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.backends.serial.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.config.schema import Emulated, EmulatedMotor
@@ -168,13 +169,13 @@ def test_what_is_not_possible_is_said(tmp_path: Path) -> None:
     board.stop()
 
 
-def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(EmulationError, match="`no-such-compiler` is missing"):
-        HostBoard(tmp_path).start(EMULATED, 1)
+        HostBoard().start(EMULATED, 1)
 
 
 def test_a_build_that_fails_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("CFLAGS", "-DFRAME_PACKET_MAX=oops")
     with pytest.raises(EmulationError, match=r"(?s)failed: .*redefined"):
-        HostBoard(tmp_path).start(EMULATED, 1)
+        firmware_build.build(tmp_path)

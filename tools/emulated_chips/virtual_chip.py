@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import Literal
 
 from typing_extensions import override
@@ -49,7 +48,6 @@ class VirtualChip(VirtualDevice[UnoTruth]):
     wires            of a loop-back on a bare board, whose bench is not there (``rig doctor --loopback``): 1 of PWM or
                      IN1, 2 of direction or IN2, 4 of the e-stop. None: no bare board
     measure          count masked interrupts and time spent in them: 3 to 10 times as slow
-    build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
     """
 
@@ -65,9 +63,8 @@ class VirtualChip(VirtualDevice[UnoTruth]):
         dead_time_s: float = 0.0,
         measure: bool = False,
         wires: int | None = None,
-        build_folder: Path | None = None,
     ) -> None:
-        firmware = build.build_chip(options, build_folder)
+        firmware = build.build_chip(options)
         wanted = device_options(bench, seed, clock_error_ppm)
         wanted |= {"hex": str(firmware.hex), "bridge": options.bridge.lower()}
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}

@@ -126,28 +126,28 @@ def build(build_folder: Path | None = None) -> Path:
                   installed rig
     Raises EmulationError if make or the C compiler is missing, or the build fails.
     """
-    return make(build_folder, ["host"], {}) / "host" / "librig_host.so"
+    return make(["host"], {}, build_folder) / "host" / "librig_host.so"
 
 
-def build_uno(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
+def build_uno(options: Variant = PLAIN_VARIANT) -> Path:
     """Build the Uno's firmware, as ``build`` does; the .hex to flash.
 
     Raises EmulationError also where avr-gcc or its library is missing.
     """
-    folder = make(build_folder, ["uno", *options.variables()], {"avr-gcc": f"apt-get install {AVR_PACKAGES}"})
+    folder = make(["uno", *options.variables()], {"avr-gcc": f"apt-get install {AVR_PACKAGES}"})
     return folder / "uno" / f"{options.name}.hex"
 
 
-def build_pico(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
+def build_pico(options: Variant = PLAIN_VARIANT) -> Path:
     """Build the Pico's firmware, as ``build`` does; the .uf2 to copy.
 
     Raises EmulationError also where arm-none-eabi-gcc is missing.
     """
-    folder = make(build_folder, ["pico", *options.variables()], PICO_TOOLS)
+    folder = make(["pico", *options.variables()], PICO_TOOLS)
     return folder / "pico" / f"{options.name_for('pico')}.uf2"
 
 
-def make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
+def make(targets: list[str], tools: dict[str, str], build_folder: Path | None = None) -> Path:
     """Make the targets, as ``build`` does; the folder that they are in.
 
     tools  what they need besides a C compiler, and its cure

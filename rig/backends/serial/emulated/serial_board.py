@@ -46,10 +46,6 @@ class SerialBoard(BoardProcess):
 class HostBoard(SerialBoard):
     """The firmware's core, compiled for this machine, with the bench behind it."""
 
-    def __init__(self, build_folder: Path | None = None) -> None:
-        super().__init__()
-        self._build_folder = build_folder
-
     def start(
         self,
         emulated: Emulated,
@@ -65,13 +61,12 @@ class HostBoard(SerialBoard):
         seed  of the emulated noise
         The rest as of ``run``. Raises EmulationError if it cannot be built or does not start.
         """
-        firmware_build.build(self._build_folder)
+        firmware_build.build()
         make = partial(
             VirtualBoard,
             bench_parameters(emulated, tachometer),
             seed,
             clock_error_ppm=emulated.clock_error_ppm,
             baud=_NO_WIRE_BAUD,
-            build_folder=self._build_folder,
         )
         return self.run(make, "emulated", link, trace, adapter)

@@ -6,7 +6,6 @@ import ctypes
 from array import array
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 from typing_extensions import override
 
@@ -47,7 +46,6 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
     clock_error_ppm  of the device's clock against virtual time
     clock_start_us   reading of the device's clock at a reset, 0 to 2**32 - 1
     baud, bits_per_byte  of the wire, both ways; a real byte takes 10 to 11 bit times
-    build_folder     of the firmware; None: the default one
     Raises EmulationError if the firmware cannot be built or a parameter is out of range.
     """
 
@@ -60,10 +58,9 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
         clock_start_us: int = 0,
         baud: int = 115200,
         bits_per_byte: int = 11,
-        build_folder: Path | None = None,
     ) -> None:
         options = device_options(bench, seed, clock_error_ppm, clock_start_us)
-        super().__init__(BoardTruth, _load(build_folder), options, round(1e9 * bits_per_byte / baud))
+        super().__init__(BoardTruth, _load(), options, round(1e9 * bits_per_byte / baud))
         self.keeps_shaft = False  # the path, for ``shaft``
         self._shaft_t_s, self._shaft_rad = array("d"), array("d")
 
@@ -126,11 +123,11 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
 
 
 @lru_cache
-def _load(build_folder: Path | None) -> ctypes.CDLL:
+def _load() -> ctypes.CDLL:
     """The library, built once for this process, with its signatures (firmware/boards/host/virtual.c)."""
     real, where = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
     return load(
-        str(firmware_build.build(build_folder)),
+        str(firmware_build.build()),
         {
             "virtual_reset": (None, [ctypes.c_uint8]),
             "virtual_hang": (None, []),
