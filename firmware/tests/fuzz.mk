@@ -7,7 +7,7 @@ SECONDS ?= 20
 SEED ?= 1
 CLANG ?= clang
 HARNESSES := frames core
-FUZZ_SOURCES := tests/reference.h $(CORE) $(HEADERS) Makefile tests/fuzz.mk
+FUZZ_SOURCES := tests/reference.h tests/request.h $(CORE) $(HEADERS) Makefile tests/fuzz.mk
 
 .PHONY: fuzz replay
 

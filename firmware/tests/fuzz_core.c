@@ -5,6 +5,7 @@
  * `enum step`, the upper five are its `n`. tools/fuzz_corpus.py writes the same.
  */
 #include "reference.h"
+#include "request.h"
 #include "rig_core.h"
 
 enum step {
@@ -72,16 +73,6 @@ static struct {
 static rig_core core;
 static rig_core seen; /* after the last tick or held section: what they share changes nowhere else */
 static rig_board hardware;
-
-static uint16_t u16(const uint8_t *at)
-{
-    return (uint16_t)(at[0] | ((unsigned)at[1] << 8));
-}
-
-static uint32_t u32(const uint8_t *at)
-{
-    return u16(at) | ((uint32_t)u16(at + 2) << 16);
-}
 
 static unsigned size_of(int units)
 {

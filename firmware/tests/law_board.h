@@ -116,16 +116,6 @@ static uint8_t fake_inputs(void *context)
     return board.inputs;
 }
 
-static uint16_t u16(const uint8_t *at)
-{
-    return (uint16_t)(at[0] | (at[1] << 8));
-}
-
-static uint32_t u32(const uint8_t *at)
-{
-    return u16(at) | ((uint32_t)u16(at + 2) << 16);
-}
-
 static void keep_block(const uint8_t *content, uint8_t length)
 {
     told_block *b = &board.block[board.blocks++ % 64u];
@@ -197,18 +187,6 @@ static int refused(uint8_t type, uint8_t code)
     return board.reply_length == 6 && board.reply[1] == RIG_NACK && board.reply[4] == code && board.reply[5] == type;
 }
 
-static uint8_t *put16(uint8_t *at, int value)
-{
-    at[0] = (uint8_t)((unsigned)value & 0xFFu);
-    at[1] = (uint8_t)(((unsigned)value >> 8) & 0xFFu);
-    return at + 2;
-}
-
-static uint8_t *put32(uint8_t *at, uint32_t value)
-{
-    return put16(put16(at, (int)(value & 0xFFFFu)), (int)(value >> 16));
-}
-
 static void send_drive(int units)
 {
     uint8_t body[2];
@@ -268,6 +246,44 @@ static void ticks(unsigned n)
 static const told_block *last(void)
 {
     return &board.block[(board.blocks - 1u) % 64u];
+}
+
+/* Whatever stops the drive stops the law `type`, in the same tick; the row of that tick and the reason are told, and the
+ * law does not start again (P7). `running` and `start` start it. */
+static void check_faults_end_it(uint8_t type, void (*running)(void), void (*start)(void))
+{
+    static const struct {
+        int32_t counts;
+        uint8_t inputs, code;
+    } cases[] = {{LIMIT_HI + 1, 0, RIG_E_TRAVEL},  {LIMIT_LO - 1, 0, RIG_E_TRAVEL},
+                 {1018, 0, RIG_E_SENSOR},          {5, 0, RIG_E_SENSOR},
+                 {512, RIG_INPUT_ESTOP, RIG_E_ESTOP}, {512, RIG_INPUT_END_LOW, RIG_E_END_SWITCH}};
+    for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
+        for (unsigned phase = 0; phase < 12u; phase++) {
+            running();
+            ticks(phase + 1u);
+            CHECK(board.pin != 0);
+            board.counts = cases[c].counts;
+            board.inputs = cases[c].inputs;
+            tick();
+            CHECK(board.pin == 0 && core.latched && core.fault == cases[c].code && !core.running && !core.armed);
+            const told_block *told = last();
+            CHECK(told->status == RIG_STATUS_FAULT && told->fault == cases[c].code);
+            CHECK(told->n >= 1 && told->counts[told->n - 1] == cases[c].counts && told->drive[told->n - 1] == 0);
+            unsigned rows = 0;
+            for (unsigned b = 0; b < board.blocks; b++) {
+                CHECK(board.block[b].number == b);
+                rows += board.block[b].n;
+            }
+            CHECK(rows == phase + 2u);
+            board.counts = 520;
+            board.inputs = 0;
+            ticks(30);
+            CHECK(board.pin == 0);
+            start();
+            CHECK(refused(type, cases[c].code));
+        }
+    }
 }
 
 #endif

@@ -1,85 +1,23 @@
 /* Every device rule of the wire protocol, on a board of plain variables. */
-#include <string.h>
-
-#include "check.h"
-#include "request.h"
-#include "rig_core.h"
+#include "plain_board.h"
 
 #define FULL 799
 
 static struct {
-    uint32_t now_us;
-    int32_t counts;
-    uint16_t tach;
-    uint8_t inputs;
-    int16_t pin;
-    unsigned drives;     /* calls of set_drive */
-    frame_receiver host; /* what comes back */
-    uint8_t got[FRAME_CONTENT_MAX];
-    uint8_t got_length;
-    unsigned replies;
-    bool wired; /* for a loop-back */
-    bool in_loopback;
+    bool wired;
+    bool begun;
     unsigned hung;
-} board;
-
-static rig_core core;
-static uint16_t seq;
-
-static uint32_t fake_micros(void *context)
-{
-    (void)context;
-    return board.now_us;
-}
-
-static int32_t fake_position(void *context, uint32_t *t_us)
-{
-    (void)context;
-    *t_us = board.now_us;
-    return board.counts;
-}
-
-static uint16_t fake_tach(void *context)
-{
-    (void)context;
-    return board.tach;
-}
-
-static void fake_drive(void *context, int16_t units)
-{
-    (void)context;
-    board.pin = units;
-    board.drives++;
-}
-
-static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
-{
-    (void)context;
-    for (uint8_t i = 0; i < n; i++) {
-        const uint8_t length = frame_receive(&board.host, bytes[i]);
-        if (length != 0u) {
-            memcpy(board.got, board.host.buffer, length);
-            board.got_length = length;
-            board.replies++;
-        }
-    }
-}
-
-static uint8_t fake_inputs(void *context)
-{
-    (void)context;
-    return board.inputs;
-}
+} loopback;
 
 static bool fake_begin(void)
 {
-    board.in_loopback = true;
-    return board.wired;
+    loopback.begun = true;
+    return loopback.wired;
 }
 
 static void fake_end(void)
 {
-    board.in_loopback = false;
+    loopback.begun = false;
 }
 
 static void fake_open(bool open)
@@ -96,55 +34,34 @@ static void fake_look(rig_loopback_view *view, bool share)
 
 static void fake_hang(void)
 {
-    board.hung++;
+    loopback.hung++;
 }
 
 static const rig_loopback_board LOOPBACK = {fake_begin, fake_end, fake_open, fake_look, fake_hang};
 
-static const rig_board BOARD = {.micros = fake_micros,
-                                .position = fake_position,
-                                .tach_counts = fake_tach,
-                                .set_drive = fake_drive,
-                                .transmit = fake_transmit,
-                                .inputs = fake_inputs,
+static const rig_board BOARD = {PLAIN_BOARD,
                                 .build = "build 12345678901234567890",
                                 .counts_max = 1023,
                                 .drive_full = FULL,
-                                .board_id = RIG_BOARD_HOST,
                                 .bridge = RIG_BRIDGE_IN1_IN2,
                                 .features = RIG_FEATURE_TACHOMETER,
                                 .loopback = &LOOPBACK};
 
 static void power_on(void)
 {
-    memset(&board, 0, sizeof board);
-    frame_receiver_init(&board.host);
+    memset(&loopback, 0, sizeof loopback);
+    start(&BOARD, RIG_RESET_BROWN_OUT);
     board.counts = 512;
-    board.tach = RIG_TACH_NONE;
-    board.pin = 123; /* whatever the pin was, init sets 0 */
-    board.now_us = 1000;
-    rig_init(&core, &BOARD, RIG_RESET_BROWN_OUT);
-}
-
-static void send_raw(uint8_t version, uint8_t type, const uint8_t *body, uint8_t n)
-{
-    uint8_t wire[FRAME_WIRE_MAX];
-    const uint8_t length = encode_request(version, type, ++seq, body, n, wire);
-    board.replies = 0;
-    board.got_length = 0;
-    for (uint8_t i = 0; i < length; i++) {
-        rig_byte(&core, wire[i]);
-    }
 }
 
 static uint16_t got_u16(unsigned at)
 {
-    return (uint16_t)(board.got[4 + at] | (board.got[5 + at] << 8));
+    return u16(board.got + 4 + at);
 }
 
 static uint32_t got_u32(unsigned at)
 {
-    return got_u16(at) | ((uint32_t)got_u16(at + 2) << 16);
+    return u32(board.got + 4 + at);
 }
 
 /* Whether exactly one reply came, of this type and length of body, with our seq. */
@@ -157,18 +74,6 @@ static int replied(uint8_t type, unsigned length)
 static int refused(uint8_t type, uint8_t code)
 {
     return replied(RIG_NACK, 2) && board.got[4] == code && board.got[5] == type;
-}
-
-static void put_i16(uint8_t *at, int value)
-{
-    at[0] = (uint8_t)((unsigned)value & 0xFFu);
-    at[1] = (uint8_t)(((unsigned)value >> 8) & 0xFFu);
-}
-
-static void put_i32(uint8_t *at, int32_t value)
-{
-    put_i16(at, (int)((uint32_t)value & 0xFFFFu));
-    put_i16(at + 2, (int)((uint32_t)value >> 16));
 }
 
 /* The set-up of these tests, one field of which a test may change. */
@@ -186,10 +91,10 @@ static void send_setup(int field, int32_t value)
         fields[field] = value;
     }
     for (int i = 0; i < MAX_DRIVE; i++) {
-        put_i32(body + 4 * i, fields[i]);
+        put32(body + 4 * i, (uint32_t)fields[i]);
     }
-    put_i16(body + 24, fields[MAX_DRIVE]);
-    put_i16(body + 26, fields[WATCHDOG]);
+    put16(body + 24, fields[MAX_DRIVE]);
+    put16(body + 26, fields[WATCHDOG]);
     body[28] = (uint8_t)fields[POLARITY];
     body[29] = 0;
     send_raw(RIG_PROTOCOL, RIG_SETUP, body, SETUP_LENGTH);
@@ -198,14 +103,14 @@ static void send_setup(int field, int32_t value)
 static void send_drive(int units)
 {
     uint8_t body[2];
-    put_i16(body, units);
+    put16(body, units);
     send_raw(RIG_PROTOCOL, RIG_DRIVE, body, 2);
 }
 
 static void send_pulse(int units, unsigned longest_ms)
 {
     uint8_t body[4];
-    put_i16(body, units);
+    put16(body, units);
     body[2] = (uint8_t)(longest_ms & 0xFFu);
     body[3] = (uint8_t)(longest_ms >> 8);
     send_raw(RIG_PROTOCOL, RIG_PULSE, body, 4);
@@ -214,7 +119,7 @@ static void send_pulse(int units, unsigned longest_ms)
 static uint8_t send_arm_of(uint32_t session)
 {
     uint8_t body[4];
-    put_i32(body, (int32_t)session);
+    put32(body, session);
     send_raw(RIG_PROTOCOL, RIG_ARM, body, 4);
     CHECK(replied(RIG_ARM | RIG_REPLY, 1));
     return board.got[4];
@@ -261,12 +166,6 @@ static uint8_t state_status(void)
 static uint8_t state_fault(void)
 {
     return board.got[4 + 19];
-}
-
-static void tick(void)
-{
-    board.now_us += 1000;
-    rig_tick(&core);
 }
 
 static void armed(void)
@@ -861,13 +760,13 @@ static void test_far_positions(void)
         power_on();
         rig_init(&core, &far, RIG_RESET_POWER_ON);
         uint8_t body[SETUP_LENGTH] = {1};
-        put_i32(body + 4, bases[i] - 60000);
-        put_i32(body + 8, bases[i] + 60000);
-        put_i32(body + 12, 0);
-        put_i32(body + 16, 0x7FFFFFFF);
-        put_i32(body + 20, bases[i]);
-        put_i16(body + 24, 200);
-        put_i16(body + 26, 100);
+        put32(body + 4, (uint32_t)bases[i] - 60000);
+        put32(body + 8, (uint32_t)bases[i] + 60000);
+        put32(body + 12, (uint32_t)0);
+        put32(body + 16, (uint32_t)0x7FFFFFFF);
+        put32(body + 20, (uint32_t)bases[i]);
+        put16(body + 24, 200);
+        put16(body + 26, 100);
         body[28] = 1;
         board.counts = bases[i];
         send_raw(RIG_PROTOCOL, RIG_SETUP, body, SETUP_LENGTH);
@@ -1027,7 +926,7 @@ static void in_loopback(void)
 {
     armed();
     send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
-    board.wired = true;
+    loopback.wired = true;
     CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_OK);
 }
 
@@ -1035,26 +934,26 @@ static void in_loopback(void)
 static void test_loopback_begins_and_ends(void)
 {
     armed();
-    board.wired = true;
-    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_E_SETUP && core.armed && !board.in_loopback); /* not under drive */
+    loopback.wired = true;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_E_SETUP && core.armed && !loopback.begun); /* not under drive */
     send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
     CHECK(send_loopback(RIG_LOOPBACK_LOOK) == RIG_E_LOOPBACK && send_loopback(RIG_LOOPBACK_END) == RIG_E_LOOPBACK);
     CHECK(send_loopback(RIG_LOOPBACK_HANG) == RIG_E_LOOPBACK && send_loopback(RIG_LOOPBACK_HANG + 1) == RIG_E_TYPE);
-    CHECK(board.hung == 0);
-    board.wired = false;
-    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_E_LOOPBACK && !board.in_loopback);
+    CHECK(loopback.hung == 0);
+    loopback.wired = false;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_E_LOOPBACK && !loopback.begun);
     CHECK(send_arm() == RIG_OK); /* nothing has changed */
     send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
-    board.wired = true;
-    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_OK && board.in_loopback);
+    loopback.wired = true;
+    CHECK(send_loopback(RIG_LOOPBACK_BEGIN) == RIG_OK && loopback.begun);
     CHECK(send_arm() == RIG_E_NO_SETUP); /* its set-up was of a bench */
     send_setup(MAX_DRIVE, FULL / 2);
     CHECK(send_arm() == RIG_OK);
     send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0); /* somebody else, who may have a motor */
-    CHECK(!core.loopback && !core.armed && !board.in_loopback && board.pin == 0);
+    CHECK(!core.loopback && !core.armed && !loopback.begun && board.pin == 0);
     CHECK(send_arm() == RIG_E_NO_SETUP);
     in_loopback();
-    CHECK(send_loopback(RIG_LOOPBACK_END) == RIG_OK && !core.loopback && !board.in_loopback);
+    CHECK(send_loopback(RIG_LOOPBACK_END) == RIG_OK && !core.loopback && !loopback.begun);
     in_loopback();
     rig_init(&core, &BOARD, RIG_RESET_WATCHDOG);
     CHECK(!core.loopback);
@@ -1098,8 +997,8 @@ static void test_what_a_loopback_tells(void)
     CHECK(send_loopback(RIG_LOOPBACK_SHARE) == RIG_OK);
     CHECK(got_u32(0) == board.now_us && got_u32(4) == 2 && got_u16(12) == 7 && board.got[4 + 14] == 2);
     CHECK(got_u32(31) == 0x12345678u);
-    CHECK(send_loopback(RIG_LOOPBACK_LOOK) == RIG_OK && got_u16(12) == 0 && board.hung == 0);
-    CHECK(send_loopback(RIG_LOOPBACK_HANG) == RIG_OK && board.hung == 1); /* once it has answered */
+    CHECK(send_loopback(RIG_LOOPBACK_LOOK) == RIG_OK && got_u16(12) == 0 && loopback.hung == 0);
+    CHECK(send_loopback(RIG_LOOPBACK_HANG) == RIG_OK && loopback.hung == 1); /* once it has answered */
 }
 
 int main(void)

@@ -1,67 +1,6 @@
 /* What the core promises of a board whose position is an encoder's: P13 and P14, zero, homing, and no travel limits, for
  * both laws that run in the device. */
-#include <string.h>
-
-#include "check.h"
-#include "request.h"
-#include "rig_core.h"
-
-static struct {
-    uint32_t now_us;
-    int32_t counts;
-    uint8_t inputs;
-    uint8_t troubles;
-    int16_t pin;
-    frame_receiver host;
-    uint8_t got[FRAME_CONTENT_MAX];
-    uint8_t got_length;
-} board;
-
-static rig_core core;
-static uint16_t seq;
-
-static uint32_t fake_micros(void *context)
-{
-    (void)context;
-    return board.now_us;
-}
-
-static int32_t fake_position(void *context, uint32_t *t_us)
-{
-    (void)context;
-    *t_us = board.now_us;
-    return board.counts;
-}
-
-static uint16_t fake_tach(void *context)
-{
-    (void)context;
-    return RIG_TACH_NONE;
-}
-
-static void fake_drive(void *context, int16_t units)
-{
-    (void)context;
-    board.pin = units;
-}
-
-static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
-{
-    (void)context;
-    for (uint8_t i = 0; i < n; i++) {
-        const uint8_t length = frame_receive(&board.host, bytes[i]);
-        if (length != 0u && board.host.buffer[1] != (uint8_t)RIG_BLOCK) {
-            memcpy(board.got, board.host.buffer, length);
-            board.got_length = length;
-        }
-    }
-}
-
-static uint8_t fake_inputs(void *context)
-{
-    (void)context;
-    return board.inputs;
-}
+#include "plain_board.h"
 
 static void fake_set_position(void *context, int32_t counts)
 {
@@ -77,57 +16,29 @@ static uint8_t fake_troubles(void *context)
     return found;
 }
 
-static const rig_board ENCODER = {.micros = fake_micros,
-                                  .position = fake_position,
-                                  .tach_counts = fake_tach,
-                                  .set_drive = fake_drive,
-                                  .transmit = fake_transmit,
-                                  .inputs = fake_inputs,
+static const rig_board ENCODER = {PLAIN_BOARD,
                                   .build = "encoder",
                                   .drive_full = 400,
-                                  .board_id = RIG_BOARD_HOST,
                                   .features = RIG_FEATURE_ENCODER,
                                   .set_position = fake_set_position,
                                   .encoder_troubles = fake_troubles};
 
-static const rig_board POTENTIOMETER = {.micros = fake_micros,
-                                        .position = fake_position,
-                                        .tach_counts = fake_tach,
-                                        .set_drive = fake_drive,
-                                        .transmit = fake_transmit,
-                                        .inputs = fake_inputs,
-                                        .build = "potentiometer",
-                                        .counts_max = 1023,
-                                        .drive_full = 400,
-                                        .board_id = RIG_BOARD_HOST};
+static const rig_board POTENTIOMETER = {
+    PLAIN_BOARD, .build = "potentiometer", .counts_max = 1023, .drive_full = 400
+};
 
 static uint8_t ask(uint8_t type, const uint8_t *body, uint8_t n)
 {
-    uint8_t wire[FRAME_WIRE_MAX];
-    const uint8_t length = encode_request(RIG_PROTOCOL, type, ++seq, body, n, wire);
-    board.got_length = 0;
-    for (uint8_t i = 0; i < length; i++) {
-        rig_byte(&core, wire[i]);
-    }
-    if (board.got_length != 0u && board.got[1] == (uint8_t)RIG_NACK) {
-        return board.got[4];
-    }
-    return RIG_OK;
-}
-
-static void put_i32(uint8_t *at, int32_t value)
-{
-    for (unsigned i = 0; i < 4u; i++) {
-        at[i] = (uint8_t)((uint32_t)value >> (8u * i));
-    }
+    send_raw(RIG_PROTOCOL, type, body, n);
+    return board.got_length != 0u && board.got[1] == (uint8_t)RIG_NACK ? board.got[4] : (uint8_t)RIG_OK;
 }
 
 static uint8_t setup(int32_t hard_lo, int32_t hard_hi, int32_t rail_hi, uint8_t homing)
 {
     uint8_t body[30] = {7};
-    put_i32(body + 4, hard_lo);
-    put_i32(body + 8, hard_hi);
-    put_i32(body + 16, rail_hi);
+    put32(body + 4, (uint32_t)hard_lo);
+    put32(body + 8, (uint32_t)hard_hi);
+    put32(body + 16, (uint32_t)rail_hi);
     body[24] = 200;
     body[26] = 100;
     body[28] = 1;
@@ -138,7 +49,7 @@ static uint8_t setup(int32_t hard_lo, int32_t hard_hi, int32_t rail_hi, uint8_t 
 static uint8_t zero(int32_t counts)
 {
     uint8_t body[4];
-    put_i32(body, counts);
+    put32(body, (uint32_t)counts);
     return ask(RIG_ZERO, body, sizeof body);
 }
 
@@ -163,8 +74,8 @@ static void drive(int16_t units)
 static uint8_t start_relay(int32_t centre)
 {
     uint8_t body[18] = {0xC4, 0xFF, 0xEC, 0xFF, 20, 0, 60, 0};
-    put_i32(body + 8, centre);
-    put_i32(body + 12, 1 << 20);
+    put32(body + 8, (uint32_t)centre);
+    put32(body + 12, 1u << 20);
     body[16] = 1;
     body[17] = 10;
     return ask(RIG_RELAY, body, sizeof body);
@@ -174,18 +85,11 @@ static uint8_t start_relay(int32_t centre)
 static uint8_t start_strokes(int32_t high, int32_t low)
 {
     uint8_t body[56] = {2, 10, 100, 0, 100, 0, 3, 0, 60, 0};
-    put_i32(body + 10, high);
+    put32(body + 10, (uint32_t)high);
     body[14] = 0xC4;
     body[15] = 0xFF;
-    put_i32(body + 16, low);
+    put32(body + 16, (uint32_t)low);
     return ask(RIG_STROKES, body, sizeof body);
-}
-
-static void tick(void)
-{
-    board.now_us += 1000u;
-    rig_tick(&core);
-    rig_stream(&core);
 }
 
 static uint8_t status(void)
@@ -196,10 +100,7 @@ static uint8_t status(void)
 
 static void power_on(const rig_board *as)
 {
-    memset(&board, 0, sizeof board);
-    frame_receiver_init(&board.host);
-    board.now_us = 1000;
-    rig_init(&core, as, RIG_RESET_POWER_ON);
+    start(as, RIG_RESET_POWER_ON);
     CHECK(ack(RIG_E_RESET) == RIG_OK);
 }
 

@@ -203,41 +203,14 @@ static void test_keep_keeps_nothing_else(void)
     CHECK(board.pin == 0 && core.fault == RIG_E_WATCHDOG);
 }
 
-/* Whatever stops the drive stops the relay, in the same tick; the row of that tick and the reason are told. */
+static void start_plain(void)
+{
+    start_as(1, 1);
+}
+
 static void test_faults_end_it(void)
 {
-    static const struct {
-        int32_t counts;
-        uint8_t inputs, code;
-    } cases[] = {{LIMIT_HI + 1, 0, RIG_E_TRAVEL},  {LIMIT_LO - 1, 0, RIG_E_TRAVEL},
-                 {1018, 0, RIG_E_SENSOR},          {5, 0, RIG_E_SENSOR},
-                 {512, RIG_INPUT_ESTOP, RIG_E_ESTOP}, {512, RIG_INPUT_END_LOW, RIG_E_END_SWITCH}};
-    for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
-        for (unsigned phase = 0; phase < 12u; phase++) {
-            running();
-            ticks(phase + 1u);
-            CHECK(board.pin != 0);
-            board.counts = cases[c].counts;
-            board.inputs = cases[c].inputs;
-            tick();
-            CHECK(board.pin == 0 && core.latched && core.fault == cases[c].code && !core.running && !core.armed);
-            const told_block *told = last();
-            CHECK(told->status == RIG_STATUS_FAULT && told->fault == cases[c].code);
-            CHECK(told->n >= 1 && told->counts[told->n - 1] == cases[c].counts && told->drive[told->n - 1] == 0);
-            unsigned rows = 0;
-            for (unsigned b = 0; b < board.blocks; b++) {
-                CHECK(board.block[b].number == b);
-                rows += board.block[b].n;
-            }
-            CHECK(rows == phase + 2u);
-            board.counts = 520;
-            board.inputs = 0;
-            ticks(30);
-            CHECK(board.pin == 0);
-            start_as(1, 1);
-            CHECK(refused(RIG_RELAY, cases[c].code)); /* P7 */
-        }
-    }
+    check_faults_end_it(RIG_RELAY, running, start_plain);
 }
 
 static void test_a_read_sees_the_limit_too(void)

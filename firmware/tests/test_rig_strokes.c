@@ -250,34 +250,14 @@ static void test_reading_keeps_nothing_after_it_has_failed(void)
     CHECK(core.fault == RIG_E_WATCHDOG && !core.running);
 }
 
+static void start_to_and_fro(void)
+{
+    start(4, TO_AND_FRO);
+}
+
 static void test_faults_end_it(void)
 {
-    static const struct {
-        int32_t counts;
-        uint8_t inputs, code;
-    } cases[] = {{LIMIT_HI + 1, 0, RIG_E_TRAVEL},  {LIMIT_LO - 1, 0, RIG_E_TRAVEL},
-                 {1018, 0, RIG_E_SENSOR},          {5, 0, RIG_E_SENSOR},
-                 {512, RIG_INPUT_ESTOP, RIG_E_ESTOP}, {512, RIG_INPUT_END_LOW, RIG_E_END_SWITCH}};
-    for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
-        for (unsigned phase = 0; phase < 12u; phase++) {
-            running();
-            ticks(phase + 1u);
-            CHECK(board.pin == 120);
-            board.counts = cases[c].counts;
-            board.inputs = cases[c].inputs;
-            tick();
-            CHECK(board.pin == 0 && core.latched && core.fault == cases[c].code && !core.running && !core.armed);
-            const told_block *told = last();
-            CHECK(told->status == RIG_STATUS_FAULT && told->fault == cases[c].code);
-            CHECK(told->n >= 1 && told->counts[told->n - 1] == cases[c].counts && told->drive[told->n - 1] == 0);
-            board.counts = 520;
-            board.inputs = 0;
-            ticks(30);
-            CHECK(board.pin == 0);
-            start(4, TO_AND_FRO);
-            CHECK(refused(RIG_STROKES, cases[c].code)); /* P7 */
-        }
-    }
+    check_faults_end_it(RIG_STROKES, running, start_to_and_fro);
 }
 
 static void test_stop_arm_and_drive_end_it(void)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import chip_host
 import pico_host
@@ -16,13 +17,18 @@ from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
 from rig.backends.serial.frames import Code, Setup
 from rig.model.bench import BenchParameters
 
-Powered = Callable[[BenchParameters, Variant], AbstractContextManager[ChipHost | PicoHost]]
+Powered = Callable[..., AbstractContextManager[ChipHost | PicoHost]]
 
 
 @dataclass(frozen=True)
 class Chip:
     """One of them.
 
+    powered   on, with a bench, a variant, and what else its emulator takes
+    id        of the board, in HELLO
+    full      units of full duty
+    scale     counts for one of the Uno's
+    stamp_s   how exact it says when the drive at its pins changed
     drive     units of 1.8 V
     phases    how many random phases are tried, resets by its watchdog aside
     resets    how many of these
@@ -34,6 +40,10 @@ class Chip:
     name: str
     powered: Powered
     setup: Setup
+    id: int
+    full: int
+    scale: int
+    stamp_s: float
     drive: int
     phases: int
     resets: int
@@ -60,17 +70,19 @@ class Chip:
 
 
 @contextmanager
-def _uno(bench: BenchParameters, options: Variant) -> Iterator[ChipHost]:
-    yield ChipHost(VirtualChip(bench, options=options), options.baud)
+def _uno(bench: BenchParameters, options: Variant = PLAIN_VARIANT, **emulator: Any) -> Iterator[ChipHost]:
+    yield ChipHost(VirtualChip(bench, options=options, **emulator), options.baud)
 
 
-def _pico(bench: BenchParameters, options: Variant) -> AbstractContextManager[PicoHost]:
-    return pico_host.pico(pico_host.twelve_bits(bench), options)
+def _pico(
+    bench: BenchParameters, options: Variant = PLAIN_VARIANT, **emulator: Any
+) -> AbstractContextManager[PicoHost]:
+    return pico_host.pico(bench if bench.encoder else pico_host.twelve_bits(bench), options, **emulator)
 
 
-UNO = Chip("uno", _uno, chip_host.SETUP, 60, 20, 20, 0.150, 30e-6, 150)
+UNO = Chip("uno", _uno, chip_host.SETUP, 2, 400, 1, 30e-6, 60, 20, 20, 0.150, 30e-6, 150)
 # its watchdog's 120 ms, and a tick; emulated more slowly, so that it is tried less often
-PICO = Chip("pico", _pico, pico_host.SETUP, 940, 8, 2, 0.130, 3e-6, 90)
+PICO = Chip("pico", _pico, pico_host.SETUP, 3, pico_host.PICO_FULL, pico_host.SCALE, 10e-6, 940, 8, 2, 0.130, 3e-6, 90)
 
 
 def name_of(value: object) -> str | None:

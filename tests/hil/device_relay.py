@@ -35,7 +35,7 @@ class DeviceRelay:
     """One relay; centre in 1/16 count, z_bound in 1/32 count tick, the drive of each state in units."""
 
     def __init__(self, centre: int, z_bound: int, drive: tuple[int, int, int, int], direction: int) -> None:
-        self._library = ctypes.CDLL(str(firmware_build.build().library))
+        self._library = ctypes.CDLL(str(firmware_build.build()))
         self._library.relay_is_valid.restype = ctypes.c_bool
         self._library.relay_step.restype = ctypes.c_int16
         self._library.relay_step.argtypes = [ctypes.POINTER(_Relay), ctypes.c_int32]

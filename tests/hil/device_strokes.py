@@ -50,7 +50,7 @@ class DeviceStrokes:
         still_counts: int,
         polarity: int,
     ) -> None:
-        self._library = ctypes.CDLL(str(firmware_build.build().library))
+        self._library = ctypes.CDLL(str(firmware_build.build()))
         self._library.strokes_are_valid.restype = ctypes.c_bool
         self._library.strokes_step.restype = ctypes.c_int16
         self._library.strokes_step.argtypes = [ctypes.POINTER(_Strokes), ctypes.c_int32]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import chip_host
 import virtual_host
@@ -25,11 +26,14 @@ SCALE = 4  # counts for one of the Uno's
 
 def twelve_bits(bench: BenchParameters) -> BenchParameters:
     """The same bench behind a converter of 12 bits."""
+    tachometer = bench.tachometer_rad_s_per_count
     return replace(
         bench,
         counts_max=4095,
         rad_per_count=bench.rad_per_count / SCALE,
         centre_counts=SCALE * bench.centre_counts,
+        tachometer_rad_s_per_count=None if tachometer is None else tachometer / SCALE,
+        tachometer_zero_counts=SCALE * bench.tachometer_zero_counts,
     )
 
 
@@ -49,11 +53,9 @@ class PicoHost(UnoHost[VirtualPico]):
 
 
 @contextmanager
-def pico(
-    bench: BenchParameters = BENCH, options: Variant = PLAIN_VARIANT, *, clock_error_ppm: float = 0.0
-) -> Iterator[PicoHost]:
+def pico(bench: BenchParameters = BENCH, options: Variant = PLAIN_VARIANT, **emulator: Any) -> Iterator[PicoHost]:
     """A chip that has just been powered on."""
-    parameters = pico_parameters(bench, clock_error_ppm=clock_error_ppm, options=options)
+    parameters = pico_parameters(bench, options=options, **emulator)
     board = VirtualPico(parameters, _IDLE.take())
     try:
         yield PicoHost(board, options.baud)

@@ -1,4 +1,4 @@
-"""The Uno's firmware on its emulated chip, through frames and through the driver, in virtual time."""
+"""The firmware on its emulated chip, Uno's or Pico's, through frames and through the driver, in virtual time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from dataclasses import replace
 from statistics import median
 
 import pytest
+from both_chips import PICO, UNO, Chip, name_of
 from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
+from evidence import evidence
 from simulated_bench import CALIBRATION, LIMITS, RAILS
 from virtual_host import LSB_RAD
 
+from emulated_chips.truth import UnoTruth
 from emulated_chips.virtual_chip import VirtualChip
+from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Until
@@ -30,8 +34,9 @@ from rig.backends.serial.frames import (
     Nack,
     encode,
 )
-from rig.core.calibration import DriveMap, Scaling, TachometerScale
+from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.core.faults import Fault
+from rig.model.bench import BenchParameters
 
 FULL = 400
 SUPPLY_V = 12.0
@@ -40,64 +45,92 @@ FAST = Variant(baud=1_000_000)
 WIRED = Variant(tachometer=True, supply=True, end_switches=True)
 
 
-def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> SerialDriver:
-    scaling = Scaling(CALIBRATION, DriveMap(SUPPLY_V), RAILS, tachometer=tachometer)
-    return SerialDriver(board, scaling, emulated=True)
+BOTH = pytest.mark.parametrize("chip", [UNO, PICO], ids=name_of)
+UNO_OR_LATER_PICO = pytest.mark.parametrize("chip", [UNO, *evidence(PICO)], ids=name_of)
 
 
-@pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
-def test_it_introduces_itself(options: Variant, bridge: int) -> None:
-    hello = ChipHost(VirtualChip(BENCH, options=options)).hello()
-    assert hello.bridge == bridge
-    assert (hello.board, hello.reset_words, hello.counts_max, hello.drive_full) == (2, "power-on", 1023, FULL)
-    assert hello.build_text.startswith("uno ") and hello.features == FEATURE_LOOPBACK | FEATURE_PULSE | FEATURE_STROKES
+def driver_on(board: Transport, tachometer: TachometerScale | None = None, chip: Chip = UNO) -> SerialDriver:
+    centre, most, lsb_rad = 512 * chip.scale, 1024 * chip.scale - 1, LSB_RAD / chip.scale
+    calibration = Calibration([(0, -centre * lsb_rad), (most, (most - centre) * lsb_rad)])
+    rails = (5 * chip.scale, 1018 * chip.scale)
+    return SerialDriver(board, Scaling(calibration, DriveMap(SUPPLY_V), rails, tachometer=tachometer), emulated=True)
 
 
-@pytest.mark.parametrize("ppm", [-5000, 0, 4000])
-def test_the_driver_opens_arms_reads_drives_and_stops(ppm: int) -> None:
-    board = VirtualChip(QUIET, clock_error_ppm=ppm)
-    driver = driver_on(board)
-    info = driver.open()
-    assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
-    assert info.clock_ratio == pytest.approx(1.0 + 1e-6 * ppm, abs=20e-6)  # its clock counts in 4 us
-    driver.arm(LIMITS)
-    for u_V in (1.5, 1.8, 1.2, -1.5, -2.1, 0.0):
-        driver.write(u_V)
-        board.sleep_until(board.now_s() + 0.01)
-        assert board.truth().pin_V == pytest.approx(u_V)
-        sample = driver.read()
-        truth = board.truth()
-        assert sample.u_V == pytest.approx(u_V)
-        then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sample.t_s)
-        assert sample.y_rad == pytest.approx(then_rad, abs=0.51 * LSB_RAD + 1e-3)
-        if u_V:
-            assert sample.t_u_s == pytest.approx(truth.pin_changed_s, abs=30e-6)
-    assert driver.safe_stop()
-    assert board.truth().pin_V == 0.0 and not board.truth().led
-    assert driver.link_statistics["bad_frames"] == driver.link_statistics["drives_lost"] == 0
-    assert not board.truth().overruns
+@pytest.mark.parametrize(
+    ("chip", "options", "bridge"),
+    [(chip, *case) for chip in (UNO, PICO) for case in zip(BRIDGES, (1, 2), strict=True)],
+    ids=name_of,
+)
+def test_it_introduces_itself(chip: Chip, options: Variant, bridge: int) -> None:
+    with chip.powered(BENCH, options) as host:
+        hello = host.hello()
+    assert hello.bridge == bridge and hello.build_text.startswith(f"{chip.name} ")
+    told = (hello.board, hello.reset_words, hello.counts_max, hello.drive_full)
+    assert told == (chip.id, "power-on", 1024 * chip.scale - 1, chip.full)
+    assert hello.features == FEATURE_LOOPBACK | FEATURE_PULSE | FEATURE_STROKES
 
 
-def test_what_the_state_says_is_what_is_at_the_pins() -> None:
-    """Times, drive and position against the truth, at random phases."""
-    rng = random.Random(5)
-    host = armed_chip(QUIET, clock_error_ppm=3000)
-    host.drive(1)
-    start_s = host.truth().pin_changed_s - host.state().t_drive_us / 1e6 / 1.003  # the program's, after power on
-    assert 0.0 < start_s < 0.6e-3  # most of it clears the program's memory
-    for k in range(100):
-        host.drive((-1) ** k * rng.randint(1, 50))
-        host.wait(rng.uniform(0.0, 0.008))
-        asked_s = host.board.now_s()
-        state = host.state()
-        truth = host.truth()
-        assert state.drive / FULL * SUPPLY_V == pytest.approx(truth.pin_V)
-        assert start_s + state.t_drive_us / 1e6 / 1.003 == pytest.approx(truth.pin_changed_s, abs=20e-6)
-        sampled_s = start_s + state.t_sample_us / 1e6 / 1.003
-        assert asked_s - 0.5e-3 < sampled_s < truth.t_s
-        then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sampled_s)
-        assert state.counts == pytest.approx(512 + then_rad / LSB_RAD, abs=0.8)
-        host.board.place(0.0)
+@pytest.mark.parametrize(("chip", "ppm"), [(UNO, -5000), (UNO, 0), (UNO, 4000), (PICO, 4000)], ids=name_of)
+def test_the_driver_opens_arms_reads_drives_and_stops(chip: Chip, ppm: int) -> None:
+    with chip.powered(QUIET, clock_error_ppm=ppm) as host:
+        board = host.board
+        driver = driver_on(board, chip=chip)
+        info = driver.open()
+        assert (info.board, info.emulated, info.reset_cause) == (chip.name, True, "power-on")
+        assert info.clock_ratio == pytest.approx(
+            1.0 + 1e-6 * ppm, abs=20e-6 if chip is UNO else 10e-6
+        )  # it counts in us
+        driver.arm(LIMITS)
+        for u_V in (1.5, 1.8, 1.2, -1.5, -2.1, 0.0):
+            driver.write(u_V)
+            board.sleep_until(board.now_s() + 0.01)
+            assert board.truth().pin_V == pytest.approx(round(u_V / SUPPLY_V * chip.full) / chip.full * SUPPLY_V)
+            sample = driver.read()
+            truth = board.truth()
+            assert sample.u_V == pytest.approx(truth.pin_V, abs=1e-9)
+            then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sample.t_s)
+            assert sample.y_rad == pytest.approx(then_rad, abs=0.51 * LSB_RAD / chip.scale + 1e-3)
+            if u_V:
+                assert sample.t_u_s == pytest.approx(truth.pin_changed_s, abs=chip.stamp_s)
+        assert driver.safe_stop()
+        assert board.truth().pin_V == 0.0 and not board.truth().led
+        assert driver.link_statistics["bad_frames"] == driver.link_statistics["drives_lost"] == 0
+        assert not board.truth().overruns
+
+
+@pytest.mark.parametrize(
+    ("chip", "ppm", "times", "start_s", "stamp_s", "age_s", "noise"),
+    [(UNO, 3000, 100, (0.0, 0.6e-3), 20e-6, 0.5e-3, 0.8), (PICO, 0, 40, (-3e-6, 3e-6), 3e-6, 0.0, 1.0)],
+    ids=name_of,
+)
+def test_what_the_state_says_is_what_is_at_the_pins(
+    chip: Chip, ppm: int, times: int, start_s: tuple[float, float], stamp_s: float, age_s: float, noise: float
+) -> None:
+    """Times, drive and position against the truth, at random phases.
+
+    start_s  of the program, after power on: on the Uno most of it clears the program's memory
+    age_s    of a sample when it is asked for, at most; ``noise``: of the reading, counts
+    """
+    rng, rate = random.Random(5), 1.0 + 1e-6 * ppm
+    with chip.powered(QUIET, clock_error_ppm=ppm) as host:
+        host.acknowledge(Code.RESET)
+        host.setup(chip.setup)
+        assert host.arm() == Code.NONE
+        host.drive(1)
+        began_s = host.truth().pin_changed_s - host.state().t_drive_us / 1e6 / rate
+        assert start_s[0] < began_s < start_s[1]
+        for k in range(times):
+            host.drive((-1) ** k * rng.randint(1, chip.full // 8))
+            host.wait(rng.uniform(0.0, 0.008))
+            asked_s = host.board.now_s()
+            state, truth = host.state(), host.truth()
+            assert state.drive / chip.full * SUPPLY_V == pytest.approx(truth.pin_V)
+            assert began_s + state.t_drive_us / 1e6 / rate == pytest.approx(truth.pin_changed_s, abs=stamp_s)
+            sampled_s = began_s + state.t_sample_us / 1e6 / rate
+            assert asked_s - age_s < sampled_s < truth.t_s
+            then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sampled_s)
+            assert state.counts == pytest.approx((512 + then_rad / LSB_RAD) * chip.scale, abs=noise)
+            host.board.place(0.0)
 
 
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
@@ -111,30 +144,41 @@ def test_the_bridge_gives_what_was_asked_for_both_ways(options: Variant) -> None
     assert host.pin_V() == 0.0  # pins float, pull-downs hold the bridge off
 
 
-def test_dead_time_takes_its_share_of_what_is_switched() -> None:
-    host = armed_chip(HELD, SETUP._replace(max_drive=FULL), dead_time_s=1e-6)
-    for units, loss in ((200, 1e-6 * 20e3), (-200, -1e-6 * 20e3), (FULL, 0.0), (0, 0.0)):
-        host.drive(units)
-        assert host.pin_V() == pytest.approx(SUPPLY_V * (units / FULL - loss))
-    host.drive(2)
-    assert host.pin_V() == 0.0
+@BOTH
+def test_dead_time_takes_its_share_of_what_is_switched(chip: Chip) -> None:
+    lost = 1e-6 * 20e3
+    with chip.powered(HELD, dead_time_s=1e-6) as host:
+        host.acknowledge(Code.RESET)
+        host.setup(chip.setup._replace(max_drive=chip.full))
+        assert host.arm() == Code.NONE
+        for units, loss in ((chip.full // 2, lost), (-chip.full // 2, -lost), (chip.full, 0.0), (0, 0.0)):
+            host.drive(units)
+            assert host.pin_V() == pytest.approx(SUPPLY_V * (units / chip.full - loss), abs=1e-3 * (chip is PICO))
+        host.drive(chip.full // 150)
+        assert host.pin_V() == pytest.approx(0.0, abs=1e-3 * (chip is PICO))
 
 
-@pytest.mark.parametrize("options", [Variant(), FAST], ids=lambda o: str(o.baud))
-def test_no_byte_is_lost_however_dense_the_requests(options: Variant) -> None:
-    """The chip holds two bytes; a longest frame at full speed and answers at the same time."""
-    host = ChipHost(VirtualChip(BENCH, options=options, measure=True), options.baud)
-    for _ in range(30):
-        host.send_raw(b"".join(encode(Kind.SETUP, k, SETUP.pack()) + encode(Kind.READ, k) for k in range(2)))
-        host.send_raw(b"\x01" * 66 + b"\0")
-        host.wait(0.02)
-        host.board.read(0.0)
-        host.hello()
-    truth = host.truth()
-    assert truth.overruns == 0
-    assert truth.masked_us < 15.0  # one and a half bytes at 1 Mbaud
-    if options.baud == 115200:
-        assert truth.interrupt_share < 0.30
+@pytest.mark.parametrize(
+    ("chip", "options"), [(UNO, Variant()), (UNO, FAST), (PICO, FAST), *evidence((PICO, Variant()))], ids=name_of
+)
+def test_no_byte_is_lost_however_dense_the_requests(chip: Chip, options: Variant) -> None:
+    """The Uno holds two bytes, the Pico one; a longest frame at full speed and answers at the same time."""
+    requests = b"".join(encode(Kind.SETUP, k, chip.setup.pack()) + encode(Kind.READ, k) for k in range(2))
+    with chip.powered(BENCH, options, **({"measure": True} if chip is UNO else {})) as host:
+        for _ in range(30 if chip is UNO else 15):
+            host.send_raw(requests)
+            host.send_raw(b"\x01" * 66 + b"\0")
+            host.wait(0.02)
+            host.board.read(0.0)
+            host.hello()
+        truth = host.truth()
+        assert truth.overruns == 0 and truth.resets == 0
+        assert truth.masked_us < (15.0 if chip is UNO else 5.0)  # one and a half bytes at 1 Mbaud; half a byte
+        if isinstance(truth, UnoTruth):
+            assert options.baud != 115200 or truth.interrupt_share < 0.30
+        if isinstance(host.board, VirtualPico):
+            assert truth.tick_us < 20.0 and host.board.stack_bytes() < 1024
+            assert host.board.broken_rule() == ""
 
 
 def test_more_replies_than_there_is_room_for_are_left_out_whole() -> None:
@@ -208,36 +252,40 @@ def test_one_megabaud_answers_in_under_a_millisecond() -> None:
     assert (host.board.now_s() - from_s) / 10 < 1e-3
 
 
-def test_a_tachometer_where_it_is_wired() -> None:
-    scale = TachometerScale(0.05, 512.0)
+@UNO_OR_LATER_PICO
+def test_a_tachometer_where_it_is_wired(chip: Chip) -> None:
+    scale = TachometerScale(0.05 / chip.scale, 512.0 * chip.scale)
     bench = replace(QUIET, tachometer_rad_s_per_count=0.05, tachometer_zero_counts=512.0)
-    board = VirtualChip(bench, options=WIRED)
-    driver = driver_on(board, tachometer=scale)
-    driver.open()
-    driver.arm(LIMITS)
-    driver.write(1.5)
-    board.sleep_until(board.now_s() + 0.09)
-    sample = driver.read()
-    truth = board.truth()
-    assert truth.v_rad_per_s > 1.0
-    assert sample.v_rad_per_s == pytest.approx(truth.v_rad_per_s, abs=0.1)
+    with chip.powered(bench, WIRED) as host:
+        driver = driver_on(host.board, scale, chip)
+        driver.open()
+        driver.arm(LIMITS)
+        driver.write(1.5)
+        host.wait(0.09)
+        sample, truth = driver.read(), host.truth()
+        assert truth.v_rad_per_s > 1.0
+        assert sample.v_rad_per_s == pytest.approx(truth.v_rad_per_s, abs=0.1)
+    with chip.powered(bench) as host:
+        with pytest.raises(Fault) as caught:
+            driver_on(host.board, scale, chip).open()
+        assert caught.value.code == "CONFIG_MISMATCH"
+    with chip.powered(bench) as host:
+        without = driver_on(host.board, chip=chip)
+        without.open()
+        without.arm(LIMITS)
+        assert math.isnan(without.read().v_rad_per_s)
 
-    plain = driver_on(VirtualChip(bench), tachometer=scale)
-    with pytest.raises(Fault) as caught:
-        plain.open()
-    assert caught.value.code == "CONFIG_MISMATCH"
-    without = driver_on(VirtualChip(bench))
-    without.open()
-    without.arm(LIMITS)
-    assert math.isnan(without.read().v_rad_per_s)
 
+@UNO_OR_LATER_PICO
+def test_the_motor_supply_where_it_is_wired(chip: Chip) -> None:
+    def told_V(bench: BenchParameters, options: Variant) -> float:
+        with chip.powered(bench, options) as host:
+            return driver_on(host.board, chip=chip).open().supply_V
 
-def test_the_motor_supply_where_it_is_wired() -> None:
-    assert driver_on(VirtualChip(QUIET, options=WIRED)).open().supply_V == pytest.approx(12.0, abs=0.1)
-    assert math.isnan(driver_on(VirtualChip(QUIET)).open().supply_V)
-    low = VirtualChip(replace(QUIET, supply_V=7.0), options=WIRED)
+    assert told_V(QUIET, WIRED) == pytest.approx(12.0, abs=0.1)
+    assert math.isnan(told_V(QUIET, Variant()))
     with pytest.raises(Fault, match=r"7\.0 V, drive\.supply_V is 12 V") as caught:
-        driver_on(low).open()
+        told_V(replace(QUIET, supply_V=7.0), WIRED)
     assert caught.value.code == "CONFIG_MISMATCH"
 
 

@@ -1,4 +1,4 @@
-"""The Uno's emulated chip in real time behind a pseudo-terminal, as `rig emulate --chip` starts it: a smoke test."""
+"""The emulated chips in real time behind a pseudo-terminal, as `rig emulate` starts them: a smoke test."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from rig.running.preflight import check
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
-def drive_until_it_moves(port: str, experiment: Experiment) -> float:
+def drive_until_it_moves(port: str, experiment: Experiment, chip: str) -> float:
     """Through the driver that a run uses; how far it says that the shaft has moved, rad."""
     transport = SerialPort(port)
     # a shared machine may hold a process up for long
     driver = SerialDriver(transport, experiment.device.scaling, Timeouts(2.0), emulated=True)
     info = driver.open()
-    assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
+    assert (info.board, info.emulated, info.reset_cause) == (chip, True, "power-on")
     driver.arm(replace(experiment.device.arming, watchdog_s=1.0))
     start_rad = y_rad = driver.read().y_rad
     until_s = time.monotonic() + PATIENCE_S
@@ -46,23 +46,27 @@ def drive_until_it_moves(port: str, experiment: Experiment) -> float:
 
 
 @pytest.mark.realtime
-def test_it_is_driven_as_a_board_would_be(tmp_path: Path) -> None:
-    link, trace = tmp_path / "uno", tmp_path / "trace.csv"
-    experiment, _ = check(CONFIG / "demo.yaml")
-    command = [sys.executable, "-m", "rig", "emulate", str(CONFIG / "demo.yaml"), "--chip"]
-    with subprocess.Popen(
-        [*command, "--link", str(link), "--trace", str(trace)], stdout=subprocess.DEVNULL
-    ) as emulated:
+@pytest.mark.parametrize(
+    ("chip", "emulated", "drive_V"),  # 23 of 400 units of 12 V, and 365 of 6250
+    [("uno", ("demo.yaml", "--chip"), 0.69), ("pico", ("demo-pico.yaml",), 0.7008)],
+    ids=["uno", "pico"],
+)
+def test_it_is_driven_as_a_board_would_be(chip: str, emulated: tuple[str, ...], drive_V: float, tmp_path: Path) -> None:
+    link, trace = tmp_path / "chip", tmp_path / "trace.csv"
+    config, *options = emulated
+    experiment, _ = check(CONFIG / config)
+    command = [sys.executable, "-m", "rig", "emulate", str(CONFIG / config), *options]
+    with subprocess.Popen([*command, "--link", str(link), "--trace", str(trace)], stdout=subprocess.DEVNULL) as process:
         try:
             wait_until(link.is_symlink)
-            moved_rad = drive_until_it_moves(str(link), experiment)
+            moved_rad = drive_until_it_moves(str(link), experiment, chip)
             wait_until(lambda: rows(trace)[-1]["drive_V"] == 0.0 and rows(trace)[-1]["led"] == 0.0)
         finally:
-            emulated.send_signal(signal.SIGINT)
-    assert emulated.returncode == 0 and not link.is_symlink()
+            process.send_signal(signal.SIGINT)
+    assert process.returncode == 0 and not link.is_symlink()
     seen = rows(trace)
     driven = [row for row in seen if row["drive_V"] != 0.0]
-    assert {round(row["drive_V"], 6) for row in driven} == {0.69}  # 23 of 400 units of 12 V
+    assert {round(row["drive_V"], 6) for row in driven} == {drive_V}
     assert all(row["led"] == 1.0 for row in driven)
     assert seen[-1]["y_rad"] - seen[0]["y_rad"] > 0.9 * moved_rad > 0.0
     assert seen[-1]["t_s"] == max(row["t_s"] for row in seen)

@@ -254,7 +254,7 @@ def driving(board: SecondChip, watchdog_ms: int = SETUP.watchdog_ms) -> SecondHo
 def test_the_e_stop_ends_the_pulses_within_a_tick_here_too() -> None:
     with SecondChip(QUICK) as board:
         host = driving(board)
-        board.open_estop()
+        board.contact(is_open=True)
         host.wait(TICK_S)
         host.wait(40 * PWM_S)
         assert host.pin_V() == 0.0
@@ -265,9 +265,9 @@ def test_an_e_stop_opened_and_closed_while_disarmed_is_latched_here_too() -> Non
     with SecondChip(QUICK) as board:
         host = driving(board)
         host.ask(Kind.STOP)
-        board.open_estop()
+        board.contact(is_open=True)
         host.wait(100e-6)
-        board.close_estop()
+        board.contact(is_open=False)
         host.wait(2 * TICK_S)
         assert host.arm() == Code.E_STOP
         host.drive(50)

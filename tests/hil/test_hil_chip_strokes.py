@@ -8,9 +8,10 @@ from itertools import pairwise
 import pytest
 from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from device_strokes import DeviceStrokes
+from virtual_host import Told
 
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
-from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Block, FrameReader, Kind, StrokesSetup
+from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Kind, StrokesSetup
 from rig.model.bench import BenchParameters, SensorWiring
 
 STROKES = StrokesSetup(((40, 560), (-45, 460), (32, 540), (-35, 480)), 2000, 2000, 5, 10)
@@ -20,20 +21,18 @@ CLOCK_US = 8  # two steps of the chip's clock
 LOOK_S = 0.5e-3
 
 
-class Running:
+class Running(Told):
     """A chip whose strokes drive, all that it says of them, and what is at its pins meanwhile."""
 
     def __init__(
         self, strokes: StrokesSetup = STROKES, options: Variant = PLAIN_VARIANT, bench: BenchParameters = QUIET
     ) -> None:
+        super().__init__()
         self.strokes = strokes
         self.host: ChipHost = armed_chip(bench, SETUP, options)
         packet = self.host.ask(Kind.STROKES, strokes.pack())
         assert packet.kind == Kind.STROKES_REPLY and StrokesSetup.unpack(packet.body) == strokes
-        self.numbers: list[int] = []
-        self.blocks: list[Block] = []
         self.pins: list[tuple[float, float]] = []  # time, mean voltage
-        self._reader = FrameReader()
 
     def run(self, duration_s: float) -> None:
         """Let the host's loop go on, and look at the pins all the while."""
@@ -45,18 +44,7 @@ class Running:
                 keeps_s += 9.7e-3
             board.sleep_until(board.now_s() + LOOK_S)
             self.pins.append((board.now_s(), board.truth().pin_V))
-            for packet in self._reader.feed(board.read(0.0)):
-                if packet.kind == Kind.BLOCK:
-                    self.numbers.append(packet.seq)
-                    self.blocks.append(Block.unpack(packet.body))
-
-    def rows(self) -> list[tuple[int, int, int]]:
-        """Each row's time, us, counts and drive."""
-        return [
-            (block.t_first_us + k * block.period_us, counts, drive)
-            for block in self.blocks
-            for k, (counts, drive) in enumerate(block.rows)
-        ]
+            self.take(board.read(0.0))
 
 
 @pytest.mark.parametrize("options", [PLAIN_VARIANT, FAST], ids=["115200", "1000000"])

@@ -8,10 +8,10 @@ from itertools import pairwise
 import pytest
 from chip_host import HELD, QUIET, ChipHost, armed_chip
 from device_relay import DeviceRelay
-from virtual_host import SETUP, TICK_S
+from virtual_host import SETUP, TICK_S, Told
 
 from rig.backends.serial.emulated.firmware_build import PLAIN_VARIANT, Variant
-from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Block, Code, FrameReader, Kind, RelaySetup, encode
+from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Code, Kind, RelaySetup, encode
 
 RELAY = RelaySetup((-50, 16, -16, 50), 512 * 16, 3_000_000, 1, 10)
 BITE = RelaySetup((-50, 16, -16, 50), 512 * 16, 200, 1, 10)  # the integral follows the position at once
@@ -21,19 +21,17 @@ CLOCK_US = 8  # two steps of the chip's clock
 BLOCKS_MS = 20  # for so long rows wait for the main loop
 
 
-class Running:
+class Running(Told):
     """A chip whose relay drives, and all that it says of it."""
 
     def __init__(self, relay: RelaySetup = RELAY, options: Variant = PLAIN_VARIANT) -> None:
+        super().__init__()
         self.relay = relay
         self.host: ChipHost = armed_chip(QUIET, SETUP._replace(max_drive=200), options)
         self.host.drive(1)
         self.start_s = self.host.truth().pin_changed_s - self.host.state().t_drive_us * 1e-6  # of the chip's clock
         self.host.drive(0)
-        self.numbers: list[int] = []
-        self.blocks: list[Block] = []
         self.pins: list[tuple[float, float]] = []  # changes: time, mean voltage
-        self._reader = FrameReader()
         self.host.send(Kind.RELAY, relay.pack())
 
     def run(self, duration_s: float, step_s: float = 0.2e-3, keep_s: float = 9.7e-3) -> None:
@@ -49,20 +47,6 @@ class Running:
             if not self.pins or truth.pin_changed_s != self.pins[-1][0]:
                 self.pins.append((truth.pin_changed_s, truth.pin_V))
             self.take(board.read(0.0))
-
-    def take(self, data: bytes) -> None:
-        for packet in self._reader.feed(data):
-            if packet.kind == Kind.BLOCK:
-                self.numbers.append(packet.seq)
-                self.blocks.append(Block.unpack(packet.body))
-
-    def rows(self) -> list[tuple[int, int, int]]:
-        """Each row's time, us, counts and drive."""
-        return [
-            (block.t_first_us + k * block.period_us, counts, drive)
-            for block in self.blocks
-            for k, (counts, drive) in enumerate(block.rows)
-        ]
 
     def assert_decided_by_the_law(self) -> None:
         """Each drive is the one that the relay decides on the counts of all rows so far."""

@@ -11,14 +11,11 @@ from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import pytest
-from chip_host import ChipHost
+from both_chips import PICO, UNO
 from evidence import evidence
-from pico_host import pico
-from test_hil_encoder import ENDLESS, LIMITED, MOTOR, UNO, turning
+from test_hil_encoder import ENDLESS, LIMITED, MOTOR, WIRED, turning
 from virtual_host import Host, VirtualHost
 
-from emulated_chips.virtual_chip import VirtualChip
-from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import STATUS_ZERO, Code, Kind, Setup, pack_ack, pack_zero
 from rig.model.bench import BenchParameters, SensorWiring
@@ -31,15 +28,12 @@ LONE_EDGES = 32  # in a row, of one channel, before it counts as alone: firmware
 UNITS = 60  # of a drive; on a Pico it is much weaker
 
 
-@contextmanager
-def uno_board(bench: BenchParameters) -> Iterator[AnyHost]:
-    yield ChipHost(VirtualChip(bench, options=UNO), UNO.baud)
+def uno_board(bench: BenchParameters) -> AbstractContextManager[AnyHost]:
+    return UNO.powered(bench, WIRED)
 
 
-@contextmanager
-def pico_board(bench: BenchParameters) -> Iterator[AnyHost]:
-    with pico(bench, Variant(baud=1_000_000, encoder=True)) as host:
-        yield host
+def pico_board(bench: BenchParameters) -> AbstractContextManager[AnyHost]:
+    return PICO.powered(bench, WIRED)
 
 
 @contextmanager

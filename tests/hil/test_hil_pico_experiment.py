@@ -1,24 +1,13 @@
-"""The whole experiment on the Pico's emulated chip as a user runs it: in virtual time, and behind a pseudo-terminal."""
+"""The whole experiment on the Pico's emulated chip as a user runs it, in virtual time."""
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
-import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from emulated_run import finds_it_undisturbed, finds_the_truth, run_on
-from processes import PATIENCE_S, rows, wait_until
-
-from rig.backends.driver import Timeouts
-from rig.backends.links.serial_port import SerialPort
-from rig.backends.serial.driver import SerialDriver
-from rig.running.preflight import check
 
 pytestmark = pytest.mark.long
 
@@ -68,40 +57,3 @@ def test_the_demo_on_the_pico_is_the_demo_with_twelve_bits() -> None:
     for point in demo["sensor"]["calibration"]:
         point["counts"] *= 4
     assert pico == demo
-
-
-@pytest.mark.realtime
-def test_it_is_driven_as_a_board_would_be(tmp_path: Path) -> None:
-    link, trace = tmp_path / "pico", tmp_path / "trace.csv"
-    experiment, _ = check(CONFIG / "demo-pico.yaml")
-    command = [sys.executable, "-m", "rig", "emulate", str(CONFIG / "demo-pico.yaml")]
-    with subprocess.Popen(
-        [*command, "--link", str(link), "--trace", str(trace)], stdout=subprocess.DEVNULL
-    ) as emulated:
-        try:
-            wait_until(link.is_symlink)
-            # a shared machine may hold a process up for long
-            driver = SerialDriver(SerialPort(str(link)), experiment.device.scaling, Timeouts(2.0), emulated=True)
-            info = driver.open()
-            assert (info.board, info.emulated, info.reset_cause) == ("pico", True, "power-on")
-            driver.arm(replace(experiment.device.arming, watchdog_s=1.0))
-            start_rad = y_rad = driver.read().y_rad
-            until_s = time.monotonic() + PATIENCE_S
-            while abs(y_rad - start_rad) < 0.2:
-                assert time.monotonic() < until_s, "the shaft does not move"
-                driver.write(0.7)
-                time.sleep(0.005)
-                y_rad = driver.read().y_rad
-            assert driver.safe_stop()
-            assert driver.link_statistics["bad_frames"] == 0
-            driver.close()
-            wait_until(lambda: rows(trace)[-1]["drive_V"] == 0.0 and rows(trace)[-1]["led"] == 0.0)
-        finally:
-            emulated.send_signal(signal.SIGINT)
-    assert emulated.returncode == 0 and not link.is_symlink()
-    seen = rows(trace)
-    driven = [row for row in seen if row["drive_V"] != 0.0]
-    assert {round(row["drive_V"], 6) for row in driven} == {0.700_800}  # 365 of 6250 units of 12 V
-    assert all(row["led"] == 1.0 for row in driven)
-    assert seen[-1]["y_rad"] - seen[0]["y_rad"] > 0.9 * (y_rad - start_rad) > 0.0
-    assert seen[-1]["t_s"] == max(row["t_s"] for row in seen)

@@ -1,8 +1,7 @@
-"""The Pico's firmware on its emulated chip, through frames and through the driver: link, pins, tick and relay."""
+"""The Pico's firmware on its emulated chip, pins, tick and relay."""
 
 from __future__ import annotations
 
-import math
 import random
 from dataclasses import replace
 from itertools import pairwise
@@ -11,33 +10,22 @@ import pytest
 from device_relay import DeviceRelay
 from device_strokes import DeviceStrokes
 from evidence import evidence
-from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, PicoHost, armed_pico, pico
-from simulated_bench import LIMITS
-from virtual_host import TICK_S
+from pico_host import BENCH, HELD, LSB_RAD, PICO_FULL, QUIET, SETUP, UNIT_V, armed_pico, pico
+from virtual_host import TICK_S, Told
 
 from emulated_chips.pico_parameters import pico_parameters
 from emulated_chips.virtual_pico import VirtualPico
-from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import Variant
 from rig.backends.serial.frames import (
-    FEATURE_LOOPBACK,
-    FEATURE_PULSE,
-    FEATURE_STROKES,
     STATUS_ARMED,
     STATUS_LAW,
-    Block,
     Code,
-    FrameReader,
     Kind,
     RelaySetup,
     StrokesSetup,
-    encode,
 )
-from rig.core.calibration import Calibration, DriveMap, Scaling, TachometerScale
-from rig.core.faults import Fault
-from rig.model.bench import BenchParameters
+from rig.core.calibration import Calibration
 
 SUPPLY_V = 12.0
 BRIDGES = [Variant(), Variant(bridge="IN1_IN2")]
@@ -49,68 +37,6 @@ CALIBRATION = Calibration([(0, -2048 * LSB_RAD), (4095, 2047 * LSB_RAD)])
 RAILS = (20, 4075)
 UNIT_S = 1 / 125e6  # of a pulse, for each unit of drive
 CYCLES_S = 12 / 125e6  # of a few instructions
-
-
-def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> SerialDriver:
-    return SerialDriver(board, Scaling(CALIBRATION, DriveMap(SUPPLY_V), RAILS, tachometer=tachometer), emulated=True)
-
-
-@pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
-def test_it_introduces_itself(options: Variant, bridge: int) -> None:
-    with pico(BENCH, options) as host:
-        hello = host.hello()
-        assert hello.bridge == bridge
-        assert (hello.board, hello.reset_words, hello.counts_max) == (3, "power-on", 4095)
-        assert (
-            hello.drive_full == PICO_FULL
-            and hello.build_text.startswith("pico ")
-            and hello.features == FEATURE_LOOPBACK | FEATURE_PULSE | FEATURE_STROKES
-        )
-
-
-def test_the_driver_opens_arms_reads_drives_and_stops() -> None:
-    ppm = 4000.0
-    with pico(QUIET, clock_error_ppm=ppm) as host:
-        board = host.board
-        driver = driver_on(board)
-        info = driver.open()
-        assert (info.board, info.emulated, info.reset_cause) == ("pico", True, "power-on")
-        assert info.clock_ratio == pytest.approx(1.0 + 1e-6 * ppm, abs=10e-6)
-        driver.arm(LIMITS)
-        for u_V in (1.5, 1.8, 1.2, -1.5, -2.1, 0.0):
-            driver.write(u_V)
-            board.sleep_until(board.now_s() + 0.01)
-            assert board.truth().pin_V == pytest.approx(u_V, abs=0.51 * UNIT_V)
-            sample = driver.read()
-            truth = board.truth()
-            assert sample.u_V == pytest.approx(truth.pin_V, abs=1e-9)
-            then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sample.t_s)
-            assert sample.y_rad == pytest.approx(then_rad, abs=0.51 * LSB_RAD + 1e-3)
-            if u_V:
-                assert sample.t_u_s == pytest.approx(truth.pin_changed_s, abs=10e-6)
-        assert driver.safe_stop()
-        assert board.truth().pin_V == 0.0 and not board.truth().led
-        assert driver.link_statistics["bad_frames"] == driver.link_statistics["drives_lost"] == 0
-        assert not board.truth().overruns
-
-
-def test_what_the_state_says_is_what_is_at_the_pins() -> None:
-    """Times, drive and position against the truth, at random phases."""
-    rng = random.Random(5)
-    with armed_pico(QUIET) as host:
-        for k in range(40):
-            host.drive((-1) ** k * rng.randint(1, 780))
-            host.wait(rng.uniform(0.0, 0.008))
-            asked_s = host.board.now_s()
-            state = host.state()
-            truth = host.truth()
-            assert state.drive * UNIT_V == pytest.approx(truth.pin_V, abs=1e-9)
-            assert state.t_drive_us / 1e6 == pytest.approx(truth.pin_changed_s, abs=3e-6)
-            sampled_s = state.t_sample_us / 1e6
-            assert asked_s < sampled_s < truth.t_s
-            then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sampled_s)
-            assert state.counts == pytest.approx(2048 + then_rad / LSB_RAD, abs=1.0)
-            host.board.place(0.0)
 
 
 @pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
@@ -148,41 +74,10 @@ def test_a_zero_cuts_a_long_pulse_and_the_next_drive_does_not_take_it_up() -> No
             assert host.board.longest_pulse_s() <= UNIT_S + CYCLES_S
 
 
-def test_dead_time_takes_its_share_of_what_is_switched() -> None:
-    host = PicoHost(VirtualPico(pico_parameters(HELD, dead_time_s=1e-6)))
-    host.acknowledge(Code.RESET)
-    host.setup(SETUP._replace(max_drive=PICO_FULL))
-    assert host.arm() == Code.NONE
-    for units, loss in ((3125, 1e-6 * 20e3), (-3125, -1e-6 * 20e3), (PICO_FULL, 0.0), (0, 0.0), (40, 40 / PICO_FULL)):
-        host.drive(units)
-        assert host.pin_V() == pytest.approx(SUPPLY_V * (units / PICO_FULL - loss), abs=1e-3)
-    host.board.end()
-    with pytest.raises(EmulationError, match="has ended"):
-        host.truth()
-
-
-@pytest.mark.parametrize("options", [*evidence((Variant(),)), FAST], ids=["115200", str(FAST.baud)])
-def test_no_byte_is_lost_however_dense_the_requests(options: Variant) -> None:
-    """The port holds one byte; a longest frame at full speed and answers at the same time."""
-    with pico(BENCH, options) as host:
-        for _ in range(15):
-            host.send_raw(b"".join(encode(Kind.SETUP, k, SETUP.pack()) + encode(Kind.READ, k) for k in range(2)))
-            host.send_raw(b"\x01" * 66 + b"\0")
-            host.wait(0.02)
-            host.board.read(0.0)
-            host.hello()
-        truth = host.truth()
-        assert truth.overruns == 0 and truth.resets == 0
-        assert truth.masked_us < 5.0  # half a byte at 1 Mbaud
-        assert truth.tick_us < 20.0
-        assert host.board.stack_bytes() < 1024
-        assert host.board.broken_rule() == ""
-
-
 @pytest.mark.parametrize("stall_s", [*evidence(0.0), 0.018])
 def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: float) -> None:
     """Each row is on the grid of the ticks, and its drive the law's, while the main loop is busy for 18 ms, too."""
-    reader, blocks, numbers = FrameReader(), [], []
+    told = Told()
     with armed_pico(QUIET) as host:
         board = host.board
         host.send(Kind.RELAY, RELAY.pack())
@@ -191,23 +86,20 @@ def test_the_relay_in_the_chip_decides_each_millisecond_by_the_law(stall_s: floa
             if stall_s and k % 5 == 2:
                 board.stall("main loop", stall_s)
             host.wait(0.0093)
-            for packet in reader.feed(board.read(0.0)):
-                if packet.kind == Kind.BLOCK:
-                    numbers.append(packet.seq)
-                    blocks.append(Block.unpack(packet.body))
+            told.take(board.read(0.0))
         assert board.broken_rule() == "" and host.truth().resets == 0
-    rows = [(b.t_first_us + k * b.period_us, *row) for b in blocks for k, row in enumerate(b.rows)]
-    assert len(rows) > 200 and numbers == list(range(len(numbers)))
+    rows = told.rows()
+    assert len(rows) > 200 and told.numbers == list(range(len(told.numbers)))
     assert all(abs(later - now - 1000) <= 1 for (now, *_), (later, *_) in pairwise(rows))
     law = DeviceRelay(RELAY.centre, RELAY.z_bound, RELAY.drive, RELAY.direction)
     assert all(drive == law.step(counts) for _, counts, drive in rows)
-    assert len({drive for *_, drive in rows}) == 4 and max(b.delay_us for b in blocks) < 12
+    assert len({drive for *_, drive in rows}) == 4 and max(b.delay_us for b in told.blocks) < 12
 
 
 @pytest.mark.parametrize("options", [*evidence((Variant(),)), FAST], ids=["115200", str(FAST.baud)])
 def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) -> None:
     """Each row's drive is the law's, on the grid of the ticks, also while the main loop is busy; the pins follow it."""
-    reader, blocks, numbers, pins = FrameReader(), [], [], set()
+    told, pins = Told(), set()
     with armed_pico(QUIET, options=options) as host:
         board = host.board
         packet = host.ask(Kind.STROKES, STROKES.pack())
@@ -218,14 +110,11 @@ def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) 
                 board.stall("main loop", 0.018)
             host.wait(0.0093)
             pins.add(round(host.pin_V() / UNIT_V))
-            for packet in reader.feed(board.read(0.0)):
-                if packet.kind == Kind.BLOCK:
-                    numbers.append(packet.seq)
-                    blocks.append(Block.unpack(packet.body))
+            told.take(board.read(0.0))
         assert host.state().status == STATUS_ARMED | STATUS_LAW
         assert board.broken_rule() == "" and host.truth().resets == 0
-    rows = [(b.t_first_us + k * b.period_us, *row) for b in blocks for k, row in enumerate(b.rows)]
-    assert len(rows) > 850 and numbers == list(range(len(numbers)))
+    rows = told.rows()
+    assert len(rows) > 850 and told.numbers == list(range(len(told.numbers)))
     assert all(
         abs(later - now - 1000) <= 3 for (now, *_), (later, *_) in pairwise(rows)
     )  # a byte's interrupt may go first
@@ -235,7 +124,7 @@ def test_the_strokes_in_the_chip_are_the_laws_and_at_its_pins(options: Variant) 
 
 
 def test_requests_at_any_phase_of_the_tick_cost_no_tick() -> None:
-    reader, blocks = FrameReader(), []
+    told = Told()
     with armed_pico(QUIET, options=FAST) as host:
         host.send(Kind.RELAY, RELAY.pack())
         rng = random.Random(1)
@@ -243,8 +132,8 @@ def test_requests_at_any_phase_of_the_tick_cost_no_tick() -> None:
             host.send(Kind.KEEP)
             host.send(Kind.READ)
             host.wait(rng.uniform(0.4e-3, 3e-3))
-            blocks += [Block.unpack(p.body) for p in reader.feed(host.board.read(0.0)) if p.kind == Kind.BLOCK]
-    times = [b.t_first_us for b in blocks]
+            told.take(host.board.read(0.0))
+    times = [b.t_first_us for b in told.blocks]
     assert len(times) > 8
     assert all(later - now == pytest.approx(10 * 1000, abs=1) for now, later in pairwise(times))
 
@@ -269,39 +158,6 @@ def test_the_watchdog_for_the_hosts_silence_outlives_the_main_loop() -> None:
             assert host.arm_anew() == Code.NONE
 
 
-def wired(bench: BenchParameters) -> VirtualPico:
-    return VirtualPico(pico_parameters(bench, options=WIRED))
-
-
-@pytest.mark.evidence
-def test_a_tachometer_where_it_is_wired() -> None:
-    scale = TachometerScale(0.0125, 2048.0)
-    board = wired(replace(QUIET, tachometer_rad_s_per_count=0.0125, tachometer_zero_counts=2048.0))
-    driver = driver_on(board, tachometer=scale)
-    driver.open()
-    driver.arm(LIMITS)
-    driver.write(1.5)
-    board.sleep_until(board.now_s() + 0.09)
-    sample, truth = driver.read(), board.truth()
-    assert truth.v_rad_per_s > 1.0
-    assert sample.v_rad_per_s == pytest.approx(truth.v_rad_per_s, abs=0.1)
-    board.end()
-
-
-@pytest.mark.evidence
-def test_the_motor_supply_where_it_is_wired() -> None:
-    board = wired(QUIET)
-    assert driver_on(board).open().supply_V == pytest.approx(12.0, abs=0.1)
-    board.end()
-    with pico(QUIET) as host:
-        assert math.isnan(driver_on(host.board).open().supply_V)
-    low = wired(replace(QUIET, supply_V=7.0))
-    with pytest.raises(Fault, match=r"7\.0 V, drive\.supply_V is 12 V") as caught:
-        driver_on(low).open()
-    assert caught.value.code == "CONFIG_MISMATCH"
-    low.end()
-
-
 def test_what_is_not_possible_is_said() -> None:
     with pytest.raises(EmulationError, match="tau-s"):
         VirtualPico(pico_parameters(BENCH) | {"options": [["counts-max", "4095"], ["tau-s", "-1"]]})
@@ -311,3 +167,7 @@ def test_what_is_not_possible_is_said() -> None:
         pico_parameters(BENCH, options=Variant(baud=9_000_000))
     with pico() as host, pytest.raises(EmulationError, match="no such wiring"):
         host.board.rewire(sensor="gone")  # type: ignore[arg-type]
+    ended = VirtualPico(pico_parameters(BENCH))
+    ended.end()
+    with pytest.raises(EmulationError, match="has ended"):
+        ended.truth()

@@ -10,7 +10,7 @@ from emulated_chips.chip_board import ChipBoard
 from rig.backends.driver import Timeouts
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.backends.serial.fit import Board
 from rig.config.schema import Emulated
 from rig.core.calibration import Calibration, DriveMap, Scaling

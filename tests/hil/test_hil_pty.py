@@ -15,7 +15,8 @@ from processes import PATIENCE_S, alive, rows, wait_until
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
-from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated import firmware_build
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.backends.serial.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.config.schema import Emulated, EmulatedMotor
 
@@ -52,7 +53,7 @@ PARENT = (
     """
 import sys
 from pathlib import Path
-from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.config.schema import Emulated
 board = HostBoard()
 sys.argv[1] = board.start(Emulated.model_validate({emulated}), 1, trace=Path(sys.argv[1]))
@@ -168,13 +169,13 @@ def test_what_is_not_possible_is_said(tmp_path: Path) -> None:
     board.stop()
 
 
-def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(EmulationError, match="`no-such-compiler` is missing"):
-        HostBoard(tmp_path).start(EMULATED, 1)
+        HostBoard().start(EMULATED, 1)
 
 
 def test_a_build_that_fails_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("CFLAGS", "-DFRAME_PACKET_MAX=oops")
     with pytest.raises(EmulationError, match=r"(?s)failed: .*redefined"):
-        HostBoard(tmp_path).start(EMULATED, 1)
+        firmware_build.build(tmp_path)

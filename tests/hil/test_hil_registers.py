@@ -106,7 +106,7 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
         command = ["make", "-s", "-C", str(sources), "uno", *options.variables(), f"BUILD={tmp_path / 'build'}"]
         subprocess.run(command, check=True)
         hex_file = tmp_path / "build" / "uno" / f"{options.name}.hex"
-        monkeypatch.setattr(chip_build, "build_chip", lambda *_: ChipFirmware(hex_file, real.library, real.program))
+        monkeypatch.setattr(chip_build, "build_chip", lambda *_: ChipFirmware(hex_file, real.library))
 
     yield build
 

@@ -9,6 +9,7 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import (
     STATUS_FAULT,
     VERSION,
+    Block,
     Code,
     DeviceState,
     FrameReader,
@@ -152,6 +153,30 @@ class Host(Generic[Device]):
 
     def pin_V(self) -> float:
         return self.board.truth().pin_V
+
+
+class Told:
+    """What a law in the device tells: its blocks, and their numbers."""
+
+    def __init__(self) -> None:
+        self.numbers: list[int] = []
+        self.blocks: list[Block] = []
+        self._reader = FrameReader()
+
+    def take(self, data: bytes) -> None:
+        """Bytes from the device."""
+        for packet in self._reader.feed(data):
+            if packet.kind == Kind.BLOCK:
+                self.numbers.append(packet.seq)
+                self.blocks.append(Block.unpack(packet.body))
+
+    def rows(self) -> list[tuple[int, int, int]]:
+        """Each row's time, us, counts and drive."""
+        return [
+            (block.t_first_us + k * block.period_us, counts, drive)
+            for block in self.blocks
+            for k, (counts, drive) in enumerate(block.rows)
+        ]
 
 
 class VirtualHost(Host[VirtualBoard]):

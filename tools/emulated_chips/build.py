@@ -18,11 +18,10 @@ from rig.backends.serial.emulated.firmware_build import (
 
 
 class ChipFirmware(NamedTuple):
-    """What the build gives: the very .hex that is flashed, and the emulated chip, for virtual time and as a process."""
+    """What the build gives: the very .hex that is flashed, and the emulated chip."""
 
     hex: Path
     library: Path
-    program: Path
 
 
 class PicoFirmware(NamedTuple):
@@ -34,18 +33,17 @@ class PicoFirmware(NamedTuple):
     bench: Path
 
 
-def build_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> ChipFirmware:
+def build_chip(options: Variant = PLAIN_VARIANT) -> ChipFirmware:
     """Build the Uno's firmware and its emulated chip, as ``firmware_build.build`` does.
 
     Raises EmulationError also where avr-gcc is missing.
     """
     tools = {"avr-gcc": f"apt-get install {AVR_PACKAGES} libsimavr-dev"}
-    folder = make(build_folder, ["chip", *options.variables()], tools)
-    chip = folder / "chip"
-    return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
+    folder = make(["chip", *options.variables()], tools)
+    return ChipFirmware(folder / "uno" / f"{options.name}.hex", folder / "chip" / "librig_chip.so")
 
 
-def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> PicoFirmware:
+def build_pico_chip(options: Variant = PLAIN_VARIANT) -> PicoFirmware:
     """Build the Pico's firmware and what its emulated chip needs, as ``firmware_build.build`` does.
 
     Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing.
@@ -55,5 +53,5 @@ def build_pico_chip(options: Variant = PLAIN_VARIANT, build_folder: Path | None 
     if node is None or not (emulator / "node_modules" / "rp2040js").is_dir():
         missing = "node" if node is None else "rp2040js"
         raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run `make setup`")
-    folder = make(build_folder, ["pico-chip", *options.variables()], PICO_TOOLS) / "pico"
+    folder = make(["pico-chip", *options.variables()], PICO_TOOLS) / "pico"
     return PicoFirmware(folder / f"{options.name_for('pico')}.uf2", node, emulator / "main.js", folder / "bench.node")

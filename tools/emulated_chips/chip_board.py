@@ -1,41 +1,30 @@
-"""The Uno's emulated chip in real time: a process behind a pseudo-terminal."""
+"""The emulated chips in real time."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from emulated_chips import build
-from emulated_chips.virtual_chip import chip_options, variant_of
+from emulated_chips.virtual_chip import VirtualChip, uno
 from rig.backends.emulated.bench import bench_parameters
-from rig.backends.emulated.board_process import BoardProcess
-from rig.config.schema import Emulated, Tachometer
+from rig.backends.links.usb_adapters import Adapter
+from rig.backends.serial.emulated.serial_board import SerialBoard
+from rig.config.schema import Emulated
 
 
-class ChipBoard(BoardProcess):
-    """The very .hex that is flashed, on libsimavr, with the bench behind it. Opening the port does not reset it.
-
-    The chip runs after real time in steps of 0.25 ms. It does not catch up on a stall of more than ten seconds.
-    """
+class ChipBoard(SerialBoard):
+    """The very file that is flashed, on the emulated chip, with the bench behind it."""
 
     def start(
-        self,
-        emulated: Emulated,
-        seed: int,
-        link: Path | None = None,
-        trace: Path | None = None,
-        tachometer: Tachometer | None = None,
-        baud: int = 115200,
-        bridge: str | None = None,
+        self, emulated: Emulated, seed: int, link: Path | None = None, trace: Path | None = None, baud: int = 115200
     ) -> str:
-        """As of HostBoard; the trace has ``led`` (lit: armed) instead of the fault.
+        """As of ``HostBoard``; ``baud`` of firmware and wire, 115200 or 1000000."""
+        return self.start_uno(uno(bench_parameters(emulated), seed, emulated.clock_error_ppm, baud, None), link, trace)
 
-        baud    of the firmware and of the wire, 115200 or 1000000
-        bridge  as drive.bridge of the config
-        Raises EmulationError if it cannot be built or does not start.
-        """
-        self._must_not_run()
-        bench = bench_parameters(emulated, tachometer)
-        options = variant_of(bench, baud, bridge)
-        firmware = build.build_chip(options)
-        wanted = chip_options(firmware, bench, seed, emulated.clock_error_ppm, options)
-        return self._launch(firmware.program, {**wanted, "baud": str(baud)}, link, trace)
+    def start_uno(
+        self, make: partial[VirtualChip], link: Path | None, trace: Path | None, adapter: Adapter = "none"
+    ) -> str:
+        """The chip that ``make`` makes; built here, since the process is not waited for so long."""
+        build.build_chip(make.keywords["options"])
+        return self.run(make, "emulated-chip", link, trace, adapter)

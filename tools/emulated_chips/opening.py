@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from emulated_chips.chip_board import ChipBoard
-from emulated_chips.pico_board import PicoBoard
 from emulated_chips.pico_parameters import pico_parameters
-from emulated_chips.virtual_chip import VirtualChip, variant_of
+from emulated_chips.virtual_chip import VirtualChip, uno, variant_of
 from emulated_chips.virtual_pico import VirtualPico
 from rig.backends.backend import emulated_of
 from rig.backends.emulated.bench import bench_parameters
-from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.firmware_build import Variant
+from rig.backends.serial.emulated.serial_board import SerialBoard
 from rig.backends.serial.ports import PICO_PORTS
 from rig.config.schema import DeviceSetup
 from rig.model.bench import BenchParameters
@@ -32,14 +33,13 @@ def emulated_chip(d: DeviceSetup) -> VirtualChip:
 
     Raises EmulationError where it cannot be built, ValueError without section ``emulated``.
     """
+    return _uno(d)()
+
+
+def _uno(d: DeviceSetup) -> partial[VirtualChip]:
     emulated = emulated_of(d)
     bench = bench_parameters(emulated, d.tachometer)
-    return VirtualChip(
-        bench,
-        d.seed,
-        clock_error_ppm=emulated.clock_error_ppm,
-        options=variant_of(bench, d.daq.baud, d.drive.bridge),
-    )
+    return uno(bench, d.seed, emulated.clock_error_ppm, d.daq.baud, d.drive.bridge)
 
 
 def emulated_pico(d: DeviceSetup) -> VirtualPico:
@@ -61,20 +61,18 @@ def virtual_chip(d: DeviceSetup) -> VirtualChip | VirtualPico:
 
 
 @contextmanager
-def chip_process(d: DeviceSetup, link: Path | None, trace: Path | None) -> Iterator[BoardProcess]:
+def chip_process(d: DeviceSetup, link: Path | None, trace: Path | None, adapter: Adapter) -> Iterator[SerialBoard]:
     """The Pico's chip where daq.port names it, else the Uno's, running in real time for the block.
 
-    link, trace  as of ``HostBoard``
+    link, trace, adapter  as of ``SerialBoard``
     Raises as ``emulated_chip``.
     """
-    if d.daq.port in PICO_PORTS:
-        with PicoBoard() as pico:
-            pico.start(parameters_of(d), link, trace)
-            yield pico
-    else:
-        with ChipBoard() as uno:
-            uno.start(emulated_of(d), d.seed, link, trace, d.tachometer, baud=d.daq.baud, bridge=d.drive.bridge)
-            yield uno
+    with ChipBoard() as board:
+        if d.daq.port in PICO_PORTS:
+            board.run(partial(VirtualPico, parameters_of(d)), "emulated-pico", link, trace, adapter)
+        else:
+            board.start_uno(_uno(d), link, trace, adapter)
+        yield board
 
 
 def bare_chip(port: str, options: Variant, wires: int = 7) -> VirtualChip | VirtualPico:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from emulated_chips import build
@@ -24,7 +23,6 @@ def pico_parameters(
     options: Variant = PLAIN_VARIANT,
     dead_time_s: float = 0.0,
     wires: int | None = None,
-    build_folder: Path | None = None,
 ) -> JsonObject:
     """What a ``VirtualPico`` is made of; firmware and emulator are built.
 
@@ -34,10 +32,9 @@ def pico_parameters(
     options          that the firmware is built with
     dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
     wires            of a loop-back on a bare board, whose bench is not there: as of ``VirtualChip``
-    build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator is missing or cannot be built.
     """
-    firmware = build.build_pico_chip(options, build_folder)
+    firmware = build.build_pico_chip(options)
     of_bench = device_options(bench, seed, clock_error_ppm)
     del of_bench["drive-counts"]
     return {

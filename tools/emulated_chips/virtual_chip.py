@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache
-from pathlib import Path
+from functools import lru_cache, partial
 from typing import Literal
 
+from typing_extensions import override
+
 from emulated_chips import build
-from emulated_chips.build import ChipFirmware
 from emulated_chips.truth import Contact, UnoTruth
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.device_options import device_options
@@ -37,17 +37,6 @@ def variant_of(bench: BenchParameters, baud: int, bridge: str | None) -> Variant
     )
 
 
-def chip_options(
-    firmware: ChipFirmware, bench: BenchParameters, seed: int, clock_error_ppm: float, options: Variant
-) -> dict[str, str]:
-    """Names and values of the emulated chip's options: of the bench, and which program runs behind which bridge."""
-    return {
-        **device_options(bench, seed, clock_error_ppm),
-        "hex": str(firmware.hex),
-        "bridge": options.bridge.lower(),
-    }
-
-
 class VirtualChip(VirtualDevice[UnoTruth]):
     """One emulated Uno, powered on at virtual time 0. Any number may live side by side.
 
@@ -59,9 +48,10 @@ class VirtualChip(VirtualDevice[UnoTruth]):
     wires            of a loop-back on a bare board, whose bench is not there (``rig doctor --loopback``): 1 of PWM or
                      IN1, 2 of direction or IN2, 4 of the e-stop. None: no bare board
     measure          count masked interrupts and time spent in them: 3 to 10 times as slow
-    build_folder     of the firmware; None: the default one
     Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
     """
+
+    step_s = 0.00025
 
     def __init__(
         self,
@@ -73,15 +63,16 @@ class VirtualChip(VirtualDevice[UnoTruth]):
         dead_time_s: float = 0.0,
         measure: bool = False,
         wires: int | None = None,
-        build_folder: Path | None = None,
     ) -> None:
-        firmware = build.build_chip(options, build_folder)
-        wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
+        firmware = build.build_chip(options)
+        wanted = device_options(bench, seed, clock_error_ppm)
+        wanted |= {"hex": str(firmware.hex), "bridge": options.bridge.lower()}
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
         if wires is not None:
             wanted["bare"] = str(wires)
         super().__init__(UnoTruth, _load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
 
+    @override
     def reset(self, cause: int, boot_s: float = 0.0) -> None:
         """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot loader, pins floating."""
         self._library.virtual_boot(self._board, cause, boot_s)
@@ -113,6 +104,13 @@ class VirtualChip(VirtualDevice[UnoTruth]):
     def longest_pulse_s(self) -> float:
         """Longest time for which the bridge has conducted without a break, edge by edge, since the last call, s."""
         return float(self._library.virtual_longest_pulse_s(self._board))
+
+
+def uno(
+    bench: BenchParameters, seed: int, clock_error_ppm: float, baud: int, bridge: str | None
+) -> partial[VirtualChip]:
+    """What makes the chip of a config; ``bridge`` as of ``variant_of``."""
+    return partial(VirtualChip, bench, seed, clock_error_ppm=clock_error_ppm, options=variant_of(bench, baud, bridge))
 
 
 @lru_cache

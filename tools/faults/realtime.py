@@ -37,7 +37,7 @@ from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.registry import connect
-from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.backends.serial.frames import FrameReader, Kind
 from rig.config.schema import Experiment
 from rig.core.faults import Fault

@@ -266,16 +266,16 @@ def compilers(path: str) -> list[list[str]]:
     sources = [inside] if inside.suffix == ".c" else [Path("core/rig_core.c")]
     commands = []
     for source in map(str, sources):
-        if not source.startswith(("boards/uno", "boards/pico")):
+        if not source.startswith(("boards/uno", "boards/pico", "boards/chip")):
             commands.append(["cc", *options, "-Iboards/host", "-Imotor", "-D_XOPEN_SOURCE=700", source])
-        if source.startswith(("boards/uno", "core")):
+        if source.startswith(("boards/uno", "boards/chip", "core")):
             uno = "-mmcu=atmega328p -Iboards/uno -DF_CPU=16000000UL -DRIG_BAUD=115200UL -DRIG_TACHOMETER=1"
-            options = [*options, *uno.split(), "-DRIG_SUPPLY=1", "-DRIG_END_SWITCHES=1"]
+            options = [*options, *uno.split(), "-Iboards/chip", "-DRIG_SUPPLY=1", "-DRIG_END_SWITCHES=1"]
             for bridge, encoder in (("BRIDGE_PWM_DIR", 0), ("BRIDGE_IN1_IN2", 1)):
                 commands.append(["avr-gcc", *options, f"-DRIG_BRIDGE={bridge}", f"-DRIG_ENCODER={encoder}", source])
         if source.startswith("boards/pico"):
             pico = "-mcpu=cortex-m0plus -mthumb -ffreestanding -Iboards/pico -DRIG_BAUD=1000000u -DRIG_TACHOMETER=1"
-            wired = "-DRIG_SUPPLY=1 -DRIG_END_SWITCHES=1 -DRIG_BRIDGE=BRIDGE_IN1_IN2 -DRIG_ENCODER=1"
+            wired = "-Iboards/chip -DRIG_SUPPLY=1 -DRIG_END_SWITCHES=1 -DRIG_BRIDGE=BRIDGE_IN1_IN2 -DRIG_ENCODER=1"
             commands.append(["arm-none-eabi-gcc", *options, *pico.split(), *wired.split(), source])
     return commands
 

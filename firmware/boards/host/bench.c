@@ -407,11 +407,6 @@ enum { OPTION_COUNT = sizeof OPTIONS / sizeof OPTIONS[0] };
 static const char *const DRIVE_NAMES[] = {"ok", "reversed", "dead", "stuck_on", NULL};
 static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still", "still_a", NULL};
 
-const char *bench_option_name(unsigned i)
-{
-    return i < OPTION_COUNT ? OPTIONS[i].name : NULL;
-}
-
 static const char *set_name(int32_t *field, const char *const *names, const char *value)
 {
     for (int32_t i = 0; names[i] != NULL; i++) {

@@ -64,9 +64,6 @@ void bench_defaults(bench_params *p);
  * Returns NULL, or what is wrong in words. */
 const char *bench_option(bench_params *p, const char *name, const char *value);
 
-/* The name of option number `i`, NULL past the last. */
-const char *bench_option_name(unsigned i);
-
 /* NULL, or what is wrong with the parameters as a whole. */
 const char *bench_check(const bench_params *p);
 

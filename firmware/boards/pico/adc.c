@@ -65,13 +65,13 @@ bool adc_take_all(void)
     return true;
 }
 
-adc_sample adc_position_now(void)
+adc_sample adc_newest_sample(void)
 {
     (void)take_position();
     return newest;
 }
 
-adc_sample adc_position(void)
+adc_sample adc_tick_sample(void)
 {
     return newest;
 }

@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #define ADC_MAX 4095u
+#define ADC_SUPPLY_SHIFT 4 /* to 8 bits: behind a divider by 6 the 3.3 V are 20 V */
 
 typedef struct {
     uint16_t counts; /* 0 is a rail: nothing arms before the first conversion */
@@ -18,10 +19,10 @@ void adc_init(void);
 bool adc_take_all(void);
 
 /* Converts the position now; the tick must not come between. The last one where the converter does not answer. */
-adc_sample adc_position_now(void);
+adc_sample adc_newest_sample(void);
 
 /* What adc_take_all found; 0 before. */
-adc_sample adc_position(void);
+adc_sample adc_tick_sample(void);
 uint16_t adc_tachometer(void);
 uint16_t adc_supply(void);
 

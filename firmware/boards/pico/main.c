@@ -5,152 +5,41 @@
  * The hardware watchdog is fed by a tick with a fresh sample after a round of the main loop: that takes the timer, its
  * interrupt, what counts the encoder, the converter where it converts anything, and the main loop.
  */
-#include <stddef.h>
-
 #include "adc.h"
+#include "board.h"
 #include "bridge.h"
 #include "clock.h"
 #include "cpu.h"
 #include "encoder.h"
 #include "inputs.h"
-#include "loopback.h"
 #include "rig_core.h"
 #include "system.h"
 #include "uart.h"
 #include "wiring.h"
 
 #define BLINK_TICKS 128u
-#define CONVERTED ((RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u))
-#if RIG_ENCODER
-#define FEATURES (CONVERTED | (uint8_t)RIG_FEATURE_ENCODER)
-#else
-#define FEATURES CONVERTED
-#endif
 
 int main(void);
 void timer_0_interrupt(void);
 
 static rig_core core;
-static volatile bool in_tick; /* the core asks for the position on the grid of the ticks */
 static volatile bool has_been_round; /* the main loop, since the last tick */
 static uint32_t arrived; /* when the tick was due in which the byte arrived that the core is given */
 
-static uint32_t micros(void *context)
-{
-    (void)context;
-    return clock_us();
-}
-
 /* The beginning of the tick, so that the watchdog's time ends on the grid of the ticks: at most one of them late. */
-static uint32_t arrived_us(void *context)
+uint32_t board_arrived_us(void *context)
 {
     (void)context;
     return arrived;
 }
 
-#if RIG_ENCODER
-
-static int32_t position(void *context, uint32_t *t_us)
-{
-    (void)context;
-    const encoder_sample sample = in_tick ? encoder_tick_sample() : encoder_newest_sample();
-    *t_us = sample.t_us;
-    return sample.counts;
-}
-
-static void set_position(void *context, int32_t counts)
-{
-    (void)context;
-    encoder_set(counts);
-}
-
-static uint8_t encoder_troubles(void *context)
-{
-    (void)context;
-    return encoder_take_troubles();
-}
-
-#else
-
-static int32_t position(void *context, uint32_t *t_us)
-{
-    (void)context;
-    const adc_sample sample = in_tick ? adc_position() : adc_position_now();
-    *t_us = sample.t_us;
-    return (int32_t)sample.counts;
-}
-
-#endif
-
-static uint16_t tach_counts(void *context)
-{
-    (void)context;
-    return RIG_TACHOMETER ? adc_tachometer() : (uint16_t)RIG_TACH_NONE;
-}
-
-static void set_drive(void *context, int16_t units)
+void board_set_drive(void *context, int16_t units)
 {
     (void)context;
     const uint32_t before = cpu_hold_interrupts();
     bridge_drive(inputs_have_stopped() ? 0 : units);
     cpu_restore_interrupts(before);
 }
-
-static void transmit(void *context, const uint8_t *bytes, uint8_t n)
-{
-    (void)context;
-    uart_send(bytes, n);
-}
-
-static uint8_t inputs(void *context)
-{
-    (void)context;
-    return inputs_take();
-}
-
-/* Behind a divider by 6 the converter's 3.3 V are 20 V. */
-static uint8_t supply(void *context)
-{
-    (void)context;
-    return (uint8_t)(adc_supply() >> 4);
-}
-
-static void hold_tick(void *context)
-{
-    (void)context;
-    clock_hold_tick();
-}
-
-static void release_tick(void *context)
-{
-    (void)context;
-    clock_release_tick();
-}
-
-static const rig_board BOARD = {
-    .context = NULL,
-    .micros = micros,
-    .position = position,
-    .tach_counts = tach_counts,
-    .set_drive = set_drive,
-    .transmit = transmit,
-    .inputs = inputs,
-    .build = RIG_BUILD,
-    .counts_max = RIG_ENCODER ? 0 : (int32_t)ADC_MAX,
-    .drive_full = BRIDGE_FULL,
-    .board_id = RIG_BOARD_PICO,
-    .bridge = (uint8_t)RIG_BRIDGE,
-    .features = FEATURES,
-    .arrived_us = arrived_us,
-    .supply = RIG_SUPPLY ? supply : NULL,
-#if RIG_ENCODER
-    .set_position = set_position,
-    .encoder_troubles = encoder_troubles,
-#endif
-    .loopback = &LOOPBACK,
-    .hold_tick = hold_tick,
-    .release_tick = release_tick,
-};
 
 static void show(void)
 {

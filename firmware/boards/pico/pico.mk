@@ -5,9 +5,9 @@
 
 ARM := arm-none-eabi-
 PICO := $(BUILD)/pico/rig_pico$(VARIANT)
-PICO_SOURCES := boards/pico/boot2.S $(wildcard boards/pico/*.c) $(CORE)
-PICO_HEADERS := $(wildcard boards/pico/*.h core/*.h)
-PICO_CPPFLAGS := -Icore -Iboards/pico -DRIG_BUILD='"pico $(VERSION)"' -DRIG_BAUD=$(BAUD)u -DRIG_BRIDGE=BRIDGE_$(BRIDGE) \
+PICO_SOURCES := boards/pico/boot2.S $(wildcard boards/pico/*.c boards/chip/*.c) $(CORE)
+PICO_HEADERS := $(wildcard boards/pico/*.h boards/chip/*.h core/*.h)
+PICO_CPPFLAGS := -Icore -Iboards/pico -Iboards/chip -DRIG_BUILD='"pico $(VERSION)"' -DRIG_BAUD=$(BAUD)u -DRIG_BRIDGE=BRIDGE_$(BRIDGE) \
 	-DRIG_TACHOMETER=$(TACHOMETER) -DRIG_SUPPLY=$(SUPPLY) -DRIG_END_SWITCHES=$(END_SWITCHES) \
 	-DRIG_ENCODER=$(ENCODER)
 # no idioms: the loops of memcpy and memset must not become calls of themselves

@@ -19,6 +19,8 @@
 #ifndef RIG_PICO_WIRING_H
 #define RIG_PICO_WIRING_H
 
+#define BOARD_ID RIG_BOARD_PICO
+
 #include "rp2040.h"
 
 #define BRIDGE_PWM_DIR 1 /* as enum rig_bridge, for the preprocessor */

@@ -9,6 +9,7 @@
 #include <stdint.h>
 
 #define ADC_MAX 1023u
+#define ADC_SUPPLY_SHIFT 2 /* to 8 bits: behind a divider by 4 the 5 V are 20 V */
 
 void adc_init(void);
 

@@ -6,9 +6,9 @@
 AVR_CC := avr-gcc
 UNO := $(BUILD)/uno/rig_uno$(VARIANT)
 UNO_OBJECTS := $(UNO).o
-UNO_SOURCES := $(wildcard boards/uno/*.c) $(CORE)
-UNO_HEADERS := $(wildcard boards/uno/*.h core/*.h)
-UNO_CPPFLAGS := -Icore -Iboards/uno -DF_CPU=16000000UL -DRIG_BUILD='"uno $(VERSION)"' -DRIG_BAUD=$(BAUD)UL \
+UNO_SOURCES := $(wildcard boards/uno/*.c boards/chip/*.c) $(CORE)
+UNO_HEADERS := $(wildcard boards/uno/*.h boards/chip/*.h core/*.h)
+UNO_CPPFLAGS := -Icore -Iboards/uno -Iboards/chip -DF_CPU=16000000UL -DRIG_BUILD='"uno $(VERSION)"' -DRIG_BAUD=$(BAUD)UL \
 	-DRIG_BRIDGE=BRIDGE_$(BRIDGE) -DRIG_TACHOMETER=$(TACHOMETER) -DRIG_SUPPLY=$(SUPPLY) -DRIG_END_SWITCHES=$(END_SWITCHES) \
 	-DRIG_ENCODER=$(ENCODER)
 UNO_CFLAGS := -mmcu=atmega328p -std=c99 -O2 -flto -fuse-linker-plugin -fno-fat-lto-objects -ffunction-sections \

@@ -21,6 +21,8 @@
 
 #define BIT(n) ((uint8_t)(1u << (n)))
 
+#define BOARD_ID RIG_BOARD_UNO
+
 #define BRIDGE_PWM_DIR 1 /* as enum rig_bridge, for the preprocessor */
 #define BRIDGE_IN1_IN2 2
 

@@ -4,9 +4,9 @@
 // makes a new one; then a line for each stretch of virtual time
 //     {send: hex, calls: [[method, ...arguments]], until_ns, until}
 // answered by {received: hex, now_ns, results: [of the calls, which come after the stretch]}, or {error}.
-// Ends with its standard input.
+// Ends with its standard input. Its argument is the file of another chip than the Pico's.
 const fs = require("fs");
-const { Chip } = require("./chip.js");
+const { Chip } = require(process.argv[2] ?? "./chip.js");
 
 function* lines() {
   const chunk = Buffer.alloc(65536);

@@ -13,32 +13,36 @@ import gc
 import math
 import os
 import pickle
+import pty
 import select
 import signal
 import sys
+import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol, TextIO, TypeVar
+from typing import NamedTuple, NoReturn, Protocol, TextIO, TypeVar
 
-from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.virtual_time import Wire
 
+_ORPHAN_S = 0.3  # they outlive their parent by this time, so that one can see the watchdog act
+_PRIORITY = 70  # above the loop's 60: a real device does not wait for the host's processor
 _TRACE_S = 0.01
 _CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
+_STALL_S = 10.0  # longer than a host measures a clock for: time that a device loses then looks like a restart
 
 D = TypeVar("D")
 
 
 class Look(NamedTuple):
-    """A row of the trace: time, s, voltage at the motor, V, its shaft, and the number of its fault."""
+    """A row of the trace: time, s, voltage at the motor, V, its shaft, and the number of its fault, or else."""
 
     t_s: float
     drive_V: float
     y_rad: float
     v_rad_per_s: float
-    fault: int
+    last: int
 
 
 class Served(Protocol):
@@ -84,7 +88,7 @@ class BehindPty:
 
     def __init__(self, wire: Wire) -> None:
         self._wire = wire
-        self._pty, self.name = open_pty()
+        self._pty, self.name = _open_pty()
 
     def files(self) -> list[int]:
         """As of ``Served``."""
@@ -127,71 +131,145 @@ def unpacked(text: str, kind: type[D]) -> D:
     return device
 
 
-def run(asked: argparse.Namespace, opened: Callable[[contextlib.ExitStack], Served]) -> None:
+def run(asked: argparse.Namespace, opened: Callable[[contextlib.ExitStack], Served], last: str = "fault") -> None:
     """Run until a signal, or until standard input ends where that was asked for.
 
     asked   what ``parser`` found
     opened  the device at time 0; what it opens besides may go into the stack
+    last    of the columns of the trace
     """
-    ends = signals()
+    ends = _signals()
+    _take_priority()  # before a device starts a process, which inherits it
     try:
         with contextlib.ExitStack() as stack:
             file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="ascii"))
-            start_s = time.monotonic()
             device = opened(stack)
-            trace = _Trace(device, file, start_s)
+            trace = _Trace(device, file, last)
             if asked.link is not None:
-                stack.enter_context(linked(asked.link, device.name))
+                stack.enter_context(_linked(asked.link, device.name))
             sys.stdout.write(f"port {device.name}\n")
             sys.stdout.flush()
-            take_priority()
             gc.freeze()
-            _run(device, trace, start_s, ends, watches_stdin=asked.exit_with_stdin)
+            _run(device, trace, ends, watches_stdin=asked.exit_with_stdin)
             device.power_off()
     except (OSError, EmulationError) as error:
-        fail(str(error))
+        _fail(str(error))
+
+
+class _Clock:
+    """The device's time, from 0 on: that of CLOCK_MONOTONIC, but for stalls that are too long to catch up with."""
+
+    def __init__(self) -> None:
+        self.start_s = time.monotonic()
+        self._last_s = 0.0
+
+    def now_s(self) -> float:
+        stood_s = time.monotonic() - self.start_s - self._last_s
+        if stood_s > _STALL_S:
+            sys.stderr.write(f"the emulated device stood still for {stood_s:.1f} s, and its clock with it\n")
+            self.start_s += stood_s
+        self._last_s = time.monotonic() - self.start_s
+        return self._last_s
 
 
 class _Trace:
     """The truth over time as CSV; nothing without a file."""
 
-    def __init__(self, device: Served, file: TextIO | None, start_s: float) -> None:
-        self._device, self._file, self._start_s = device, file, start_s
+    def __init__(self, device: Served, file: TextIO | None, last: str) -> None:
+        self._device, self._file, self._clock = device, file, _Clock()
         self.next_s = math.inf if file is None else 0.0
         if file is not None:
-            file.write("t_s,drive_V,y_rad,v_rad_per_s,fault\n")
+            file.write(f"t_s,drive_V,y_rad,v_rad_per_s,{last}\n")
             device.watch(self.row)
 
     def row(self) -> None:
         if self._file is None:
             return
-        t_s, drive_V, y_rad, v_rad_per_s, fault = self._device.look()
-        self._file.write(f"{self._start_s + t_s:.6f},{drive_V:.6f},{y_rad:.6f},{v_rad_per_s:.6f},{fault}\n")
+        t_s, drive_V, y_rad, v_rad_per_s, last = self._device.look()
+        self._file.write(f"{self._clock.start_s + t_s:.6f},{drive_V:.6f},{y_rad:.6f},{v_rad_per_s:.6f},{last}\n")
         self._file.flush()
 
-    def rows_to(self, t_s: float) -> None:
-        """One row every 10 ms."""
-        while self.next_s <= t_s:
+    def advance(self) -> float:
+        """Let the device's time pass to now, which is returned; with one row every 10 ms."""
+        now_s = self._clock.now_s()
+        while self.next_s <= now_s:
             self._device.advance_to(self.next_s)
             self.row()
             self.next_s += _TRACE_S
+        self._device.advance_to(now_s)
+        return now_s
 
 
-def _run(device: Served, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:
+def _run(device: Served, trace: _Trace, ends: int, *, watches_stdin: bool) -> None:
     end_s, stdin = math.inf, sys.stdin.fileno()
-    now_s = time.monotonic() - start_s
+    now_s = trace.advance()
     while now_s < end_s:
         files = [ends, *device.files(), *([stdin] if watches_stdin else [])]
         until_s = min(device.next_event_s(), trace.next_s, end_s, now_s + _CATCH_UP_S)
         ready = set(select.select(files, [], [], max(until_s - now_s, 0.0))[0])
-        now_s = time.monotonic() - start_s
+        now_s = trace.advance()
         if ends in ready:
             if os.read(ends, 1)[0] != signal.SIGUSR1:
                 return
-            device.advance_to(now_s)
             device.power_cycle()
         if stdin in ready and not os.read(stdin, 64):
-            watches_stdin, end_s = False, now_s + ORPHAN_S
-        trace.rows_to(now_s)
-        device.serve(ready, now_s)
-        device.advance_to(now_s)
+            watches_stdin, end_s = False, now_s + _ORPHAN_S
+        if not ready.isdisjoint(device.files()):
+            # catching up may have taken long: a device hears nothing before its host has said it
+            device.serve(ready, trace.advance())
+            now_s = trace.advance()
+
+
+def _open_pty() -> tuple[int, str]:
+    """A pseudo-terminal that passes every byte as it is, and the name of its port.
+
+    It lives on while nobody has that open.
+    """
+    number, held = pty.openpty()
+    raw = termios.tcgetattr(held)
+    raw[0] = raw[1] = raw[3] = 0
+    raw[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+    termios.tcsetattr(held, termios.TCSANOW, raw)
+    os.set_blocking(number, False)
+    return number, os.ttyname(held)
+
+
+def _signals() -> int:
+    """File number from which a byte can be read after each signal."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, lambda number, frame: None)
+    signal.set_wakeup_fd(writer)
+    return reader
+
+
+@contextlib.contextmanager
+def _linked(path: Path, port: str) -> Iterator[None]:
+    """The symbolic link, made or replaced in one step; refuses to replace anything else. Removed if still ours."""
+    if path.exists() and path.is_symlink():
+        _fail(f"{path}: is the link of a device that exists: end that one, or choose another name")
+    if path.exists():
+        _fail(f"{path}: exists and is not a symbolic link")
+    fresh = path.with_name(f"{path.name}.{os.getpid()}")
+    fresh.symlink_to(port)
+    fresh.rename(path)
+    try:
+        yield
+    finally:
+        if path.is_symlink() and str(path.readlink()) == port:
+            path.unlink()
+
+
+def _take_priority() -> None:
+    """Take a real-time priority if that is allowed; else say so."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except PermissionError as error:
+        sys.stderr.write(f"no real-time priority ({error.strerror}): replies may be late on a busy machine\n")
+
+
+def _fail(why: str) -> NoReturn:
+    """Say why on standard error, and end with 2."""
+    sys.stderr.write(f"{why}\n")
+    sys.exit(2)

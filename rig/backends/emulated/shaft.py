@@ -15,7 +15,7 @@ class ShaftPath(NamedTuple):
 
 
 def traced(trace: Path) -> ShaftPath:
-    """The rows so far of a board's CSV file of the truth (``HostBoard.start``), without a last line that is torn."""
+    """The rows so far of a board's CSV file of the truth (``SerialBoard.run``), without a last line that is torn."""
     lines = trace.read_text(encoding="ascii", errors="replace").split("\n")[:-1]
     if not lines:
         return ShaftPath((), ())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,8 +19,7 @@ from rig.backends.links.usb_port import check_adapter
 from rig.backends.serial.driver import ByHand, SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.firmware_build import require_emulator
-from rig.backends.serial.emulated.host_board import HostBoard
-from rig.backends.serial.emulated.usb_board import UsbBoard
+from rig.backends.serial.emulated.serial_board import HostBoard
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_device import PortAndClock
 from rig.backends.serial.fit import Board
@@ -128,20 +127,13 @@ def emulated_board(
     Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
     adapter = d.daq.adapter or "none"
-    own_link = link if adapter == "none" else None
-    with ExitStack() as stack:
-        board: BoardProcess
-        if chip or d.daq.port in CHIP_PORTS:
-            require_emulator("emulated-chip" if chip else d.daq.port)
-            from emulated_chips import opening as chips
+    if chip or d.daq.port in CHIP_PORTS:
+        require_emulator("emulated-chip" if chip else d.daq.port)
+        from emulated_chips import opening as chips
 
-            board = stack.enter_context(chips.chip_process(d, own_link, trace))
-        else:
-            board = host = stack.enter_context(HostBoard())
-            host.start(emulated_of(d), d.seed, own_link, trace, d.tachometer)
-        if adapter == "none":
+        with chips.chip_process(d, link, trace, adapter) as board:
             yield board
-            return
-        behind = stack.enter_context(UsbBoard(board, adapter))
-        behind.start(link)
-        yield behind
+    else:
+        with HostBoard() as host:
+            host.start(emulated_of(d), d.seed, link, trace, d.tachometer, adapter)
+            yield host

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import math
 import random
@@ -26,7 +27,49 @@ from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
 from shared.physics import next_segment
 
+WHERE, REAL = ctypes.POINTER(ctypes.c_double), ctypes.c_double
 NO_STOPS = (-1e6, 1e6)
+
+
+class Board(VirtualBoard):
+    """A board whose bench and sensor can be asked by themselves."""
+
+    def motion(self, v_rad_per_s: float, y_rad: float, u_V: float, dt_s: float) -> tuple[float, float]:
+        """Velocity and position after ``dt_s`` of constant drive, by the motor alone; the board is untouched."""
+        v, y = ctypes.c_double(v_rad_per_s), ctypes.c_double(y_rad)
+        error = self._of("virtual_motion", ctypes.c_char_p, WHERE, WHERE, REAL, REAL)(
+            self._board, ctypes.byref(v), ctypes.byref(y), u_V, dt_s
+        )
+        if error is not None:
+            raise EmulationError(error.decode())
+        return v.value, y.value
+
+    def real_motion(
+        self, state: tuple[float, ...] | None, u_V: float, t_s: float, dt_s: float
+    ) -> tuple[tuple[float, ...], float]:
+        """State and reading of a motor with parts ``dt_s`` after ``t_s`` of constant drive; the board is untouched.
+
+        state   v, y, f, w and x, as in ``rig.core.motor_numbers``; None: at rest at the start
+        """
+        numbers = (ctypes.c_double * 6)(*(state or ()))
+        when = (ctypes.c_double * 2)(t_s, dt_s)
+        error = self._of("virtual_real_motion", ctypes.c_char_p, WHERE, ctypes.c_int32, REAL, WHERE)(
+            self._board, numbers, state is not None, u_V, when
+        )
+        if error is not None:
+            raise EmulationError(error.decode())
+        return tuple(numbers[:5]), numbers[5]
+
+    def position_counts(self) -> int:
+        """One conversion of the position channel now; takes a number from the noise."""
+        counts: int = self._of("virtual_position_counts", ctypes.c_int32)(self._board)
+        return counts
+
+    def _of(self, name: str, result: Any, *arguments: Any) -> Any:
+        """A function of the library (firmware/boards/host/virtual.c)."""
+        function = getattr(self._library, name)
+        function.restype, function.argtypes = result, [ctypes.c_void_p, *arguments]
+        return function
 
 
 @st.composite
@@ -48,7 +91,7 @@ steps = st.lists(st.tuples(st.floats(-12.0, 12.0), st.floats(0.0, 3.0)), min_siz
 def test_motor_in_c_is_the_motor_of_the_model(
     motor: Motor, v0: float, y0: float, sequence: list[tuple[float, float]]
 ) -> None:
-    board = VirtualBoard(BenchParameters(motor, stop_rad=NO_STOPS))
+    board = Board(BenchParameters(motor, stop_rad=NO_STOPS))
     state, v, y = State(v0, y0), v0, y0
     for u_V, dt_s in sequence:
         state = motor.advance(state, u_V, dt_s)
@@ -64,7 +107,7 @@ def test_motion_with_stops_equals_small_steps_of_the_python_bench(
 ) -> None:
     """The Python bench meets a stop at the end of a step, up to one step late; the C one at the exact instant."""
     parameters = BenchParameters(motor, stop_rad=(-2.1, 2.3), supply_V=12.0, drive_counts=32767)
-    board = VirtualBoard(parameters)
+    board = Board(parameters)
     bench = BenchModel(parameters, 1)
     bench.state = State(v0, y0)
     v, y = v0, y0
@@ -105,13 +148,13 @@ def test_each_kind_of_segment_in_c_is_that_of_the_model(
         assert segment.end_rad_s == 0.0 if end == 0.0 else segment.end_rad_s > end
         v, left_s = segment.end_rad_s, left_s - segment.duration_s
     state = motor.advance(State(v0, 0.2), u_V, duration_s)
-    board = VirtualBoard(BenchParameters(motor, stop_rad=NO_STOPS))
+    board = Board(BenchParameters(motor, stop_rad=NO_STOPS))
     assert board.motion(v0, 0.2, u_V, duration_s) == pytest.approx((state.v, state.y), rel=1e-9, abs=1e-9)
 
 
 def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:
     motor = Motor(0.2, 5.0)
-    board = VirtualBoard(BenchParameters(motor, stop_rad=(-1.0, 1.0)))
+    board = Board(BenchParameters(motor, stop_rad=(-1.0, 1.0)))
     # from rest at 0 under 1 V: y = 5 (t - 0.2 (1 - exp(-t/0.2))) reaches 1 rad here
     t_s = 0.0
     for _ in range(60):
@@ -127,12 +170,12 @@ def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:
     assert y < 1.0 and v < 0.0
 
 
-def board_with(real: RealMotor, frame: Frame, **bench: Any) -> VirtualBoard:
+def board_with(real: RealMotor, frame: Frame, **bench: Any) -> Board:
     """A board whose motor has the parts of ``real``."""
     at_rest_V = real.fc_V + real.static_V + real.stribeck_V
     friction = tustin(real.fc_V, at_rest_V, real.stribeck_rad_s)
     plain_motor = Motor(real.tau_s, real.K_rad_s_V, friction, real.bias_V)
-    return VirtualBoard(BenchParameters(plain_motor, real=real, frame=frame, **bench))
+    return Board(BenchParameters(plain_motor, real=real, frame=frame, **bench))
 
 
 @pytest.mark.parametrize("names", CASES.values(), ids=CASES)
@@ -170,9 +213,9 @@ def test_a_board_reads_the_sensors_side_of_the_backlash() -> None:
     assert board.position_counts() == 30000 + 5000 - 100
 
 
-def _board_at(y_rad: float, **parameters: Any) -> VirtualBoard:
+def _board_at(y_rad: float, **parameters: Any) -> Board:
     motor = Motor(0.17, 6.5, coulomb(0.5))
-    return VirtualBoard(replace(BenchParameters(motor, start_rad=y_rad), **parameters), 3)
+    return Board(replace(BenchParameters(motor, start_rad=y_rad), **parameters), 3)
 
 
 @settings(max_examples=examples(100), deadline=None)
@@ -194,7 +237,7 @@ def test_quantisation_is_the_python_benchs(
         centre_counts=centre,
         counts_max=counts_max,
     )
-    assert VirtualBoard(parameters).position_counts() == BenchModel(parameters, 1).read_counts()
+    assert Board(parameters).position_counts() == BenchModel(parameters, 1).read_counts()
 
 
 def test_noise_of_the_potentiometer() -> None:
@@ -217,7 +260,7 @@ def test_noise_repeats_with_its_seed() -> None:
     parameters = BenchParameters(Motor(0.17, 6.5, coulomb(0.5)), noise_rad=0.02)
 
     def readings(seed: int) -> list[int]:
-        board = VirtualBoard(parameters, seed)
+        board = Board(parameters, seed)
         return [board.position_counts() for _ in range(200)]
 
     assert readings(5) == readings(5)
@@ -244,7 +287,7 @@ def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, f
         fault_after_s=fault_after_s,
         rad_per_count=-4.2 / 1024,
     )
-    board, bench = VirtualBoard(parameters), BenchModel(parameters, 1)
+    board, bench = Board(parameters), BenchModel(parameters, 1)
     board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
     board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
     board.sleep_until(0.01)
@@ -284,7 +327,7 @@ def test_a_coasting_bridge_is_the_python_benchs() -> None:
     """Motion under drives of every share, 0 V among them."""
     friction = Friction(0.45, 0.5, 0.5, 0.55, 0.0, 0.02)
     parameters = BenchParameters(Motor(0.17, 6.5, friction, 0.03), start_rad=0.2, coasting=True, bridge_drop_V=1.4)
-    board, bench = VirtualBoard(parameters), BenchModel(parameters, 1)
+    board, bench = Board(parameters), BenchModel(parameters, 1)
     board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
     board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
     board.sleep_until(0.01)
@@ -316,7 +359,7 @@ def test_the_bridge_is_the_python_benchs(turned: bool) -> None:
         dead_band_minus=0.05,
         reversed=turned,
     )
-    board, bench = VirtualBoard(parameters), BenchModel(parameters, 1)
+    board, bench = Board(parameters), BenchModel(parameters, 1)
     believed = DriveMap(10.0, 1.4, 0.03, 0.05, reversed=turned)
     board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
     board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))

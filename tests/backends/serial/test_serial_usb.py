@@ -303,8 +303,8 @@ def test_an_emulated_port_delays_as_the_config_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.realtime
-def test_in_real_time_the_adapter_is_a_process_before_the_device(tmp_path: Path) -> None:
-    """It passes everything on, its link leads to it, the reset button is the device's, and it ends with the device."""
+def test_in_real_time_the_adapter_is_before_the_device(tmp_path: Path) -> None:
+    """It passes everything on, the link leads to it, and the device's reset button is there."""
     experiment = Experiment.model_validate(config(adapter="16u2"))
     link = tmp_path / "device"
     with emulated_board(experiment.device, link) as board:

@@ -281,12 +281,8 @@ class Chip {
     return Buffer.from(bytes);
   }
 
-  openEstop() {
-    this.portD.setPin(ESTOP, true);
-  }
-
-  closeEstop() {
-    this.portD.setPin(ESTOP, false);
+  contact(is_open) {
+    this.portD.setPin(ESTOP, is_open);
   }
 
   hang() {
@@ -305,7 +301,6 @@ class Chip {
     const longest_pulse_s = this.longestPulse / HZ;
     this.longestPulse = 0;
     return {
-      now_ns: this.now_ns,
       pin_V: mean * this.bench.supply_V,
       y_rad: motor.y_rad,
       v_rad_per_s: motor.v_rad_per_s,

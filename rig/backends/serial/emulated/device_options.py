@@ -5,6 +5,12 @@ from __future__ import annotations
 from rig.core.motor_numbers import NUMBERS, of_every_bench
 from rig.model.bench import BenchParameters
 
+_SAME = (  # names of both; True is 1
+    "start_rad", "rad_per_count", "centre_counts", "counts_max", "noise_rad", "offset_rad", "supply_V", "drive_counts",
+    "bridge_drop_V", "dead_band_plus", "dead_band_minus", "coasting", "reversed", "tachometer_zero_counts",
+    "gear_ratio", "fault_after_s",
+)  # fmt: skip
+
 
 def device_options(
     bench: BenchParameters, seed: int, clock_error_ppm: float = 0.0, clock_start_us: int = 0
@@ -17,45 +23,31 @@ def device_options(
     """
     friction = bench.motor.friction
     numbers: dict[str, float | int] = {
-        "tau-s": bench.motor.tau_s,
-        "K-rad-s-V": bench.motor.K_rad_s_V,
-        "fc-plus-V": friction.plus_V,
-        "fc-minus-V": friction.minus_V,
-        "fs-plus-V": friction.static_plus_V,
-        "fs-minus-V": friction.static_minus_V,
-        "stribeck-rad-s": friction.stribeck_rad_s,
-        "viscous-V-s-rad": friction.viscous_V_s_rad,
-        "bias-V": bench.motor.bias_V,
-        "start-rad": bench.start_rad,
-        "stop-low-rad": bench.stop_rad[0],
-        "stop-high-rad": bench.stop_rad[1],
-        "rad-per-count": bench.rad_per_count,
-        "centre-counts": bench.centre_counts,
-        "counts-max": bench.counts_max,
-        "noise-rad": bench.noise_rad,
-        "offset-rad": bench.offset_rad,
-        "supply-V": bench.supply_V,
-        "drive-counts": bench.drive_counts,
-        "bridge-drop-V": bench.bridge_drop_V,
-        "dead-band-plus": bench.dead_band_plus,
-        "dead-band-minus": bench.dead_band_minus,
-        "coasting": int(bench.coasting),
-        "reversed": int(bench.reversed),
-        "tachometer-rad-s-per-count": bench.tachometer_rad_s_per_count or 0.0,
-        "tachometer-zero-counts": bench.tachometer_zero_counts,
-        "gear-ratio": bench.gear_ratio,
-        "fault-after-s": bench.fault_after_s,
-        "clock-error-ppm": clock_error_ppm,
-        "clock-start-us": clock_start_us,
+        "tau_s": bench.motor.tau_s,
+        "K_rad_s_V": bench.motor.K_rad_s_V,
+        "fc_plus_V": friction.plus_V,
+        "fc_minus_V": friction.minus_V,
+        "fs_plus_V": friction.static_plus_V,
+        "fs_minus_V": friction.static_minus_V,
+        "stribeck_rad_s": friction.stribeck_rad_s,
+        "viscous_V_s_rad": friction.viscous_V_s_rad,
+        "bias_V": bench.motor.bias_V,
+        "stop_low_rad": bench.stop_rad[0],
+        "stop_high_rad": bench.stop_rad[1],
+        "tachometer_rad_s_per_count": bench.tachometer_rad_s_per_count or 0.0,
+        "clock_error_ppm": clock_error_ppm,
+        "clock_start_us": clock_start_us,
         "seed": seed,
     }
+    numbers |= {name: +getattr(bench, name) for name in _SAME}
     if bench.encoder:
         low_rad, high_rad = bench.end_rad or (0.0, 0.0)
-        numbers |= {"encoder": 1, "centre-counts": 0.0, "estop-open-s": bench.estop_open_s}
-        numbers |= {"end-low-rad": low_rad, "end-high-rad": high_rad}
+        numbers |= {"encoder": 1, "centre_counts": 0.0, "estop_open_s": bench.estop_open_s}
+        numbers |= {"end_low_rad": low_rad, "end_high_rad": high_rad}
     if bench.real is not None:
-        numbers |= {"parts": 1, "drift-over-s": bench.frame.duration_s}
-        numbers |= {name: getattr(bench.real, name) for name in NUMBERS if not of_every_bench(name)}
-        numbers |= {name.replace("_", "-"): getattr(bench.frame, name) for name in ("centre_rad", "half_travel_rad")}
-    options = {name: repr(value) for name, value in numbers.items()}
+        numbers |= {"parts": 1, "drift_over_s": bench.frame.duration_s}
+        numbers |= {name: getattr(bench.frame, name) for name in ("centre_rad", "half_travel_rad")}
+    options = {name.replace("_", "-"): repr(value) for name, value in numbers.items()}
+    if bench.real is not None:
+        options |= {name: repr(getattr(bench.real, name)) for name in NUMBERS if not of_every_bench(name)}
     return {**options, "drive": bench.drive, "sensor": bench.sensor}

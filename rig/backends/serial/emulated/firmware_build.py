@@ -45,13 +45,6 @@ _EMULATORS: Final = (  # ports that begin with, what is emulated there, a source
 PICO_TOOLS = {"arm-none-eabi-gcc": "apt-get install gcc-arm-none-eabi"}
 
 
-class HostFirmware(NamedTuple):
-    """What the build gives: the program of the process, and the shared library for virtual time."""
-
-    program: Path
-    library: Path
-
-
 class Variant(NamedTuple):
     """What a board's firmware is built with (firmware/boards/variant.mk); the defaults are the plain ``rig_uno.hex``.
 
@@ -126,36 +119,35 @@ def require_emulator(port: str | None) -> None:
             sys.path.append(_TOOLS)
 
 
-def build(build_folder: Path | None = None) -> HostFirmware:
-    """Build what is not up to date. Processes that build at the same time wait for each other.
+def build(build_folder: Path | None = None) -> Path:
+    """Build what of the emulated board's library is not up to date. Processes that build at once wait for each other.
 
     build_folder  where to; default: ``build/firmware`` in the repository, a folder of the user's cache for an
                   installed rig
     Raises EmulationError if make or the C compiler is missing, or the build fails.
     """
-    folder = make(build_folder, ["host"], {}) / "host"
-    return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
+    return make(["host"], {}, build_folder) / "host" / "librig_host.so"
 
 
-def build_uno(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
+def build_uno(options: Variant = PLAIN_VARIANT) -> Path:
     """Build the Uno's firmware, as ``build`` does; the .hex to flash.
 
     Raises EmulationError also where avr-gcc or its library is missing.
     """
-    folder = make(build_folder, ["uno", *options.variables()], {"avr-gcc": f"apt-get install {AVR_PACKAGES}"})
+    folder = make(["uno", *options.variables()], {"avr-gcc": f"apt-get install {AVR_PACKAGES}"})
     return folder / "uno" / f"{options.name}.hex"
 
 
-def build_pico(options: Variant = PLAIN_VARIANT, build_folder: Path | None = None) -> Path:
+def build_pico(options: Variant = PLAIN_VARIANT) -> Path:
     """Build the Pico's firmware, as ``build`` does; the .uf2 to copy.
 
     Raises EmulationError also where arm-none-eabi-gcc is missing.
     """
-    folder = make(build_folder, ["pico", *options.variables()], PICO_TOOLS)
+    folder = make(["pico", *options.variables()], PICO_TOOLS)
     return folder / "pico" / f"{options.name_for('pico')}.uf2"
 
 
-def make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
+def make(targets: list[str], tools: dict[str, str], build_folder: Path | None = None) -> Path:
     """Make the targets, as ``build`` does; the folder that they are in.
 
     tools  what they need besides a C compiler, and its cure

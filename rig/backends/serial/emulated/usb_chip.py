@@ -1,6 +1,6 @@
 """A USB adapter between a serial line and USB: it collects bytes and passes them on with the frames of USB.
 
-Pure: the caller gives the time. ``behind_usb.py`` runs it in virtual time, ``usb_process.py`` in real time.
+Pure: the caller gives the time.
 """
 
 from __future__ import annotations

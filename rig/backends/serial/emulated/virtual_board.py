@@ -6,11 +6,9 @@ import ctypes
 from array import array
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 from typing_extensions import override
 
-from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Until
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.serial.emulated import firmware_build
@@ -47,7 +45,6 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
     clock_error_ppm  of the device's clock against virtual time
     clock_start_us   reading of the device's clock at a reset, 0 to 2**32 - 1
     baud, bits_per_byte  of the wire, both ways; a real byte takes 10 to 11 bit times
-    build_folder     of the firmware; None: the default one
     Raises EmulationError if the firmware cannot be built or a parameter is out of range.
     """
 
@@ -60,10 +57,9 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
         clock_start_us: int = 0,
         baud: int = 115200,
         bits_per_byte: int = 11,
-        build_folder: Path | None = None,
     ) -> None:
         options = device_options(bench, seed, clock_error_ppm, clock_start_us)
-        super().__init__(BoardTruth, _load(build_folder), options, round(1e9 * bits_per_byte / baud))
+        super().__init__(BoardTruth, _load(), options, round(1e9 * bits_per_byte / baud))
         self.keeps_shaft = False  # the path, for ``shaft``
         self._shaft_t_s, self._shaft_rad = array("d"), array("d")
 
@@ -89,53 +85,22 @@ class VirtualBoard(VirtualDevice[BoardTruth]):
         """Where the shaft really was while it was kept: after each wait of the host, each 0.5 ms of an exchange."""
         return ShaftPath(self._shaft_t_s, self._shaft_rad)
 
+    @override
     def reset(self, cause: int) -> None:
-        """Reset the chip: 1 power-on, 2 external, 4 brown-out, 8 watchdog (bits may be combined)."""
         self._library.virtual_reset(self._board, cause)
 
     def hang(self) -> None:
         """Hang the firmware, drive as it is; the hardware watchdog resets the chip 0.12 s after its last tick."""
         self._library.virtual_hang(self._board)
 
-    def motion(self, v_rad_per_s: float, y_rad: float, u_V: float, dt_s: float) -> tuple[float, float]:
-        """Velocity and position after ``dt_s`` of constant drive, by the motor alone; the board is untouched."""
-        v, y = ctypes.c_double(v_rad_per_s), ctypes.c_double(y_rad)
-        error = self._library.virtual_motion(self._board, ctypes.byref(v), ctypes.byref(y), u_V, dt_s)
-        if error is not None:
-            raise EmulationError(error.decode())
-        return v.value, y.value
-
-    def real_motion(
-        self, state: tuple[float, ...] | None, u_V: float, t_s: float, dt_s: float
-    ) -> tuple[tuple[float, ...], float]:
-        """State and reading of a motor with parts ``dt_s`` after ``t_s`` of constant drive; the board is untouched.
-
-        state   v, y, f, w and x, as in ``rig.core.motor_numbers``; None: at rest at the start
-        """
-        numbers = (ctypes.c_double * 6)(*(state or ()))
-        when = (ctypes.c_double * 2)(t_s, dt_s)
-        error = self._library.virtual_real_motion(self._board, numbers, state is not None, u_V, when)
-        if error is not None:
-            raise EmulationError(error.decode())
-        return tuple(numbers[:5]), numbers[5]
-
-    def position_counts(self) -> int:
-        """One conversion of the position channel now; takes a number from the noise."""
-        counts: int = self._library.virtual_position_counts(self._board)
-        return counts
-
 
 @lru_cache
-def _load(build_folder: Path | None) -> ctypes.CDLL:
+def _load() -> ctypes.CDLL:
     """The library, built once for this process, with its signatures (firmware/boards/host/virtual.c)."""
-    real, where = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
     return load(
-        str(firmware_build.build(build_folder).library),
+        str(firmware_build.build()),
         {
             "virtual_reset": (None, [ctypes.c_uint8]),
             "virtual_hang": (None, []),
-            "virtual_motion": (ctypes.c_char_p, [where, where, real, real]),
-            "virtual_real_motion": (ctypes.c_char_p, [where, ctypes.c_int32, real, where]),
-            "virtual_position_counts": (ctypes.c_int32, []),
         },
     )

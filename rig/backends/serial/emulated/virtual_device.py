@@ -48,6 +48,7 @@ class PortAndClock(Plug):
     """
 
     absolute = True  # of the clock: it sleeps until an instant, not for a while
+    step_s = 0.001  # in real time what it sends may come so much late
 
     def __init__(self, device: str) -> None:
         super().__init__(device)
@@ -75,6 +76,14 @@ class PortAndClock(Plug):
             until_ns += 1
         self._run(until_ns, Until.TIME)
         return self.now_s()
+
+    def truth(self) -> Truth:
+        """What is really the case now."""
+        raise NotImplementedError
+
+    def reset(self, cause: int) -> None:
+        """Reset the chip: 1 power-on, 2 external, 4 brown-out, 8 watchdog (bits may be combined)."""
+        raise NotImplementedError
 
     def _now_ns(self) -> int:
         raise NotImplementedError
@@ -154,8 +163,8 @@ class VirtualDevice(PortAndClock, Generic[Seen]):
 
     # ------------------------------------------------------------------ what is true of it
 
+    @override
     def truth(self) -> Seen:
-        """What is really the case now."""
         view = self._look()
         return self._truth(**{name: kind(getattr(view, name)) for name, kind in self._kinds.items()})
 

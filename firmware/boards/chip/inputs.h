@@ -1,6 +1,6 @@
 /* E-stop and end switches: contacts to ground that are closed while all is well, so that a broken wire stops. */
-#ifndef RIG_UNO_INPUTS_H
-#define RIG_UNO_INPUTS_H
+#ifndef RIG_CHIP_INPUTS_H
+#define RIG_CHIP_INPUTS_H
 
 #include <stdbool.h>
 #include <stdint.h>
