@@ -149,7 +149,8 @@ def _asymmetry(estimate: Estimate) -> Estimate:
         return estimate.judged(
             "doubtful",
             f"the asymmetry, {estimate.asym_V:+.3g} V, is larger than the friction, {estimate.fc_V:.3g} V: the shaft "
-            "turns by itself at 0 V; look for a load that pulls one way, or an offset of the drive",
+            "turns by itself at 0 V; look for a load that pulls one way, or an offset of the drive (is its middle its "
+            "zero? subtract it)",
         )
     return estimate
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
-from rig.identification.plausibility import judge_motor, judge_records, one_way
+from rig.identification.plausibility import judge_motor, judge_records, one_way, without_holes
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.stage import Stage
 
@@ -141,3 +141,49 @@ def test_of_several_gaps_the_largest_is_named_and_the_longest_part_without_one()
     (objection,) = judge_records([test])
     assert "2 gaps, the largest a gap of 0.21 s after row 109" in objection.reason
     assert "(--rows 110:389)" in objection.reason
+
+
+def test_parts_between_gaps_are_series_of_their_own_and_short_or_idle_ones_are_left_out() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    kept = np.ones(whole.t_s.size, dtype=bool)
+    kept[100:120] = kept[130:140] = kept[400:410] = False  # of 601: 100 rows, 10, 260, 191
+    test = replace(whole, t_s=whole.t_s[kept], y_rad=whole.y_rad[kept], u_V=whole.u_V[kept], first_row=10)
+    parts, (said,) = without_holes(test)
+    assert [(part.first_row, len(part), part.name) for part in parts] == [
+        (10, 100, test.name), (120, 260, test.name), (380, 191, test.name)
+    ]  # fmt: skip
+    assert "3 gaps, the longest of 0.21 s after row 109" in said and "10 rows in short parts were left out" in said
+    idle = replace(test, u_V=np.where(test.t_s > whole.t_s[405], 0.0, test.u_V))
+    idle = replace(idle, y_rad=np.where(test.t_s > whole.t_s[405], 1.0, test.y_rad))
+    assert [part.first_row for part in without_holes(idle)[0]] == [10, 120]
+    rare = np.zeros(whole.t_s.size, dtype=bool)
+    rare[::10] = rare[:50] = True
+    few = replace(whole, t_s=whole.t_s[rare], y_rad=whole.y_rad[rare], u_V=whole.u_V[rare])
+    assert without_holes(few) == ([few], [])
+
+
+def test_a_position_that_is_set_anew_begins_another_part_and_a_spike_does_not() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    anew = replace(whole, y_rad=whole.y_rad - np.where(np.arange(601) > 250, 0.7, 0.0))
+    parts, (said,) = without_holes(anew)
+    assert [part.first_row for part in parts] == [0, 251] and "set anew after row 250" in said
+    spike = replace(whole, y_rad=whole.y_rad + np.where(np.arange(601) == 250, 0.7, 0.0))
+    assert without_holes(spike) == ([spike], []) and without_holes(whole) == ([whole], [])
+
+
+def test_a_part_of_a_file_may_lack_what_another_part_tells() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    little = replace(whole, y_rad=0.001 * whole.y_rad)
+    assert judge_records([little]) and not judge_records([whole, little])
+    assert judge_records([whole, replace(little, name="another")])
+
+
+def test_a_quick_motor_turns_far_from_row_to_row_and_a_jump_that_no_motor_explains_is_one() -> None:
+    t_s: NDArray[np.float64] = 0.005 * np.arange(400.0)
+    way = np.tile(np.repeat([1.0, 0.0, -1.0, 0.0], [3, 22, 3, 22]), 8)
+    y_rad = np.cumsum(0.9 * way) + np.random.default_rng(1).normal(0.0, 0.001, 400)
+    test = TimeSeries(t_s, y_rad, None, 5.0 * way)
+    quick = Estimate("sampled-data", 0.005, 40.0, 0.1, rms_rad=0.01)
+    said = [[one for one in judge_records([test], motor) if "jumps" in one.reason] for motor in (quick, None)]
+    assert (len(said[0]), len(said[1])) == (0, 1)
+    assert any("jumps" in one.reason for one in judge_records([test], replace(quick, rms_rad=1.0)))
