@@ -37,8 +37,9 @@ SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
 KEPT = 0.5  # of the rows, in parts between gaps that are long enough: with fewer, the gaps are what the record has
 
-# Positions that are set anew, at most; over all other steps; a spike goes back in the next row by this share, or more
-MOST_JUMPS, FAR_JUMP, GOES_BACK = 5, 4.0, 0.75
+# Positions that are set anew, at most; how far over all other steps, and how much larger; a spike goes back in the next
+# row, by this share or more
+MOST_JUMPS, FAR_JUMP, LARGER, GOES_BACK = 5, 4.0, 1.5, 0.75
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
 EXPLAINED, STRIDE = 0.05, 1.1  # residual of such a motor, of the spread of positions; and what its rows may differ by
@@ -267,17 +268,18 @@ def hole_rows(test: TimeSeries) -> NDArray[np.intp]:
 def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
     """Indices of the few rows behind which the position is set anew: one step far from the steps before and after it.
 
-    Far beyond what any other step is: of a motor that turns round they differ, too.
+    It is larger than any other step, and farther from those beside it: of a motor that turns round they differ, too.
     """
-    steps_rad = np.pad(np.diff(test.y_rad), 1, mode="edge")
-    off_rad = np.abs(steps_rad[1:-1] - 0.5 * (steps_rad[:-2] + steps_rad[2:]))
-    beside = np.pad(off_rad, 1)
-    peaks = np.flatnonzero((off_rad >= beside[:-2]) & (off_rad >= beside[2:]))
-    peaks = peaks[np.argsort(-off_rad[peaks])][: MOST_JUMPS + 1]
-    far = np.flatnonzero(off_rad[peaks][:-1] > FAR_JUMP * off_rad[peaks][1:])
+    steps_rad = np.diff(test.y_rad)
+    beside_rad = np.pad(steps_rad, 1, mode="edge")
+    off_rad = np.pad(np.abs(steps_rad - 0.5 * (beside_rad[:-2] + beside_rad[2:])), 1)
+    peaks = np.flatnonzero((off_rad[1:-1] >= off_rad[:-2]) & (off_rad[1:-1] >= off_rad[2:]))
+    peaks = peaks[np.argsort(-off_rad[peaks + 1])][: MOST_JUMPS + 1]
+    far = np.flatnonzero(off_rad[peaks + 1][:-1] > FAR_JUMP * off_rad[peaks + 1][1:])
     jumps = np.sort(peaks[: far[-1] + 1]) if far.size else peaks[:0]
-    goes_back = np.maximum(beside[jumps], beside[jumps + 2]) > GOES_BACK * off_rad[jumps]
-    return jumps[:0] if goes_back.any() or off_rad[jumps].min(initial=np.inf) < _motion(test) else jumps
+    goes_back = np.maximum(off_rad[jumps], off_rad[jumps + 2]) > GOES_BACK * off_rad[jumps + 1]
+    least_rad = max(LARGER * float(np.abs(np.delete(steps_rad, jumps)).max(initial=0.0)), _motion(test))
+    return jumps[:0] if goes_back.any() or np.any(np.abs(steps_rad[jumps]) < least_rad) else jumps
 
 
 def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:

@@ -169,6 +169,10 @@ def test_a_position_that_is_set_anew_begins_another_part_and_a_spike_does_not() 
     assert [part.first_row for part in parts] == [0, 251] and "set anew after row 250" in said
     spike = replace(whole, y_rad=whole.y_rad + np.where(np.arange(601) == 250, 0.7, 0.0))
     assert without_holes(spike) == ([spike], []) and without_holes(whole) == ([whole], [])
+    rests = np.arange(601) < 60
+    speed = np.where(rests, 0.0, 1.0 - np.exp(-(whole.t_s - whole.t_s[60]) / 0.02))
+    begins = replace(whole, y_rad=np.cumsum(0.01 * speed), u_V=np.where(rests, 0.0, 3.0))
+    assert without_holes(begins) == ([begins], [])
 
 
 def test_a_part_of_a_file_may_lack_what_another_part_tells() -> None:
