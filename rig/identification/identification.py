@@ -31,10 +31,10 @@ from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, 
 from rig.identification.preprocessing import from_recording
 from rig.identification.reading_filter import reading_filter
 from rig.identification.records import left_out, require_known
-from rig.identification.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
+from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.stroke_delay import strokes_delay
-from rig.identification.time_stamps import stamps_off_by
+from rig.identification.time_stamps import stamps_off_by, with_stamps_of
 from rig.identification.verdict import by_prediction, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
@@ -57,6 +57,7 @@ METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
 MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
+ROWS_EARLY = 3.0  # of a drive that stands rows too late
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
@@ -219,6 +220,9 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
     stamps = _stamps(data, found.estimates.get(LEADING))
+    if stamps:
+        found = _found(data)
+        errors = _add_estimates(used, data, found, asked.by_name)
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -251,13 +255,17 @@ def _rank(found: Identification | IdentifyError) -> tuple[int, float]:
 
 
 def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequence[Recording]) -> bool:
-    """Whether the bench acts later than its tests say. Then the tests of ``data`` have an unknown delay.
+    """Whether the bench acts later than its tests say, or rows earlier. Then those of ``data`` have an unknown delay.
 
     If they say when each drive acted, the strokes of a breakaway check must allow that it was later: else it is
     columns that are wrong, not the bench.
     """
     if estimate is None or estimate.verdict == "ok" or any(test.delay_s is not None for test in data.tests):
         return False
+    if is_early(estimate, data.tests):
+        period_s = max(test.period_s for test in data.tests)
+        data.take_unknown_delay(((1.0 - ROWS_EARLY) * period_s, period_s))
+        return True
     later_s = late_s(estimate, data.tests)
     if later_s == 0.0:
         return False
@@ -277,9 +285,8 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
     if estimate is None or any(test.stage is not None for test in data.tests):
         return False
     try:
-        limit_V, filtered = clipped_at_V(data.tests, estimate), None
-        if math.isinf(limit_V) and not estimate.spoiled:
-            filtered = reading_filter(data.tests, estimate)
+        limit_V = clipped_at_V(data.tests, estimate)
+        filtered = reading_filter(data.tests, estimate) if math.isinf(limit_V) else None
     except IdentifyError:
         return False  # too short for pieces
     if math.isfinite(limit_V):
@@ -296,7 +303,10 @@ def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
 
 
 def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
-    """A sentence where the rows of plain files have the time stamps of other rows; empty where they have their own."""
+    """A sentence where the rows of plain files have the time stamps of other rows: then those of ``data`` have theirs.
+
+    Empty where they have their own.
+    """
     if (
         estimate is None
         or estimate.spoiled
@@ -307,8 +317,11 @@ def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
         rows = stamps_off_by(data.tests, estimate)
     except IdentifyError:
         return []  # too short for pieces
+    if not rows:
+        return []
     which = "before" if rows < 0 else "after"
-    return [f"each row seems to have the time stamp of the row {which}: try --time-row {rows}"] if rows else []
+    data.take(partial(with_stamps_of, rows=rows), f"the time stamps were moved by a row: {rows}")
+    return [f"each row seems to have the time stamp of the row {which}, and is fitted so: try --time-row {rows}"]
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:

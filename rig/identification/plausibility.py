@@ -35,6 +35,9 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
+# Of rows that come evenly: how far from a period a step may be, periods; share of such steps; a step of the drive, of
+# the largest one
+ON_TIME, EVEN_ROWS, STEPPED = 0.1, 0.85, 0.2
 KEPT = 0.5  # of the rows, in parts between gaps that are long enough: with fewer, the gaps are what the record has
 
 # Positions that are set anew, at most; how far over all other steps, and how much larger; a spike goes back in the next
@@ -282,13 +285,21 @@ def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
     return jumps[:0] if goes_back.any() or np.any(np.abs(steps_rad[jumps]) < least_rad) else jumps
 
 
+def _lost_rows(test: TimeSeries) -> NDArray[np.intp]:
+    """Indices of the rows before lost ones in which the drive stepped, nobody knows when. Else the rows come evenly."""
+    periods, steps_V = np.diff(test.t_s) / test.period_s, np.abs(np.diff(test.u_V))
+    if test.t_u_s is not None or float(np.mean(np.abs(periods - 1.0) < ON_TIME)) < EVEN_ROWS:
+        return np.array([], dtype=np.intp)
+    return np.flatnonzero((periods > 2.0 - ON_TIME) & (steps_V > STEPPED * np.abs(test.u_V).max()))
+
+
 def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     """The parts between holes, each with the name of the whole, and a sentence; the whole where too little is left.
 
-    Where the position is set anew, another part begins, too. A part is as long as the longest delay of a drive, and
-    twenty rows: after that its drives are known.
+    A lost row is a hole where the drive stepped meanwhile. Where the position is set anew, another part begins, too. A
+    part is as long as the longest delay of a drive, and twenty rows: after that its drives are known.
     """
-    holes, jumps = hole_rows(test), _set_anew(test)
+    holes, jumps = np.union1d(hole_rows(test), _lost_rows(test)), _set_anew(test)
     least = FEWEST_ROWS + math.ceil(LATENCY_S / test.period_s) + 1
     edges = [0, *(np.union1d(holes, jumps) + 1).tolist(), len(test)]
     parts = [test.part(first, stop) for first, stop in pairwise(edges) if stop - first >= least]
@@ -352,12 +363,15 @@ def _stride_rad(test: TimeSeries, motor: Estimate | None) -> float:
     return STRIDE * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max()) * test.period_s
 
 
-def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
-    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau."""
+def _turn_rad(test: TimeSeries, motor: Estimate | None, steps_s: Array) -> Array:
+    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau.
+
+    steps_s   the largest step of time beside each
+    """
     if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
-        return 0.0
+        return np.zeros_like(steps_s)
     fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
-    return fastest * test.period_s * min(1.0, test.period_s / motor.tau_s)
+    return np.asarray(fastest * steps_s * np.minimum(1.0, steps_s / motor.tau_s))
 
 
 def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
@@ -366,9 +380,12 @@ def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
     if y.size < 5:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(y, 5)
+    steps_s = np.lib.stride_tricks.sliding_window_view(np.diff(test.t_s), 4).max(axis=1)
     off = np.abs(y[2:-2] - np.median(windows, axis=1))
-    k = int(np.argmax(off))
-    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad(), _turn_rad(test, motor)):
+    least = max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad())
+    beyond = off - np.maximum(least, _turn_rad(test, motor, steps_s))
+    k = int(np.argmax(beyond))
+    if beyond[k] > 0.0:
         return [
             Objection(
                 "doubtful",

@@ -22,10 +22,11 @@ from rig.run_folder.recording.series import TimeSeries
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a filter is looked for
 CUTS = 0.5  # residual with the filter over that without it, at most
+NEARLY_ALL = 0.1  # the same where the record looks wrong: a lag makes a shaft turn against its drive
 SURELY = 0.7  # residual with two filters over that with one, at most
 LONGEST_S = 0.2
 TRIED = 7
-FINER = 8
+FINER = 16
 
 
 class ReadingFilter(NamedTuple):
@@ -64,7 +65,7 @@ def reading_filter(tests: Sequence[TimeSeries], plain: Estimate) -> ReadingFilte
     if left > LEAVES * noise_rad:  # two of half the time constant are late by as much, and round off more
         twice = of(2)
         left, filtered = twice if twice[0] < SURELY * left else (left, filtered)
-    return filtered if left < CUTS * without else None
+    return filtered if left < (NEARLY_ALL if plain.spoiled else CUTS) * without else None
 
 
 def _without(tests: Sequence[TimeSeries], plain: Estimate, filtered: ReadingFilter) -> float:

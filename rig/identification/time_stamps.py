@@ -35,12 +35,12 @@ def stamps_off_by(tests: Sequence[TimeSeries], plain: Estimate) -> int:
     if known or not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or uneven < UNEVEN:
         return 0
     own = plain_residual_rad(tests, plain)
-    other = {rows: plain_residual_rad([_with_stamps_of(test, rows) for test in tests], plain) for rows in (-1, 1)}
+    other = {rows: plain_residual_rad([with_stamps_of(test, rows) for test in tests], plain) for rows in (-1, 1)}
     best = min(other, key=lambda rows: other[rows])
     return best if other[best] < CUTS * own else 0
 
 
-def _with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
+def with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
     """The test with each stamp moved up by a row (-1) or down (1). The row that has none then is left out."""
     kept, stamps = (slice(0, -1), slice(1, None)) if rows < 0 else (slice(1, None), slice(0, -1))
     return replace(test, t_s=test.t_s[stamps], y_rad=test.y_rad[kept], u_V=test.u_V[kept], even_s=None)

@@ -30,7 +30,7 @@ FEW_CYCLES = 5
 TELLS = 3.0  # residual over the sensor's noise, at most, of a motor that tells the whole tests
 TITLES = {"tau_s": "tau", "K_rad_s_V": "K", "fc_V": "f_c"}  # in what people read
 MORE_CYCLES = "record more cycles, or slower and larger ones"  # the cure of an interval that is too wide
-ROW_UP = "if it was set before, move u up by a row (of a log: --drive-row -1, or -2)"
+ROW_UP = "if it was set before, move u up by a row (of a log: --drive-row -1)"
 
 
 def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias: str | None = None) -> Estimate:

@@ -162,6 +162,21 @@ def test_parts_between_gaps_are_series_of_their_own_and_short_or_idle_ones_are_l
     assert without_holes(few) == ([few], [])
 
 
+def test_a_lost_row_is_a_gap_where_the_drive_stepped_meanwhile() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    steps = np.flatnonzero(np.diff(whole.u_V))
+    kept = np.ones(601, dtype=bool)
+    kept[[steps[2] + 1, steps[5] + 1, steps[3] + 20]] = False
+    lost = replace(whole, t_s=whole.t_s[kept], y_rad=whole.y_rad[kept], u_V=whole.u_V[kept])
+    parts, (said,) = without_holes(lost)
+    assert [part.first_row for part in parts] == [0, steps[2] + 1, steps[5] - 1] and "2 gaps" in said
+    changes = np.append(True, whole.u_V[1:] != whole.u_V[:-1]) | (
+        np.arange(601) % 3 == 0
+    )  # a row where something changes
+    rare = replace(whole, t_s=whole.t_s[changes], y_rad=whole.y_rad[changes], u_V=whole.u_V[changes])
+    assert without_holes(rare) == ([rare], [])
+
+
 def test_a_position_that_is_set_anew_begins_another_part_and_a_spike_does_not() -> None:
     whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
     anew = replace(whole, y_rad=whole.y_rad - np.where(np.arange(601) > 250, 0.7, 0.0))
