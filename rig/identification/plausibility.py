@@ -45,7 +45,9 @@ KEPT = 0.5  # of the rows, in parts between gaps that are long enough: with fewe
 MOST_JUMPS, FAR_JUMP, LARGER, GOES_BACK = 5, 4.0, 1.5, 0.75
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
-EXPLAINED, STRIDE = 0.05, 1.1  # residual of such a motor, of the spread of positions; and what its rows may differ by
+# Of a motor that explains a test: its residual, of the spread of positions; its delay: half a period of a relay may
+# stand for a sign; and what its rows may differ by
+EXPLAINED, LATE_ROWS, STRIDE = 0.05, 2.5, 1.1
 SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
 SPIKE_NOISES = 10.0  # and by so many standard deviations of the noise
 MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of position is motion,
@@ -172,7 +174,7 @@ def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[
                 "the drive's sign is missing; log it with the sign of the direction",
             )
         ]
-    if _turns_against_drive(test):
+    if _turns_against_drive(test) and not _explains(test, motor):
         return [
             Objection(
                 "refused",
@@ -356,9 +358,19 @@ def _ways_rad(test: TimeSeries) -> tuple[float, float]:
     return ways[0] if ways[0] > least_rad else 0.0, ways[1] if ways[1] > least_rad else 0.0
 
 
+def _explains(test: TimeSeries, motor: Estimate | None) -> bool:
+    """Whether the motor explains the test, as it does one whose reading lags: then the shaft seems to turn too late."""
+    return (
+        motor is not None
+        and motor.is_motor
+        and motor.rms_rad <= EXPLAINED * float(np.std(test.y_rad))
+        and not motor.delay_s > LATE_ROWS * test.period_s
+    )
+
+
 def _stride_rad(test: TimeSeries, motor: Estimate | None) -> float:
     """How far a motor that explains the test turns from row to row at its largest speed, rad; 0.0 if it does not."""
-    if motor is None or not motor.is_motor or motor.rms_rad > EXPLAINED * float(np.std(test.y_rad)):
+    if motor is None or not _explains(test, motor):
         return 0.0
     return STRIDE * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max()) * test.period_s
 

@@ -206,3 +206,17 @@ def test_a_quick_motor_turns_far_from_row_to_row_and_a_jump_that_no_motor_explai
     said = [[one for one in judge_records([test], motor) if "jumps" in one.reason] for motor in (quick, None)]
     assert (len(said[0]), len(said[1])) == (0, 1)
     assert any("jumps" in one.reason for one in judge_records([test], replace(quick, rms_rad=1.0)))
+
+
+def test_a_shaft_whose_reading_lags_does_not_turn_against_its_drive() -> None:
+    """The work of a relay was negative behind a filter of 60 ms: rig asked for --reversed."""
+    t_s: NDArray[np.float64] = 0.01 * np.arange(600.0)
+    test = TimeSeries(t_s, np.sin(6.0 * t_s), None, np.sign(np.cos(6.0 * t_s + 2.8)))
+    lagging = Estimate("sampled-data", 0.1, 4.0, 0.1, rms_rad=0.01)
+    for motor, said in (
+        (lagging, 0),
+        (None, 1),
+        (replace(lagging, rms_rad=0.5), 1),
+        (replace(lagging, delay_s=0.2), 1),
+    ):
+        assert sum("against its drive" in one.reason for one in judge_records([test], motor)) == said
