@@ -11,10 +11,9 @@ from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURAT
 from rig.identification.cycles import NoRelayError, find_cycle
 from rig.identification.mean_cycle import Cycle
 from rig.identification.plausibility import without_holes
-from rig.identification.preprocessing import from_recording
+from rig.identification.preprocessing import evened, from_recording
 from rig.identification.records import FURTHER, left_out, sound_rows
 from rig.identification.stated_errors import StatedErrors
-from rig.identification.time_stamps import evened
 from rig.model.supply import SupplyReading
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording

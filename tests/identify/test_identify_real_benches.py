@@ -40,8 +40,8 @@ from rig.identification.model_error import (
 from rig.identification.motor_law import Beginning
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
+from rig.identification.preprocessing import evened
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
-from rig.identification.time_stamps import evened
 from rig.identification.verdict import MORE_CYCLES, ROW_UP, by_prediction, reserved
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
 from rig.run_folder.recording.recording import from_columns
