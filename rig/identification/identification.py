@@ -262,7 +262,7 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
     """
     if estimate is None or estimate.verdict == "ok" or any(test.delay_s is not None for test in data.tests):
         return False
-    if is_early(estimate, data.tests):
+    if estimate.verdict != "refused" and is_early(estimate, data.tests):
         period_s = max(test.period_s for test in data.tests)
         data.take_unknown_delay(((1.0 - ROWS_EARLY) * period_s, period_s))
         return True
