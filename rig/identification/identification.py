@@ -34,7 +34,7 @@ from rig.identification.records import left_out, require_known
 from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.stroke_delay import strokes_delay
-from rig.identification.time_stamps import stamps_off_by, with_stamps_of
+from rig.identification.time_stamps import drives_stand_late, stamps_off_by, with_stamps_of
 from rig.identification.verdict import by_prediction, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
@@ -262,7 +262,7 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
     """
     if estimate is None or estimate.verdict == "ok" or any(test.delay_s is not None for test in data.tests):
         return False
-    if estimate.verdict != "refused" and is_early(estimate, data.tests):
+    if is_early(estimate, data.tests) and _stand_late(data, estimate):
         period_s = max(test.period_s for test in data.tests)
         data.take_unknown_delay(((1.0 - ROWS_EARLY) * period_s, period_s))
         return True
@@ -278,6 +278,14 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
     data.take_unknown_delay(bound_s)
     data.notes.append("the drive acts later than the recording says: its delay is fitted")
     return True
+
+
+def _stand_late(data: Measurements, estimate: Estimate) -> bool:
+    """Whether drives stand more than a row too late; not known of tests that are too short for pieces."""
+    try:
+        return drives_stand_late(data.tests, estimate)
+    except IdentifyError:
+        return False
 
 
 def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
