@@ -71,6 +71,13 @@ def test_a_clock_that_stands_is_refused_with_the_period_to_type(tmp_path: Path, 
     same(read(path, replace(COUNTED, time=None, period_s=parse_period("5ms"))), bench)
 
 
+def test_rows_that_are_said_twice_count_once(tmp_path: Path, bench: Bench) -> None:
+    columns = {"ms": bench.ms, "pwm": bench.pwm, "counts": bench.counts}
+    found = read(log_of(tmp_path, {name: np.repeat(values, 2) for name, values in columns.items()}), COUNTED)
+    same(found, bench)
+    assert any("1200 rows say the one before again" in note for note in found.notes)
+
+
 def test_a_log_without_a_time_takes_the_period_of_its_rows(tmp_path: Path, bench: Bench) -> None:
     path = log_of(tmp_path, {"pwm": bench.pwm, "counts": bench.counts})
     found = read(path, replace(COUNTED, time=None, period_s=parse_period("5 ms")))
