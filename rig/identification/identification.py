@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 from rig.core.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identification.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identification.breakaway import StaticFriction, breakaway
+from rig.identification.clipped_drive import clipped, clipped_at_V
 from rig.identification.departures.laws import LEVEL_EACH
 from rig.identification.drive_scale import by_own_loop
 from rig.identification.estimate import VERDICTS, Estimate
@@ -27,12 +29,12 @@ from rig.identification.motor_law import MotorLaw, motor_law
 from rig.identification.opinion import RecordingEstimate
 from rig.identification.plausibility import hole_rows, is_cut_off, judge_motor, judge_records
 from rig.identification.preprocessing import from_recording
-from rig.identification.reading_filter import reading_filter_s
+from rig.identification.reading_filter import reading_filter
 from rig.identification.records import left_out, require_known
-from rig.identification.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
+from rig.identification.sampled_data_verdict import is_early, judge_with_laws, late_s, slipped_rms_rad
 from rig.identification.side_by_side import on_all_cores
 from rig.identification.stroke_delay import strokes_delay
-from rig.identification.time_stamps import stamps_off_by
+from rig.identification.time_stamps import drives_stand_late, stamps_off_by, with_stamps_of
 from rig.identification.verdict import by_prediction, largest_drive_V
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
@@ -54,6 +56,8 @@ from rig.run_folder.results import (
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
+MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
+ROWS_EARLY = 3.0  # of a drive that stands rows too late
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
@@ -212,10 +216,13 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
     if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
-    if _takes_filter(data, found.estimates.get(LEADING)):
+    if _takes_change(data, found.estimates.get(LEADING)):
         found = _found(data)
         errors = _add_estimates(used, data, found, asked.by_name)
     stamps = _stamps(data, found.estimates.get(LEADING))
+    if stamps:
+        found = _found(data)
+        errors = _add_estimates(used, data, found, asked.by_name)
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -248,13 +255,17 @@ def _rank(found: Identification | IdentifyError) -> tuple[int, float]:
 
 
 def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequence[Recording]) -> bool:
-    """Whether the bench acts later than its tests say. Then the tests of ``data`` have an unknown delay.
+    """Whether the bench acts later than its tests say, or rows earlier. Then those of ``data`` have an unknown delay.
 
     If they say when each drive acted, the strokes of a breakaway check must allow that it was later: else it is
     columns that are wrong, not the bench.
     """
     if estimate is None or estimate.verdict == "ok" or any(test.delay_s is not None for test in data.tests):
         return False
+    if is_early(estimate, data.tests) and _stand_late(data, estimate):
+        period_s = max(test.period_s for test in data.tests)
+        data.take_unknown_delay(((1.0 - ROWS_EARLY) * period_s, period_s))
+        return True
     later_s = late_s(estimate, data.tests)
     if later_s == 0.0:
         return False
@@ -269,21 +280,41 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
     return True
 
 
-def _takes_filter(data: Measurements, estimate: Estimate | None) -> bool:
-    """Whether the readings of plain files are behind a low-pass filter. Then those of ``data`` are before it."""
-    if estimate is None or estimate.spoiled or any(test.stage is not None for test in data.tests):
+def _stand_late(data: Measurements, estimate: Estimate) -> bool:
+    """Whether drives stand more than a row too late; not known of tests that are too short for pieces."""
+    try:
+        return drives_stand_late(data.tests, estimate)
+    except IdentifyError:
+        return False
+
+
+def _takes_change(data: Measurements, estimate: Estimate | None) -> bool:
+    """Whether plain files have a limited drive, or readings behind a low-pass filter. Then ``data`` has what was."""
+    if estimate is None or any(test.stage is not None for test in data.tests):
         return False
     try:
-        lag_s = reading_filter_s(data.tests, estimate)
+        limit_V = clipped_at_V(data.tests, estimate)
+        filtered = reading_filter(data.tests, estimate) if math.isinf(limit_V) else None
     except IdentifyError:
         return False  # too short for pieces
-    if lag_s > 0.0:
-        data.take_reading_filter(lag_s)
-    return lag_s > 0.0
+    if math.isfinite(limit_V):
+        note = f"the drive is asked for beyond what the motor gets: it is limited to {limit_V:.4g} V, as by a supply"
+        data.take(partial(clipped, limit_V=limit_V), note)
+    elif filtered is not None:
+        lag_s, order = filtered
+        by = f"{1e3 * lag_s:.3g} ms{' twice' if order > 1 else ''}"
+        note = f"the reading is low-passed by {by}, as a smoothed velocity is: undone before the fit"
+        if order * lag_s < MEAN_OF_ROW * max(test.period_s for test in data.tests):
+            note = "the readings lag by half a row, as velocities that are summed do: undone before the fit"
+        data.take(filtered.undone, note)
+    return math.isfinite(limit_V) or filtered is not None
 
 
 def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
-    """A sentence where the rows of plain files have the time stamps of other rows; empty where they have their own."""
+    """A sentence where the rows of plain files have the time stamps of other rows: then those of ``data`` have theirs.
+
+    Empty where they have their own.
+    """
     if (
         estimate is None
         or estimate.spoiled
@@ -294,8 +325,11 @@ def _stamps(data: Measurements, estimate: Estimate | None) -> list[str]:
         rows = stamps_off_by(data.tests, estimate)
     except IdentifyError:
         return []  # too short for pieces
+    if not rows:
+        return []
     which = "before" if rows < 0 else "after"
-    return [f"each row seems to have the time stamp of the row {which}: try --time-row {rows}"] if rows else []
+    data.take(partial(with_stamps_of, rows=rows), f"the time stamps were moved by a row: {rows}")
+    return [f"each row seems to have the time stamp of the row {which}, and is fitted so: try --time-row {rows}"]
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:

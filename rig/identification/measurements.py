@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy as np
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 from rig.identification.cycles import NoRelayError, find_cycle
 from rig.identification.mean_cycle import Cycle
-from rig.identification.preprocessing import from_recording, unfiltered
+from rig.identification.plausibility import without_holes
+from rig.identification.preprocessing import evened, from_recording
 from rig.identification.records import FURTHER, left_out, sound_rows
 from rig.identification.stated_errors import StatedErrors
 from rig.model.supply import SupplyReading
@@ -18,8 +19,6 @@ from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.series import FEWEST_ROWS, TimeSeries
 from rig.run_folder.recording.stage import Stage, StageKind, kind_of
-
-MEAN_OF_ROW = 0.75  # of a period: so short a filter is no filter, but how velocities are summed
 
 
 @dataclass
@@ -87,17 +86,12 @@ class Measurements:
         self.further = [(late[id(series)], number) for series, number in self.further]
         self.sources = [(name, [late.get(id(series), series) for series in each]) for name, each in self.sources]
 
-    def take_reading_filter(self, lag_s: float) -> None:
-        """From now on the readings are those of the shaft before a low-pass filter of this time constant, s."""
-        moved = {id(test): unfiltered(test, lag_s) for test in self.tests}
+    def take(self, changed: Callable[[TimeSeries], TimeSeries], note: str) -> None:
+        """From now on the tests are changed by this; ``note``: what was changed."""
+        moved = {id(test): changed(test) for test in self.tests}
         self.tests = [moved[id(test)] for test in self.tests]
         self.sources = [(name, [moved.get(id(series), series) for series in each]) for name, each in self.sources]
-        if lag_s < MEAN_OF_ROW * max(test.period_s for test in self.tests):
-            self.notes.append("the readings lag by half a row, as velocities that are summed do: undone before the fit")
-        else:
-            self.notes.append(
-                f"the reading is low-passed by {1e3 * lag_s:.3g} ms, as a smoothed velocity is: undone before the fit"
-            )
+        self.notes.append(note)
 
     def take_searches(self) -> bool:
         """Read the gain searches as tests, too, before the others; whether there were any.
@@ -237,7 +231,11 @@ def _series_of(
     runs: list[TimeSeries] = []
     for label, rows in chosen:
         series, remarks = from_recording(recording, rows, label)
-        if series.stage is None or series.stage.kind is not StageKind.HYSTERETIC:
+        if not stages:
+            parts, said = _at_their_times(series)
+            tests += parts
+            remarks += said
+        elif series.stage is None or series.stage.kind is not StageKind.HYSTERETIC:
             tests.append(series)
         elif series.u_V.any():
             runs.append(series)
@@ -248,6 +246,16 @@ def _series_of(
         if saturated:
             notes.append(f"{label}: the drive was saturated in {saturated} rows; rig uses the drive that acted")
     return tests, runs
+
+
+def _at_their_times(whole: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
+    """The parts of a plain file between gaps, at even times where its stamps scatter about these, and sentences."""
+    test, said = evened(whole)
+    parts, gaps = ([test], said) if said else without_holes(whole)
+    if len(parts) > 1:
+        each = [evened(part) for part in parts]
+        parts, said = [part for part, _ in each], [note for _, notes in each[:1] for note in notes]
+    return parts, [*gaps, *said] if len(parts) > 1 else gaps
 
 
 def _tests_of(recording: Recording, name: str, gone: Collection[str]) -> list[str]:

@@ -46,7 +46,7 @@ from rig.identification.model_error import (
 )
 from rig.identification.noise import WHITE
 from rig.identification.opinion import RecordingEstimate
-from rig.identification.plausibility import one_way
+from rig.identification.plausibility import IS_CURRENT, LONG_TAU_S, one_way
 from rig.identification.repetition import repeated_share, repetitions
 from rig.identification.stated_errors import ScaleErrors, StatedErrors
 from rig.identification.thinning import showing_the_angle, thinned
@@ -239,6 +239,8 @@ class MotorLaw:
         elif laws:
             what = " and ".join(law.title for law in laws)
             yield f"{known}: most of it is {self._unknown(largest.laws, what)}; record {cures}"
+        elif name == "tau_s" and sizes[name] > LONG_TAU_S:
+            yield f"{known}, and may have no end: record longer strokes; or {IS_CURRENT}"
         else:
             yield f"{known}: {MORE_CYCLES}"
 

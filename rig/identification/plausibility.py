@@ -7,15 +7,18 @@ doubtful if both the column and a thousand times or a thousandth of it are possi
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate, Verdict
-from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.series import FEWEST_ROWS, LATENCY_S, TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -32,9 +35,19 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
+# Of rows that come evenly: how far from a period a step may be, periods; share of such steps; a step of the drive, of
+# the largest one
+ON_TIME, EVEN_ROWS, STEPPED = 0.1, 0.85, 0.2
+KEPT = 0.5  # of the rows, in parts between gaps that are long enough: with fewer, the gaps are what the record has
 
+# Positions that are set anew, at most; how far over all other steps, and how much larger; a spike goes back in the next
+# row, by this share or more
+MOST_JUMPS, FAR_JUMP, LARGER, GOES_BACK = 5, 4.0, 1.5, 0.75
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
+# Of a motor that explains a test: its residual, of the spread of positions; its delay: half a period of a relay may
+# stand for a sign; and what its rows may differ by
+EXPLAINED, LATE_ROWS, STRIDE = 0.05, 2.5, 1.1
 SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
 SPIKE_NOISES = 10.0  # and by so many standard deviations of the noise
 MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of position is motion,
@@ -49,6 +62,7 @@ FEW_LEVELS = 8
 # Of a drive without its sign: the share of rows, and of the largest speed, that are motion backwards; the fewest of
 # them; rows over which a speed is taken; how speed and drive are correlated there.
 TURNS_BACK, FEWEST_BACK, SMOOTH_ROWS, FASTER_BACK = 0.1, 20, 4, 0.2
+IS_CURRENT = "is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
 SAY_UNIT = "For degrees type --position y_rad:deg; if they are radians, --position y_rad:rad"
 
 
@@ -64,20 +78,23 @@ def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) ->
     """Objections to the recordings: units, columns that do not belong together, gaps, too little motion.
 
     motor   as it was fitted; None: not known. A quick one turns within a row or two, and that is no spike
-    Of many tests of a run that are alike in one of them, the first one is named.
+    Of many tests of a run, or parts of a file, that are alike in one of them, the first one is named.
     """
     found: dict[tuple[object, ...], list[Objection]] = {}
     # a test of a run may end in the middle of a swing, where another took its place: what it lacks, others tell
-    is_told = any(not _lacks(test) for test in tests if test.stage is not None)
-    run_rad = max((float(np.ptp(test.y_rad)) for test in tests if test.stage is not None), default=0.0)
-    for k, test in enumerate(tests):
-        told = is_told and test.stage is not None
+    named = Counter(test.name for test in tests)
+    of_many = [test.stage is not None or named[test.name] > 1 for test in tests]
+    some = [test for test, is_one in zip(tests, of_many, strict=True) if is_one]
+    is_told = any(not _lacks(test) for test in some)
+    run_rad = max((float(np.ptp(test.y_rad)) for test in some), default=0.0)
+    for k, (test, is_one) in enumerate(zip(tests, of_many, strict=True)):
+        told = is_told and is_one
         span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
-        columns = _columns(test, span_rad)
+        columns = _columns(test, span_rad, motor)
         looks = (_units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
         for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
-                of = (place, number, one.verdict) if test.stage is not None else (place, number, one.verdict, k)
+                of = (place, number, one.verdict) if is_one else (place, number, one.verdict, k)
                 found.setdefault(of, []).append(one)
     if not one_way(tests):
         found = {of: each for of, each in found.items() if each[0].spoils}
@@ -104,8 +121,7 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
     tau = estimate.tau_s
     period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
-        current = "or is u_V a current? That is a torque, under which the speed only grows: log the motor's voltage"
-        reason = f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, {current}"
+        reason = f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds, or {IS_CURRENT}"
         return [Objection("refused", reason, spoils=_shortest_tau_s(estimate) > LONGEST_TAU_S)]
     if tau < SHORTEST_TAU_S:
         return [Objection("refused", f"tau = {tau:.3g} s is no motor's: is t_s in seconds, not in ks or minutes?")]
@@ -125,7 +141,7 @@ def _shortest_tau_s(estimate: Estimate) -> float:
     return estimate.tau_s / (1.0 + 0.5 * (high_s - low_s) / estimate.tau_s)
 
 
-def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
+def _columns(test: TimeSeries, span_rad: float, motor: Estimate | None) -> list[Objection]:
     """Signs that u and y are not the drive and the position of one motor, which moves over ``span_rad``."""
     y, u = test.y_rad, test.u_V
     name = test.name
@@ -141,7 +157,7 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
         return []  # the fit reports that
     steps = np.abs(np.diff(y))
     k = int(np.argmax(np.where(np.diff(test.t_s) < 2.0 * test.period_s, steps, 0.0)))
-    if steps[k] > JUMP * span_rad and steps[k] > _motion(test):
+    if steps[k] > max(JUMP * span_rad, _motion(test), _stride_rad(test, motor)):
         row = test.first_row + k
         return [
             Objection(
@@ -158,7 +174,7 @@ def _columns(test: TimeSeries, span_rad: float) -> list[Objection]:
                 "the drive's sign is missing; log it with the sign of the direction",
             )
         ]
-    if _turns_against_drive(test):
+    if _turns_against_drive(test) and not _explains(test, motor):
         return [
             Objection(
                 "refused",
@@ -254,6 +270,56 @@ def hole_rows(test: TimeSeries) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(test.t_s) > allowed_s)
 
 
+def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
+    """Indices of the few rows behind which the position is set anew: one step far from the steps before and after it.
+
+    It is larger than any other step, and farther from those beside it: of a motor that turns round they differ, too.
+    """
+    steps_rad = np.diff(test.y_rad)
+    beside_rad = np.pad(steps_rad, 1, mode="edge")
+    off_rad = np.pad(np.abs(steps_rad - 0.5 * (beside_rad[:-2] + beside_rad[2:])), 1)
+    peaks = np.flatnonzero((off_rad[1:-1] >= off_rad[:-2]) & (off_rad[1:-1] >= off_rad[2:]))
+    peaks = peaks[np.argsort(-off_rad[peaks + 1])][: MOST_JUMPS + 1]
+    far = np.flatnonzero(off_rad[peaks + 1][:-1] > FAR_JUMP * off_rad[peaks + 1][1:])
+    jumps = np.sort(peaks[: far[-1] + 1]) if far.size else peaks[:0]
+    goes_back = np.maximum(off_rad[jumps], off_rad[jumps + 2]) > GOES_BACK * off_rad[jumps + 1]
+    least_rad = max(LARGER * float(np.abs(np.delete(steps_rad, jumps)).max(initial=0.0)), _motion(test))
+    return jumps[:0] if goes_back.any() or np.any(np.abs(steps_rad[jumps]) < least_rad) else jumps
+
+
+def _lost_rows(test: TimeSeries) -> NDArray[np.intp]:
+    """Indices of the rows before lost ones in which the drive stepped, nobody knows when. Else the rows come evenly."""
+    periods, steps_V = np.diff(test.t_s) / test.period_s, np.abs(np.diff(test.u_V))
+    if test.t_u_s is not None or float(np.mean(np.abs(periods - 1.0) < ON_TIME)) < EVEN_ROWS:
+        return np.array([], dtype=np.intp)
+    return np.flatnonzero((periods > 2.0 - ON_TIME) & (steps_V > STEPPED * np.abs(test.u_V).max()))
+
+
+def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
+    """The parts between holes, each with the name of the whole, and a sentence; the whole where too little is left.
+
+    A lost row is a hole where the drive stepped meanwhile. Where the position is set anew, another part begins, too. A
+    part is as long as the longest delay of a drive, and twenty rows: after that its drives are known.
+    """
+    holes, jumps = np.union1d(hole_rows(test), _lost_rows(test)), _set_anew(test)
+    least = FEWEST_ROWS + math.ceil(LATENCY_S / test.period_s) + 1
+    edges = [0, *(np.union1d(holes, jumps) + 1).tolist(), len(test)]
+    parts = [test.part(first, stop) for first, stop in pairwise(edges) if stop - first >= least]
+    parts = [part for part in parts if np.ptp(part.u_V) or np.ptp(part.y_rad)]
+    kept = sum(map(len, parts))
+    if len(edges) == 2 or kept < KEPT * len(test):
+        return [test], []
+    said = []
+    if holes.size:
+        gaps, steps_s = "a gap" if holes.size == 1 else f"{holes.size} gaps", np.diff(test.t_s)[holes]
+        row = test.first_row + int(holes[np.argmax(steps_s)])
+        said.append(f"{gaps}, the longest of {steps_s.max():.3g} s after row {row}, in which the drive is unknown")
+    if jumps.size:
+        said.append(f"a position that is set anew after row {', '.join(str(test.first_row + k) for k in jumps)}")
+    left_out = f"; {len(test) - kept} rows in short parts were left out" if kept < len(test) else ""
+    return parts, [f"{test.name}: {' and '.join(said)}: each part is fitted with a start of its own{left_out}"]
+
+
 def _holes(test: TimeSeries) -> list[Objection]:
     """Holes in the samples."""
     found: list[Objection] = []
@@ -292,12 +358,32 @@ def _ways_rad(test: TimeSeries) -> tuple[float, float]:
     return ways[0] if ways[0] > least_rad else 0.0, ways[1] if ways[1] > least_rad else 0.0
 
 
-def _turn_rad(test: TimeSeries, motor: Estimate | None) -> float:
-    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau."""
-    if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
+def _explains(test: TimeSeries, motor: Estimate | None) -> bool:
+    """Whether the motor explains the test, as it does one whose reading lags: then the shaft seems to turn too late."""
+    return (
+        motor is not None
+        and motor.is_motor
+        and motor.rms_rad <= EXPLAINED * float(np.std(test.y_rad))
+        and not motor.delay_s > LATE_ROWS * test.period_s
+    )
+
+
+def _stride_rad(test: TimeSeries, motor: Estimate | None) -> float:
+    """How far a motor that explains the test turns from row to row at its largest speed, rad; 0.0 if it does not."""
+    if motor is None or not _explains(test, motor):
         return 0.0
+    return STRIDE * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max()) * test.period_s
+
+
+def _turn_rad(test: TimeSeries, motor: Estimate | None, steps_s: Array) -> Array:
+    """How far a reversal takes a position from its neighbours at most, rad: by an acceleration of 2 K u / tau.
+
+    steps_s   the largest step of time beside each
+    """
+    if motor is None or not motor.is_motor or not motor.tau_s > 0.0:
+        return np.zeros_like(steps_s)
     fastest = 2.0 * abs(motor.K_rad_s_V) * float(np.abs(test.u_V).max())
-    return fastest * test.period_s * min(1.0, test.period_s / motor.tau_s)
+    return np.asarray(fastest * steps_s * np.minimum(1.0, steps_s / motor.tau_s))
 
 
 def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
@@ -306,9 +392,12 @@ def _spikes(test: TimeSeries, motor: Estimate | None) -> list[Objection]:
     if y.size < 5:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(y, 5)
+    steps_s = np.lib.stride_tricks.sliding_window_view(np.diff(test.t_s), 4).max(axis=1)
     off = np.abs(y[2:-2] - np.median(windows, axis=1))
-    k = int(np.argmax(off))
-    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad(), _turn_rad(test, motor)):
+    least = max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad())
+    beyond = off - np.maximum(least, _turn_rad(test, motor, steps_s))
+    k = int(np.argmax(beyond))
+    if beyond[k] > 0.0:
         return [
             Objection(
                 "doubtful",

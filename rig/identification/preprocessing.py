@@ -1,4 +1,4 @@
-"""Corrections before a fit: the device's clock, and missing times of drives."""
+"""Corrections before a fit: the device's clock, missing times of drives, stamps that scatter."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Floats, Recording
 from rig.run_folder.recording.series import FEWEST_ROWS, RECORD_MORE, TIMES_ERROR_S, TimeSeries, steps_of
 from rig.run_folder.recording.stage import Stage
+
+SMOOTHER = 0.5  # noise of the sensor, or roughness, at even times over that at the own ones, at most
+FROM_LINE = 8.0  # periods: no stamp of even rows is farther from where it belongs, nor of those that come in bunches
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,32 @@ def _times_error_s(recording: Recording) -> float:
     """Largest error of the times by meta.json, s; the default for a CSV file and for a run of an older version."""
     error_s = recording.meta.times_error_s
     return TIMES_ERROR_S if error_s is None or error_s < 0.0 else error_s
+
+
+def evened(test: TimeSeries) -> tuple[TimeSeries, list[str]]:
+    """The test at even times, and a sentence, if its motion is far smoother there; else as it is.
+
+    Rows may come evenly and their stamps scatter about that, as those of a computer that receives them.
+    """
+    if test.t_u_s is not None or test.edges is not None:
+        return test, []
+    rows = np.arange(len(test), dtype=np.float64)
+    even_s = np.polynomial.Polynomial.fit(rows, test.t_s, 1)(rows)
+    off_s, period_s = test.t_s - even_s, float(even_s[1] - even_s[0])
+    even = replace(test, t_s=even_s)
+    smooth = even.noise_rad() <= SMOOTHER * test.noise_rad() or _roughness(even) <= SMOOTHER * _roughness(test)
+    if np.abs(off_s).max() > FROM_LINE * period_s or not smooth:
+        return test, []
+    said = (
+        f"{test.name}: the time stamps scatter by {1e3 * float(np.std(off_s)):.2g} ms about even times, "
+        f"{1e3 * period_s:.4g} ms apart, and the motion does not: it is taken at even times"
+    )
+    return even, [said]
+
+
+def _roughness(test: TimeSeries) -> float:
+    """By how much the speed changes from row to row, on average, rad/s: within a bunch of stamps a shaft would race."""
+    return float(np.mean(np.abs(np.diff(np.diff(test.y_rad) / np.diff(test.t_s)))))
 
 
 def unfiltered(test: TimeSeries, lag_s: float) -> TimeSeries:

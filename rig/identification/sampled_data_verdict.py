@@ -98,10 +98,12 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         )
     gaps = any(hole_rows(test).size for test in tests)  # an unknown drive in a gap looks like an early one, too
     if estimate.ci95["delay_s"][1] < -EARLY * period and not gaps:
+        rows = math.ceil(-estimate.delay_s / period - EARLY)
+        rows_up = ROW_UP.replace("a row", f"{rows} rows").replace("-1", f"-{rows}") if rows > 1 else ROW_UP
         return estimate.judged(
             "doubtful",
             f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
-            f"after that row's y was read; {ROW_UP}",
+            f"after that row's y was read; {rows_up}",
         )
     return estimate
 
@@ -149,7 +151,8 @@ def _asymmetry(estimate: Estimate) -> Estimate:
         return estimate.judged(
             "doubtful",
             f"the asymmetry, {estimate.asym_V:+.3g} V, is larger than the friction, {estimate.fc_V:.3g} V: the shaft "
-            "turns by itself at 0 V; look for a load that pulls one way, or an offset of the drive",
+            "turns by itself at 0 V; look for a load that pulls one way, or an offset of the drive (is its middle its "
+            "zero? subtract it)",
         )
     return estimate
 
@@ -194,6 +197,12 @@ def late_s(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
         return 0.0
     slip_s = float(_moved(estimate, tests).x[4])
     return slip_s if slip_s > SLIPPED * max(test.period_s for test in tests) else 0.0
+
+
+def is_early(estimate: Estimate, tests: Sequence[TimeSeries]) -> bool:
+    """Whether the drive acts as early as was looked for, in tests that do not say when it acts."""
+    earliest_s = min(test.earliest_delay_s for test in tests)
+    return all(test.t_u_s is None for test in tests) and estimate.delay_s < AT_BOUND * earliest_s < 0.0
 
 
 def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:

@@ -1,4 +1,4 @@
-"""Time stamps of another row: a logger that takes the time of a line before, or after, it reads the position.
+"""Time stamps, or drives, of another row: a logger that takes the time a line before, or after, it reads the position.
 
 Where rows are uneven, the stamps of another row make the motion rough. So the plain motor explains pieces of the tests
 far better with the stamps that belong to them.
@@ -32,12 +32,25 @@ def stamps_off_by(tests: Sequence[TimeSeries], plain: Estimate) -> int:
     if known or not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or uneven < UNEVEN:
         return 0
     own = plain_residual_rad(tests, plain)
-    other = {rows: plain_residual_rad([_with_stamps_of(test, rows) for test in tests], plain) for rows in (-1, 1)}
+    other = {rows: plain_residual_rad([with_stamps_of(test, rows) for test in tests], plain) for rows in (-1, 1)}
     best = min(other, key=lambda rows: other[rows])
     return best if other[best] < CUTS * own else 0
 
 
-def _with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
+def with_stamps_of(test: TimeSeries, rows: int) -> TimeSeries:
     """The test with each stamp moved up by a row (-1) or down (1). The row that has none then is left out."""
     kept, stamps = (slice(0, -1), slice(1, None)) if rows < 0 else (slice(1, None), slice(0, -1))
     return replace(test, t_s=test.t_s[stamps], y_rad=test.y_rad[kept], u_V=test.u_V[kept], even_s=None)
+
+
+def drives_stand_late(tests: Sequence[TimeSeries], plain: Estimate) -> bool:
+    """Whether the drives belong more than a row up: moved by a row, they explain pieces of the tests far better.
+
+    Raises IdentifyError if the tests are too short for pieces.
+    """
+    moved = [
+        replace(test, t_s=test.t_s[:-1], y_rad=test.y_rad[:-1], u_V=test.u_V[1:], even_s=None)
+        for test in tests
+        if test.t_u_s is None and test.edges is None
+    ]
+    return len(moved) == len(tests) and plain_residual_rad(moved, plain) < CUTS * plain_residual_rad(tests, plain)

@@ -93,8 +93,7 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         if not math.isfinite(share):
             return estimate.judged(
                 "refused",
-                f"the recording cannot separate {TITLES[name]} from the others: "
-                "record a drive that moves the motor both ways",
+                "the recording cannot separate tau, K and f_c: record drives of several sizes, both ways",
                 spoiled=False,
             )
         if share > ASKED:

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
-from rig.identification.plausibility import judge_motor, judge_records, one_way
+from rig.identification.plausibility import judge_motor, judge_records, one_way, without_holes
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.stage import Stage
 
@@ -141,3 +141,82 @@ def test_of_several_gaps_the_largest_is_named_and_the_longest_part_without_one()
     (objection,) = judge_records([test])
     assert "2 gaps, the largest a gap of 0.21 s after row 109" in objection.reason
     assert "(--rows 110:389)" in objection.reason
+
+
+def test_parts_between_gaps_are_series_of_their_own_and_short_or_idle_ones_are_left_out() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    kept = np.ones(whole.t_s.size, dtype=bool)
+    kept[100:120] = kept[130:140] = kept[400:410] = False  # of 601: 100 rows, 10, 260, 191
+    test = replace(whole, t_s=whole.t_s[kept], y_rad=whole.y_rad[kept], u_V=whole.u_V[kept], first_row=10)
+    parts, (said,) = without_holes(test)
+    assert [(part.first_row, len(part), part.name) for part in parts] == [
+        (10, 100, test.name), (120, 260, test.name), (380, 191, test.name)
+    ]  # fmt: skip
+    assert "3 gaps, the longest of 0.21 s after row 109" in said and "10 rows in short parts were left out" in said
+    idle = replace(test, u_V=np.where(test.t_s > whole.t_s[405], 0.0, test.u_V))
+    idle = replace(idle, y_rad=np.where(test.t_s > whole.t_s[405], 1.0, test.y_rad))
+    assert [part.first_row for part in without_holes(idle)[0]] == [10, 120]
+    rare = np.zeros(whole.t_s.size, dtype=bool)
+    rare[::10] = rare[:50] = True
+    few = replace(whole, t_s=whole.t_s[rare], y_rad=whole.y_rad[rare], u_V=whole.u_V[rare])
+    assert without_holes(few) == ([few], [])
+
+
+def test_a_lost_row_is_a_gap_where_the_drive_stepped_meanwhile() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    steps = np.flatnonzero(np.diff(whole.u_V))
+    kept = np.ones(601, dtype=bool)
+    kept[[steps[2] + 1, steps[5] + 1, steps[3] + 20]] = False
+    lost = replace(whole, t_s=whole.t_s[kept], y_rad=whole.y_rad[kept], u_V=whole.u_V[kept])
+    parts, (said,) = without_holes(lost)
+    assert [part.first_row for part in parts] == [0, steps[2] + 1, steps[5] - 1] and "2 gaps" in said
+    changes = np.append(True, whole.u_V[1:] != whole.u_V[:-1]) | (
+        np.arange(601) % 3 == 0
+    )  # a row where something changes
+    rare = replace(whole, t_s=whole.t_s[changes], y_rad=whole.y_rad[changes], u_V=whole.u_V[changes])
+    assert without_holes(rare) == ([rare], [])
+
+
+def test_a_position_that_is_set_anew_begins_another_part_and_a_spike_does_not() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    anew = replace(whole, y_rad=whole.y_rad - np.where(np.arange(601) > 250, 0.7, 0.0))
+    parts, (said,) = without_holes(anew)
+    assert [part.first_row for part in parts] == [0, 251] and "set anew after row 250" in said
+    spike = replace(whole, y_rad=whole.y_rad + np.where(np.arange(601) == 250, 0.7, 0.0))
+    assert without_holes(spike) == ([spike], []) and without_holes(whole) == ([whole], [])
+    rests = np.arange(601) < 60
+    speed = np.where(rests, 0.0, 1.0 - np.exp(-(whole.t_s - whole.t_s[60]) / 0.02))
+    begins = replace(whole, y_rad=np.cumsum(0.01 * speed), u_V=np.where(rests, 0.0, 3.0))
+    assert without_holes(begins) == ([begins], [])
+
+
+def test_a_part_of_a_file_may_lack_what_another_part_tells() -> None:
+    whole = replace(_test_of_run("relay-1", 1.0), stage=None, t_u_s=None)
+    little = replace(whole, y_rad=0.001 * whole.y_rad)
+    assert judge_records([little]) and not judge_records([whole, little])
+    assert judge_records([whole, replace(little, name="another")])
+
+
+def test_a_quick_motor_turns_far_from_row_to_row_and_a_jump_that_no_motor_explains_is_one() -> None:
+    t_s: NDArray[np.float64] = 0.005 * np.arange(400.0)
+    way = np.tile(np.repeat([1.0, 0.0, -1.0, 0.0], [3, 22, 3, 22]), 8)
+    y_rad = np.cumsum(0.9 * way) + np.random.default_rng(1).normal(0.0, 0.001, 400)
+    test = TimeSeries(t_s, y_rad, None, 5.0 * way)
+    quick = Estimate("sampled-data", 0.005, 40.0, 0.1, rms_rad=0.01)
+    said = [[one for one in judge_records([test], motor) if "jumps" in one.reason] for motor in (quick, None)]
+    assert (len(said[0]), len(said[1])) == (0, 1)
+    assert any("jumps" in one.reason for one in judge_records([test], replace(quick, rms_rad=1.0)))
+
+
+def test_a_shaft_whose_reading_lags_does_not_turn_against_its_drive() -> None:
+    """The work of a relay was negative behind a filter of 60 ms: rig asked for --reversed."""
+    t_s: NDArray[np.float64] = 0.01 * np.arange(600.0)
+    test = TimeSeries(t_s, np.sin(6.0 * t_s), None, np.sign(np.cos(6.0 * t_s + 2.8)))
+    lagging = Estimate("sampled-data", 0.1, 4.0, 0.1, rms_rad=0.01)
+    for motor, said in (
+        (lagging, 0),
+        (None, 1),
+        (replace(lagging, rms_rad=0.5), 1),
+        (replace(lagging, delay_s=0.2), 1),
+    ):
+        assert sum("against its drive" in one.reason for one in judge_records([test], motor)) == said

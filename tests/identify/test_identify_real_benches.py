@@ -11,6 +11,7 @@ import pytest
 from evidence import evidence
 
 from rig.identification import identify
+from rig.identification.clipped_drive import clipped_at_V
 from rig.identification.departures import DEPARTURES
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out, share_cut
 from rig.identification.departures.choice import Chooser, Columns, levels
@@ -39,6 +40,7 @@ from rig.identification.model_error import (
 from rig.identification.motor_law import Beginning
 from rig.identification.noise import Noise
 from rig.identification.plausibility import judge_records
+from rig.identification.preprocessing import evened
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
 from rig.identification.verdict import MORE_CYCLES, ROW_UP, by_prediction, reserved
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
@@ -86,17 +88,84 @@ def answered(*records: Recorded) -> Answer:
     return answer
 
 
-def test_gaps_are_not_taken_for_other_time_stamps() -> None:
-    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0))
-    kept = np.ones(t_s.size, dtype=bool)
-    for row in np.flatnonzero(np.diff(u_V))[1:7:2]:  # where the drive steps
-        kept[row - 1 : row + 10] = False
-    first, *others = answered((t_s[kept], u_V[kept], y_rad[kept])).reasons
-    assert "3 gaps" in first and not any("--time-row" in reason for reason in others)
-
-
 def right(answer: Answer, motor: RealMotor, share: float, *names: str) -> bool:
     return all(abs(float(getattr(answer, name) or 0.0) / getattr(motor, name) - 1.0) < share for name in names)
+
+
+def test_a_log_with_gaps_is_fitted_part_by_part() -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0))
+    kept = np.ones(t_s.size, dtype=bool)
+    for row in np.flatnonzero(np.diff(u_V))[3::6]:  # where the drive steps
+        kept[row - 1 : row + 10] = False
+    found = found_in((t_s[kept], u_V[kept], y_rad[kept]))
+    assert found.answer is not None and found.answer.verdict == "ok", found.answer
+    assert right(found.answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+    assert len(found.tests) > 2 and any("gaps" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("scatter", ["jitter", "bunches", "whole ms", "none"])
+def test_stamps_that_scatter_about_even_rows_are_evened(scatter: str) -> None:
+    """As those of a computer that receives the rows: tau of a relay's record was 56 % off beside 16 %."""
+    random = np.random.default_rng(5)
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=800)
+    late_s = PERIOD_S * random.uniform(-0.3, 0.3, t_s.size)
+    stamps = {
+        "jitter": t_s + late_s,
+        "bunches": t_s[np.arange(800) // 4 * 4] + 1e-4 * (np.arange(800) % 4),
+        "whole ms": np.round(0.5 * t_s, 3),  # of rows 2.5 ms apart
+        "none": t_s,
+    }[scatter]
+    even, said = evened(TimeSeries(stamps, y_rad, None, u_V))
+    assert bool(said) == (scatter != "none")
+    assert np.ptp(np.diff(even.t_s)) < 1e-9
+    if scatter == "jitter":  # where the rows themselves come unevenly, the stamps are right
+        truly = TimeSeries(stamps, np.interp(stamps, t_s, y_rad), None, u_V)
+        assert evened(truly) == (truly, [])
+
+
+def test_a_drive_that_is_asked_for_beyond_its_supply_is_limited() -> None:
+    """A sine clipped at 5 V: K was 30 % off beside 13 %. Of a few sizes of drive no limit can be told."""
+    t_s = np.linspace(0.0, 6.0, 1200, endpoint=False)
+    asked_V = 8.0 * np.sin(2.0 * math.pi * 1.3 * t_s)
+    y_rad = response(MOTOR, Frame(duration_s=6.0), (t_s, np.clip(asked_V, -5.0, 5.0)), t_s, Pieces.one())
+    found = found_in((t_s, asked_V, STEP_RAD * np.round(y_rad / STEP_RAD)))
+    assert any("limited to 5 V" in note for note in found.notes)
+    assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+    t_s, u_V, y_rad = recorded(MOTOR._replace(sag_per_V=0.02), (0.0, 3.0, 5.0, 7.0))
+    plain = Estimate("sampled-data", 0.05, 20.0, 0.6, rms_rad=1.0)
+    assert math.isinf(clipped_at_V([TimeSeries(t_s, y_rad, None, u_V)], plain))
+
+
+def test_a_drive_two_rows_late_is_fitted_there_and_named() -> None:
+    """Of a relay's record tau was 31 % off beside 0.2 %: the fit stopped at one row."""
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=1200)
+    answer = answered((t_s[2:], u_V[:-2], y_rad[2:]))
+    assert right(answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+    assert any("--drive-row -2" in reason for reason in answer.reasons)
+
+
+@pytest.mark.evidence
+def test_a_velocity_that_is_smoothed_twice_is_undone_twice() -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=3000)
+    smooth = 1.0 - math.exp(-PERIOD_S / 0.02)
+    for _ in range(2):
+        slow = np.zeros(y_rad.size)
+        for k in range(1, y_rad.size):
+            slow[k] = slow[k - 1] + smooth * (y_rad[k] - slow[k - 1])
+        y_rad = slow
+    found = found_in((t_s, u_V, y_rad))
+    assert any("low-passed by 20 ms twice" in note for note in found.notes), found.notes
+    assert found.answer is not None and right(found.answer, MOTOR, 0.025, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_one_level_one_way_tells_tau_and_neither_K_nor_friction() -> None:
+    """K and f_c lie on a line there: f_c - a was 111 % off beside 21 %."""
+    t_s = np.linspace(0.0, 1.2, 240, endpoint=False)
+    u_V = np.where(t_s < 0.2, 0.0, 6.0)
+    y_rad = response(MOTOR, Frame(duration_s=1.2), (t_s, u_V), t_s, Pieces.one())
+    grade = answered((t_s, u_V, STEP_RAD * np.round(y_rad / STEP_RAD))).grade
+    assert grade is not None and grade["tau_s"].value == pytest.approx(0.05, rel=0.05)
+    assert {grade[name].grade for name in ("K_rad_s_V", "fc_V", "fc_less_bias_V")} == {"not known"}
 
 
 @pytest.mark.evidence
@@ -174,10 +243,9 @@ def test_time_stamps_of_the_row_before_are_named() -> None:
     uneven_s = np.cumsum(random.uniform(0.5, 1.5, t_s.size) * PERIOD_S)
     y_rad = response(slow, Frame(duration_s=float(uneven_s[-1])), (uneven_s, u_V), uneven_s, Pieces.one())
     late = (np.append(0.0, uneven_s[:-1]), u_V, STEP_RAD * np.round(y_rad / STEP_RAD))
-    named = [
-        any("--time-row -1" in reason for reason in answered(one).reasons) for one in (late, (uneven_s, *late[1:]))
-    ]
-    assert named == [True, False]
+    answers = [answered(late), answered((uneven_s, *late[1:]))]
+    assert [any("--time-row -1" in reason for reason in one.reasons) for one in answers] == [True, False]
+    assert all(right(one, slow, 0.01, "tau_s", "K_rad_s_V", "fc_V") for one in answers)
 
 
 @pytest.mark.evidence

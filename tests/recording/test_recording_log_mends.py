@@ -71,6 +71,13 @@ def test_a_clock_that_stands_is_refused_with_the_period_to_type(tmp_path: Path, 
     same(read(path, replace(COUNTED, time=None, period_s=parse_period("5ms"))), bench)
 
 
+def test_rows_that_are_said_twice_count_once(tmp_path: Path, bench: Bench) -> None:
+    columns = {"ms": bench.ms, "pwm": bench.pwm, "counts": bench.counts}
+    found = read(log_of(tmp_path, {name: np.repeat(values, 2) for name, values in columns.items()}), COUNTED)
+    same(found, bench)
+    assert any("1200 rows say the one before again" in note for note in found.notes)
+
+
 def test_a_log_without_a_time_takes_the_period_of_its_rows(tmp_path: Path, bench: Bench) -> None:
     path = log_of(tmp_path, {"pwm": bench.pwm, "counts": bench.counts})
     found = read(path, replace(COUNTED, time=None, period_s=parse_period("5 ms")))
@@ -102,6 +109,26 @@ def test_a_position_that_was_kept_as_an_unsigned_number_goes_on_below_zero(
     found = read(path, COUNTED)
     assert np.diff(found.y_rad) == pytest.approx(np.diff(bench.counts) * TURN / 1440)
     assert any(f"the counter, of {bits} bits, wrapped" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("size", [256, 1024])
+def test_a_counter_of_few_bits_goes_on_also_where_it_is_shorter_than_a_turn(
+    tmp_path: Path, bench: Bench, size: int
+) -> None:
+    """A turn is 360 counts: read as an angle that wraps, 256 counts made K 55 % too large."""
+    counts, log = np.round(bench.counts / 4), replace(COUNTED, counts_per_turn=360)
+    path = log_of(tmp_path, {"ms": bench.ms, "pwm": bench.pwm, "counts": counts % size})
+    assert np.diff(read(path, log).y_rad) == pytest.approx(np.diff(counts) * TURN / 360)
+    fast = log_of(tmp_path, {"ms": bench.ms, "pwm": bench.pwm, "counts": bench.counts % 256})  # by 0.6 of it in a row
+    assert not any("wrapped" in note for note in read(fast, COUNTED).notes)
+
+
+def test_a_velocity_that_was_kept_as_an_unsigned_number_gets_its_sign(tmp_path: Path, bench: Bench) -> None:
+    rpm = np.round(bench.v_rad_per_s * 30.0 / np.pi)
+    path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm * 12.0 / 255.0, "rpm": rpm % 2**16})
+    found = read(path, replace(SPEED, velocity=LogColumn("rpm"), counts_per_turn=None))
+    assert np.diff(found.y_rad) == pytest.approx(PERIOD_S * 0.5 * (rpm[1:] + rpm[:-1]) * np.pi / 30.0)
+    assert any("negative velocities stand as unsigned" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("lowest", [0.0, -32768.0])
@@ -153,8 +180,10 @@ def test_a_drive_beyond_full_is_refused_with_what_full_may_be(tmp_path: Path, be
     with pytest.raises(RecordingError, match=r"the drive is 596, and --full says 255; .*such as --full 1023"):
         read(log_of(tmp_path, columns), COUNTED)
     percent = replace(COUNTED, drive=LogColumn("duty", "pwm"), full=None)
-    with pytest.raises(RecordingError, match="in duty full drive is 1"):
+    with pytest.raises(RecordingError, match="in duty full drive is 1; give the unit that it is in; or"):
         read(log_of(tmp_path, columns), percent)
+    with pytest.raises(RecordingError, match="such as per cent: --drive COLUMN:percent"):
+        read(log_of(tmp_path, columns | {"pwm": 0.5 * bench.pwm}), percent)
 
 
 @pytest.mark.parametrize("rows", [-1, 1, -2])
@@ -205,6 +234,7 @@ def test_a_column_may_say_which_run_a_row_is_of(tmp_path: Path, bench: Bench) ->
         "#millis,pwm,counts\n# ms,-,counts\n",
         "# bench 3\n# millis,pwm,counts\n[ms],[],[counts]\n",
         "millis,pwm,counts\nmilliseconds,1,ticks\n",
+        "% Matlab\n%millis,pwm,counts\nms,-,Counts\n",
     ],
 )
 def test_names_behind_a_hash_and_a_row_of_units_below_them(tmp_path: Path, head: str) -> None:

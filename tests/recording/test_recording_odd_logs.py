@@ -64,6 +64,9 @@ ODD = {  # for each: the log, what the error says, what to type by it
     "German": (log("Zeit (s);Spannung (V);Winkel (Grad)", ";"), "did you mean", "--time s --drive V --position deg"),
     "French": (log("Temps (s);Tension (V);Angle (tours)", ";"), "did you mean", "--time s --drive V --position turns"),
     "units row": (log("time,voltage,angle\ns,V,deg"), "did you mean", "--time s --drive V --position deg"),
+    "German units row": (
+        log("Zeit;Spannung;Drehzahl\ns;mV;U/min", ";"), "did you mean", "--time s --drive mV --velocity rpm"
+    ),
     "percent": (log("time_s,duty_%,angle_rad"), "did you mean", "--time s --drive percent --position rad"),
     "percent, in words": (log("t_s,duty_percent,y_rad"), "did you mean", "--drive percent"),
     "pwm and volts": (log("t_s,pwm_V,y_rad"), "for UNIT: of drive V, mV", "--drive pwm_V:UNIT"),

@@ -34,6 +34,7 @@ PRESENT = 0.1  # probability of a law before the record is looked at
 MOST_TOGETHER = 3  # laws that are looked at together,
 MOST_SETS = 2000  # but where they have more starts than that together
 BY_ROUNDING = 1e-3  # of 1, which each nuisance has beforehand
+SINGULAR, UNTOLD = 1e-13, 1e-3  # of the largest eigenvalue: none; a number's share of what a record does not tell
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
 TOGETHER = "laws that hide each other"
@@ -125,7 +126,7 @@ def absolute(motor: RealMotor, scales: ScaleErrors) -> tuple[Entry, ...]:
 class Shifts:
     """What nuisances do to tau, K and friction, each nuisance in its own spread.
 
-    scatter    (3,) variances of tau, K and friction by the noise alone
+    scatter    (3,) variances of tau, K and friction by the noise alone; inf where the record does not tell it at all
     moves      (3, n) of tau, K and friction by each
     inside     (n, n) what the record says of them when the fit's own numbers are free
     pull       (n,) and its gradient
@@ -144,11 +145,14 @@ class Shifts:
         matrix, gradient, spread, core = nuisances.matrix, nuisances.gradient, nuisances.spread, nuisances.core
         own, border = matrix[:core, :core], matrix[core:, :core]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-        inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
+        own = own * np.outer(scale, scale)
+        inverse = np.linalg.pinv(own, rcond=SINGULAR, hermitian=True) * np.outer(scale, scale)
+        sizes, ways = np.linalg.eigh(own)
+        untold = np.any(np.abs(ways[nuisances.at][:, sizes < SINGULAR * sizes[-1]]) > UNTOLD, axis=1)
         inside = _no_less_than_nothing((matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread))
         fewer = np.sqrt(nuisances.as_one)
         return cls(
-            np.diag(inverse)[nuisances.at] * nuisances.size**2,
+            np.where(untold, np.inf, np.diag(inverse)[nuisances.at] * nuisances.size**2),
             -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
             inside / np.outer(fewer, fewer),
             (gradient[core:] - border @ inverse @ gradient[:core]) * spread / nuisances.as_one,

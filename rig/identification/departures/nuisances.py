@@ -20,6 +20,7 @@ Begins = NDArray[np.int64]
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 FEWEST_PIECES = 6  # that say by how much a law's evidence differs between them
 SHOWN = 1e-9  # of the squares of a law's columns: what is left beside the fit's own numbers, if it is no rounding
+LARGEST = 1e100  # of a column, in units of the noise: its squares are finite
 UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 
 
@@ -84,6 +85,8 @@ class Nuisances:
         for law in absent:
             trials = law.trials(bench)
             for column, scale in columns.of_all(law, trials):
+                if not np.abs(column).max(initial=0.0) < LARGEST:
+                    continue  # so far from any motor the motion grows without end, and linear algebra with it
                 each.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
                 added.append(column)
                 spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
@@ -137,7 +140,7 @@ def pulls_apart(rows: Rows, added: Array, begins: Begins, ends: Begins, variance
     """
     if ends.size < FEWEST_PIECES:
         return np.ones(added.shape[1])
-    both = np.column_stack((rows.by_number, np.nan_to_num(added, posinf=0.0, neginf=0.0)))
+    both = np.column_stack((rows.by_number, added))
     squares = np.sum(both**2, axis=0)
     for first, stop in pairwise([*begins.tolist(), rows.residual.size]):
         start = np.linalg.qr(rows.by_start[first:stop])[0]

@@ -18,7 +18,7 @@ import numpy as np
 
 from rig.core.signals import plain
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.log_format import UNIT_WORDS, UNITS, USUAL_NAMES, sounds_like
+from rig.run_folder.recording.log_format import ALL_UNITS, USUAL_NAMES, sounds_like
 from rig.run_folder.recording.recording import Column, Columns
 from rig.run_folder.recording.sample_columns import COLUMNS, KINDS
 from rig.run_folder.recording.text_file import lines_of, whole_content, without_torn_line
@@ -26,7 +26,7 @@ from rig.run_folder.recording.text_file import lines_of, whole_content, without_
 MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
-_ALL_UNITS: Final = {unit for units in UNITS.values() for unit in units} | UNIT_WORDS
+_COMMENTS: Final = "#%"
 _NO_UNIT: Final = {"", "-", "1"}
 _DELIMITERS: Final = (",", ";", "\t", "|")
 _DATE: Final = re.compile(r"\d{4}-\d\d?-\d\d?|\d\d?\.\d\d?\.\d{4}|\d\d?:\d\d")  # the begin of a date or a time of day
@@ -77,14 +77,14 @@ class CsvText:
         _check_magic(path, content)
         whole, torn = without_torn_line(path, _with_line_feeds(content))
         lines = lines_of(path, whole)
-        numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith(("#", "sep="))]
+        numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith((*_COMMENTS, "sep="))]
         if not numbers:
             raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")
         text = cls(path, lines, numbers, (*moved, *torn))
         return text if own else text._with_names()._with_units()._without_last_delimiter()
 
     def _with_names(self) -> CsvText:
-        """With the names of the columns, if these stand behind a # above rows of numbers or of units.
+        """With the names of the columns, if these stand behind a # or % above rows of numbers or of units.
 
         numpy writes them so. Of several such lines the last one with names counts.
         """
@@ -94,11 +94,13 @@ class CsvText:
             return self
         found: dict[int, list[str]] = {}
         for above in range(first - 1, 0, -1):
-            words = self.lines[above - 1].lstrip("#").strip()
+            words = self.lines[above - 1].lstrip(_COMMENTS).strip()
             most = max(_DELIMITERS, key=words.count)
             names = [name.strip() for name in words.split(most)] if most in words else words.split()
             known = [name for name in names if name in COLUMNS or any(sounds_like(name, q) for q in USUAL_NAMES)]
-            if self.lines[above - 1].startswith("#") and len(names) == len(rows) and len(known) > 1:  # no remark
+            if (
+                self.lines[above - 1].startswith(tuple(_COMMENTS)) and len(names) == len(rows) and len(known) > 1
+            ):  # no remark
                 found[above] = names
         if not found:
             return self
@@ -136,7 +138,10 @@ class CsvText:
         """What separates the columns, by the first line."""
         first = self.lines[self.numbers[0] - 1]
         most = max(_DELIMITERS, key=first.count)
-        return most if most in first or len(first.split()) < _FEWEST_COLUMNS else _BLANKS
+        if most in first:
+            return most
+        fields = first.split()
+        return _BLANKS if len(fields) >= _FEWEST_COLUMNS or all(map(is_number, fields)) else most
 
     def fields(self, number: int) -> list[str]:
         """The fields of the line of this number. Raises RecordingError."""
@@ -181,7 +186,7 @@ def _units_of(fields: Sequence[str]) -> tuple[str, ...] | None:
     said = [unit for field, unit in zip(fields, units, strict=True) if field == unit and unit not in _NO_UNIT]
     if any(is_number(field) and field not in _NO_UNIT for field in fields) or set(units) <= _NO_UNIT:
         return None
-    return units if all(unit in _ALL_UNITS for unit in said) else None
+    return units if all(unit.lower() in ALL_UNITS for unit in said) else None
 
 
 def is_number(text: str) -> bool:
@@ -342,7 +347,7 @@ def _cure(path: Path, name: str, text: str) -> str:
         return "it is a date: write seconds; or, if the rows came evenly, --period 10ms in place of --time"
     if text.endswith("%") and is_number(text[:-1].strip()):
         return f"take the % out: sed 's/%//g' {quote(str(path))} > plain.csv; then --drive percent"
-    if (found := _WITH_UNIT.fullmatch(text)) and is_number(found[1]) and found[3] in _ALL_UNITS:
+    if (found := _WITH_UNIT.fullmatch(text)) and is_number(found[1]) and found[3].lower() in ALL_UNITS:
         return f"write the number alone, without {found[3]}"
     if "," in text and is_number(text.replace(",", ".")):
         return "use a decimal point"

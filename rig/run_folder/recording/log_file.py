@@ -36,7 +36,7 @@ from rig.run_folder.recording.log_mends import (
     Summed,
     has_no_sign,
     runs_of,
-    signed_drive,
+    signed,
     summed_up,
     unwrapped_clock,
     unwrapped_position,
@@ -133,7 +133,7 @@ def _recording(
 ) -> Recording:
     """One run as a recording: in s, V and rad, unwrapped; a velocity summed up to a position. Raises RecordingError."""
     notes = list(notes)
-    raw = _in_place(raw | {"line": np.array(rows)}, log)
+    raw = _in_place(_once(raw | {"line": np.array(rows)}, notes), log)
     rows = raw.pop("line").tolist()
     t_s, u_V = _times_s(raw, choices, log, notes), raw["u_V"]
     require_rising(source, t_s, rows)
@@ -255,6 +255,16 @@ def _supply_V(
     return supply_V
 
 
+def _once(raw: Columns, notes: list[str]) -> Columns:
+    """The rows without those that say the one before again, if their times rise then; with a note."""
+    again = np.all([np.diff(values) == 0.0 for name, values in raw.items() if name != "line"], axis=0)
+    kept = np.append(True, ~again)
+    if not again.any() or np.any(np.diff(raw["t_s"][kept]) <= 0.0):
+        return raw
+    notes.append(f"{np.count_nonzero(again)} rows say the one before again, time included, and were left out")
+    return {name: values[kept] for name, values in raw.items()}
+
+
 def _in_place(raw: Columns, log: LogFormat) -> Columns:
     """The columns with drives and times in the rows where they belong; the rows at the ends that lack one go."""
     off = {"u_V": log.drive_row, "t_s": log.time_row}
@@ -277,7 +287,7 @@ def _times_s(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat, not
 
 def _summed(path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]) -> Summed:
     """The position from velocities. Raises RecordingError."""
-    v, u_V = raw["v_rad_per_s"], raw["u_V"]
+    v, u_V = signed(raw["v_rad_per_s"], None, "velocities", notes), raw["u_V"]
     if has_no_sign(v, u_V):
         raise RecordingError(
             path,
@@ -298,7 +308,7 @@ def _summed(path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFo
 def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:
     """The drives in V, with their signs. Raises RecordingError for one that no bridge gives."""
     most = log.most(one.unit)
-    u = signed_drive(u, most, notes)
+    u = signed(u, most, "drives", notes)
     if most is not None and float(np.abs(u).max()) > most * _OVER + (one.unit == "pwm"):
         k = int(np.argmax(np.abs(u)))
         largest = abs(float(u[k]))
@@ -307,6 +317,8 @@ def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequen
             cause, cure = f"and --full says {most:g}", f"give the number that means full drive, such as --full {full:g}"
         else:
             cause, cure = f"and in {one.unit} full drive is {most:g}", "give the unit that it is in"
+            if one.unit == "duty" and largest <= 100.0 * _OVER:
+                cure += ", such as per cent: --drive COLUMN:percent"
         raise RecordingError(
             path,
             f"the drive is {u[k]:g}, {cause}",

@@ -65,7 +65,7 @@ _WORDS: Final[dict[str, dict[str, str]]] = {
     "position": {
         "rad": "rad radians",
         "deg": "deg degrees grad degrés",
-        "turns": "turns umdrehungen tours",
+        "turns": "turns rev revs umdrehungen tours",
         "counts": "count counts ticks",
     },
     "velocity": {
@@ -77,12 +77,12 @@ NAMES_UNIT: Final = {
     for quantity, units in _WORDS.items()
 }
 NAMES_UNIT["goal"] = NAMES_UNIT["position"]
-UNIT_WORDS: Final = {word for words in NAMES_UNIT.values() for word in words} - {"millis", "micros"} | {
-    "%",
-    "°",
-    "A",
-    "mA",
+ALL_UNITS: Final = {
+    *(unit.lower() for units in UNITS.values() for unit in units),
+    *(word for words in NAMES_UNIT.values() for word in words if word not in ("millis", "micros", "min")),
+    *["%", "°", "°/s", "a", "ma", "u/min", "tr/min", "1/min", "min-1", "rev/min", "rev/s", "u/s", "tr/s"],
 }
+"""What a field of a row of units may say, in small letters."""
 _WORD: Final = re.compile(r"[^\W\d_]+")
 _RATE: Final = re.compile(r"/\s*(s|sec|min)\b|(?<![^\W_])per(?![^\W_])", re.IGNORECASE)  # in a velocity's name
 _PERIOD: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(s|ms|us)\s*")

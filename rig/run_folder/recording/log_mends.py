@@ -16,7 +16,11 @@ from rig.run_folder.recording.recording import Floats, Integers
 
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
-_COUNTERS: Final = (16, 32)  # bits of a position: one of 8 bits turns over within a stroke
+_COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
+# Of its range: what a position that wraps covers at least, and the most that it then moves
+# in nearly each row. A number of 16 bits
+# or more wraps wherever it jumps by more than half of its range.
+_COVERS, _MOVES, _NEARLY, _WIDE = 0.9, 0.35, 0.99, 16
 # Seconds after which clocks begin anew: those of 16 and 32 bits, and those that show a part of a longer time.
 _SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
 _WRAP_PERIODS = 3.0  # longest step over the end of a clock
@@ -73,10 +77,11 @@ def runs_of(t: Floats) -> list[slice]:
     return [slice(first, stop) for first, stop in pairwise(edges)]
 
 
-def signed_drive(u: Floats, full: float | None, notes: list[str]) -> Floats:
-    """Drives whose negative numbers were kept as unsigned ones, with their signs.
+def signed(u: Floats, full: float | None, what: str, notes: list[str]) -> Floats:
+    """Drives, or velocities, whose negative numbers were kept as unsigned ones, with their signs.
 
-    full  the largest number that is a drive; None: unknown, then only numbers of 16 and 32 bits are seen
+    full  the largest number that can be; None: unknown, then only numbers of 16 and 32 bits are seen
+    what  these are, in the plural
     """
     if u.min() < 0.0 or not np.all(u == np.round(u)):
         return u
@@ -87,7 +92,7 @@ def signed_drive(u: Floats, full: float | None, notes: list[str]) -> Floats:
         negative = u >= size - most
         if u.max() < size and negative.any() and np.all(negative | (u <= most)):
             notes.append(
-                f"negative drives stand as unsigned numbers of {bits} bits, such as {u[negative].min():.0f} for "
+                f"negative {what} stand as unsigned numbers of {bits} bits, such as {u[negative].min():.0f} for "
                 f"{u[negative].min() - size:.0f}: they are read with their sign"
             )
             return np.asarray(np.where(negative, u - size, u))
@@ -95,7 +100,7 @@ def signed_drive(u: Floats, full: float | None, notes: list[str]) -> Floats:
 
 
 def unwrapped_position(y: Floats, counts: bool, turn: float, notes: list[str]) -> Floats:
-    """Positions without the jumps of a counter of 16 or 32 bits, or of an angle that begins anew after one turn.
+    """Positions without the jumps of a counter of few bits, or of an angle that begins anew after one turn.
 
     counts  whether they are whole numbers of a counter
     turn    of the shaft, in the unit of y
@@ -104,16 +109,24 @@ def unwrapped_position(y: Floats, counts: bool, turn: float, notes: list[str]) -
     largest = float(np.abs(np.diff(y)).max())
     if counts and bool(np.all(y == np.round(y))):
         for bits in _COUNTERS:
-            size = _OF_BITS[bits]
-            if largest > 0.5 * size and extent < size:
+            size = 2.0**bits
+            on = np.unwrap(y, period=size) if largest > 0.5 * size and extent < size else y
+            if on is not y and (bits >= _WIDE or _goes_on(y, on, size)):
                 notes.append(f"the counter, of {bits} bits, wrapped: the positions go on")
-                return np.asarray(np.unwrap(y, period=size))
+                return np.asarray(on)
     if largest > 0.5 * turn and extent <= turn * (1.0 + 1e-9):
-        notes.append(
-            "the positions stay within one turn and jump by most of it: they are an angle that wraps, and go on"
-        )
-        return np.asarray(np.unwrap(y, period=turn))
+        on = np.unwrap(y, period=turn)
+        if _goes_on(y, on, turn):
+            notes.append(
+                "the positions stay within one turn and jump by most of it: they are an angle that wraps, and go on"
+            )
+            return np.asarray(on)
     return y
+
+
+def _goes_on(y: Floats, on: Floats, size: float) -> bool:
+    """Whether positions cover all of a range of this size, and go on behind it by steps that are no jumps."""
+    return bool(np.ptp(y) >= _COVERS * size - 1.0 and np.quantile(np.abs(np.diff(on)), _NEARLY) <= _MOVES * size)
 
 
 def unwrapped_velocity(v: Floats, u: Floats, notes: list[str]) -> Floats | None:

@@ -183,7 +183,7 @@ class TimeSeries:
     @property
     def earliest_delay_s(self) -> float:
         """Shortest delay to look for if t_u_s is unknown, s: a column that is off by a row is a period early."""
-        return -self.period_s if self.delay_s is None else max(self.delay_s[0] - self.period_s, -self.period_s)
+        return (0.0 if self.delay_s is None else self.delay_s[0]) - self.period_s
 
     @property
     def edge_s(self) -> Array:
