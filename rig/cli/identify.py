@@ -125,6 +125,7 @@ def identify(
         click.echo(REHEARSAL)
     if not verbose:
         notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
+        notes += found.in_parts
         for note in notes[:MOST_NOTES]:
             click.echo(note)
         if len(notes) > MOST_NOTES:

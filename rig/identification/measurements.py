@@ -10,6 +10,7 @@ import numpy as np
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 from rig.identification.cycles import NoRelayError, find_cycle
 from rig.identification.mean_cycle import Cycle
+from rig.identification.plausibility import between_holes, holes_in_words
 from rig.identification.preprocessing import from_recording, unfiltered
 from rig.identification.records import FURTHER, left_out, sound_rows
 from rig.identification.stated_errors import StatedErrors
@@ -38,6 +39,7 @@ class Measurements:
     further     records beside the tests, for the law of the motor: gain search and breakaway check, as far as they are
                 sound, each with the number of a test of the same run
     stated      for each recording what its bench may be wrong by
+    in_parts    one sentence for each plain file with gaps that is identified in parts; also in ``notes``
     notes       what was left out or corrected, how gains and cycles were found
     has_searches  whether gain searches count as tests beside others
     """
@@ -53,6 +55,7 @@ class Measurements:
     further: list[tuple[TimeSeries, int]] = field(default_factory=list)
     stated: list[StatedErrors] = field(default_factory=list)
     recording_of: list[str] = field(default_factory=list)
+    in_parts: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     has_searches: bool = False
 
@@ -141,6 +144,9 @@ def measurements(
         data.guarded += _guarded(recording)
         data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]
         tests, runs = _series_of(recording, gone, len(recordings) > 1, data.notes)
+        if not recording.stages() and not plain_is_hysteretic:
+            [whole], tests = tests, [part for test in tests for part in between_holes(test)]
+            data.in_parts += _in_parts(whole, tests)
         if plain_is_hysteretic and not recording.stages():
             runs = tests
         data.hysteretic += runs
@@ -160,6 +166,7 @@ def measurements(
     if not data.tests:
         raise IdentifyError("every hysteretic run ended before its first drive", "record again: `rig relay CONFIG`")
     of_run = {id(test): number for number, test in enumerate(data.tests)}
+    data.notes += data.in_parts
     data.further = [(series, of_run[id(test)]) for series, test in beside if id(test) in of_run]
     return data
 
@@ -248,6 +255,19 @@ def _series_of(
         if saturated:
             notes.append(f"{label}: the drive was saturated in {saturated} rows; rig uses the drive that acted")
     return tests, runs
+
+
+def _in_parts(series: TimeSeries, parts: Sequence[TimeSeries]) -> list[str]:
+    """A sentence where a plain file is identified in parts."""
+    if len(series) == len(parts[0]):
+        return []
+    used = sum(map(len, parts))
+    rest = f", without {len(series) - used} rows in parts that are short or hardly move" if used < len(series) else ""
+    count = "1 part" if len(parts) == 1 else f"{len(parts)} parts"
+    return [
+        f"{series.name}: {holes_in_words(series)}: the drive there is unknown, so what lies between is identified as "
+        f"{count}{rest}"
+    ]
 
 
 def _tests_of(recording: Recording, name: str, gone: Collection[str]) -> list[str]:

@@ -8,14 +8,16 @@ doubtful if both the column and a thousand times or a thousandth of it are possi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate, Verdict
-from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.series import LATENCY_S, SHORTEST_WINDOW, TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -32,7 +34,8 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
-
+SHORTEST_PART_S = 2.0 * LATENCY_S  # between two gaps: a part has to show what it is driven by
+MOST_PARTS = 40  # the longest ones tell enough
 TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
 JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
 SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
@@ -254,26 +257,45 @@ def hole_rows(test: TimeSeries) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(test.t_s) > allowed_s)
 
 
+def between_holes(test: TimeSeries) -> list[TimeSeries]:
+    """The parts of a test between its holes that move, and last long enough for a fit; the whole where none does.
+
+    The drive in a hole is unknown, but before it and after it nothing is wrong.
+    """
+    ends = np.append(hole_rows(test) + 1, len(test))
+    if ends.size == 1:
+        return [test]
+    parts = []
+    for first, stop in pairwise([0, *ends.tolist()]):
+        if stop - first >= SHORTEST_WINDOW and test.t_s[stop - 1] - test.t_s[first] > SHORTEST_PART_S:
+            part = test.part(first, stop)
+            name = f"{test.name} (rows {part.first_row}:{part.first_row + len(part) - 1})"
+            if not _lacks(part):
+                parts.append(replace(part, name=name))
+    return sorted(sorted(parts, key=len)[-MOST_PARTS:], key=lambda part: part.first_row) or [test]
+
+
+def holes_in_words(test: TimeSeries) -> str:
+    """The holes of a test that has any, such as ``2 gaps, the largest a gap of 0.21 s after row 109``."""
+    steps, holes = np.diff(test.t_s), hole_rows(test)
+    k = int(holes[np.argmax(steps[holes])])
+    gap = f"gap of {steps[k]:.3g} s after row {test.first_row + k}"
+    return f"a {gap}" if holes.size == 1 else f"{holes.size} gaps, the largest a {gap}"
+
+
 def _holes(test: TimeSeries) -> list[Objection]:
     """Holes in the samples."""
-    found: list[Objection] = []
-    steps = np.diff(test.t_s)
     holes = hole_rows(test)
-    if holes.size:
-        k = int(holes[np.argmax(steps[holes])])
-        starts, ends = np.append(0, holes + 1), np.append(holes, len(steps))
-        part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
-        first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
-        gap = f"gap of {steps[k]:.3g} s after row {test.first_row + k}"
-        many = gap if holes.size == 1 else f"{holes.size} gaps, the largest a {gap}"
-        found.append(
-            Objection(
-                "doubtful",
-                f"{test.name}: {many}: the drive there is unknown; identify the longest part without a gap "
-                f"(--rows {first}:{last})",
-            )
-        )
-    return found
+    if not holes.size:
+        return []
+    starts, ends = np.append(0, holes + 1), np.append(holes, len(test) - 1)
+    part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
+    first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
+    reason = (
+        f"{test.name}: {holes_in_words(test)}: the drive there is unknown; identify the longest part without a gap "
+        f"(--rows {first}:{last})"
+    )
+    return [Objection("doubtful", reason)]
 
 
 def one_way(tests: Sequence[TimeSeries]) -> bool:

@@ -339,7 +339,15 @@ class Chooser:
         end = self._greedy(*first[0], seen)
         if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
             return end  # it leaves nothing: another start would need two laws for as much
-        ends = [end, *(self._greedy(*step, seen) for step in first[1:])]
+        return self._ranked([end, *(self._greedy(*step, seen) for step in first[1:])])[0]
+
+    def _ranked(self, ends: list[tuple[Fit, tuple[Departure, ...]]]) -> list[tuple[Fit, tuple[Departure, ...]]]:
+        """Fits of the same rows, the best first: by what each leaves, and the price of its laws.
+
+        The noise is that of the finest: by noises of their own two that leave next to nothing are far apart.
+        """
+        if len(ends) < 2:
+            return ends
         finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
@@ -347,7 +355,7 @@ class Chooser:
             squares = finest.problem.cost(of.residual_rad, of.motor) / unit(finest)
             return squares + sum(self.price(law, of, self.asked.entry) for law in found)
 
-        return min(ends, key=worth)
+        return sorted(ends, key=worth)
 
     def _greedy(self, fit: Fit, laws: tuple[Departure, ...], seen: Ends) -> tuple[Fit, tuple[Departure, ...]]:
         """One law after the other, the best each time; ``seen``: where the laws of other ways led, which it adds to.
@@ -422,9 +430,9 @@ class Chooser:
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
         trials = side_by_side(tried, wanted, fit.residual_rad.size)
-        found = [one for one in trials if one[0] > 0.0 and not self._hardly_shows(fit, one[1])]
-        found.sort(key=lambda entry: -entry[0])
-        return [(trial, more) for _, trial, more in found]
+        return self._ranked(
+            [(trial, more) for gain, trial, more in trials if gain > 0.0 and not self._hardly_shows(fit, trial)]
+        )
 
     def _hardly_shows(self, fit: Fit, richer: Fit) -> bool:
         """Whether the richer fit leaves nearly as much, far beyond noise: no further law is tried on top of it."""
