@@ -135,22 +135,24 @@ class _Place(NamedTuple):
 
     @classmethod
     def of(cls, e: Experiment, result: RunResult | None) -> _Place:
-        """Of a bench; ``result``: of a run with this sensor, whose noise counts; None: only the sensor's steps count."""
+        """Of a bench. ``result``: of a run with this sensor, whose noise counts; None: only the sensor's steps do."""
         return cls(_sensing(e, result), _room(e), TOP_SHARE * e.limits.max_speed_rad_s)
 
     @classmethod
     def of_log(cls, path: Path, found: IdentificationResult) -> _Place:
         """As a log shows it: no drive, speed or travel beyond its own. Raises RecordingError where it does not say."""
         holds, sampled = None if found.answer is None else found.answer.holds, found.sampling
-        ends = None if holds is None else (holds.drive_V, holds.speed_rad_s, holds.travel_rad)
-        if sampled is None or ends is None or None in ends or not known(sampled.period_s) > 0.0:
+        if holds is None or not (sampled and holds.drive_V and holds.speed_rad_s and holds.travel_rad):
             raise RecordingError(
                 path, "does not say how its log was sampled", "give --try CONFIG, or identify it anew with --json"
             )
-        (_, largest_V), (_, top_rad_s), (low_rad, high_rad) = ((known(a), known(b)) for a, b in ends)
-        step_rad = known(sampled.step_rad)
-        white_rad = math.sqrt(max(known(sampled.noise_rad) ** 2 - step_rad**2 / 12.0, 0.0))
-        sensing = Sensing(known(sampled.period_s), max(white_rad, LEAST_NOISE_RAD), step_rad, largest_V)
+        largest_V, top_rad_s = known(holds.drive_V[1]), known(holds.speed_rad_s[1])
+        low_rad, high_rad = map(known, holds.travel_rad)
+        period_s, noise_rad, step_rad = map(known, (sampled.period_s, sampled.noise_rad, sampled.step_rad))
+        if not (min(largest_V, top_rad_s, high_rad - low_rad, period_s) > 0.0 and min(noise_rad, step_rad) >= 0.0):
+            raise RecordingError(path, "says that its log had no drive, speed, travel or period", "identify it anew")
+        white_rad = math.sqrt(max(noise_rad**2 - step_rad**2 / 12.0, 0.0))
+        sensing = Sensing(period_s, max(white_rad, LEAST_NOISE_RAD), step_rad, largest_V)
         middle_rad, half_rad = 0.5 * (low_rad + high_rad), min(0.5 * (high_rad - low_rad), TURN_RAD)
         middle_rad = math.remainder(middle_rad, 2.0 * math.pi)  # a turn away a shaft is where it was
         return cls(sensing, Room(middle_rad - half_rad, middle_rad + half_rad), top_rad_s)

@@ -50,7 +50,7 @@ def percent(ratio: float) -> str:
 
 
 def of_all(percent: float) -> str:
-    """A share of all as ``98.7 %``, and one that is nearly all with the digits that what is missing needs: ``99.997 %``.
+    """A share as ``98.7 %``; one that is nearly all with the digits that what is missing needs, as ``99.997 %``.
 
     What is missing below a ten-thousandth of a per cent does not count.
     """
