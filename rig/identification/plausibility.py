@@ -270,7 +270,7 @@ def between_holes(test: TimeSeries) -> list[TimeSeries]:
         if stop - first >= SHORTEST_WINDOW and test.t_s[stop - 1] - test.t_s[first] > SHORTEST_PART_S:
             part = test.part(first, stop)
             name = f"{test.name} (rows {part.first_row}:{part.first_row + len(part) - 1})"
-            if not _lacks(part):
+            if float(np.ptp(part.y_rad)) > _motion(part) and not _lacks(part):
                 parts.append(replace(part, name=name))
     return sorted(sorted(parts, key=len)[-MOST_PARTS:], key=lambda part: part.first_row) or [test]
 

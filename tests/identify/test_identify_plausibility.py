@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.identification.estimate import Estimate
-from rig.identification.plausibility import judge_motor, judge_records, one_way
+from rig.identification.plausibility import between_holes, judge_motor, judge_records, one_way
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.recording.stage import Stage
 
@@ -141,3 +141,9 @@ def test_of_several_gaps_the_largest_is_named_and_the_longest_part_without_one()
     (objection,) = judge_records([test])
     assert "2 gaps, the largest a gap of 0.21 s after row 109" in objection.reason
     assert "(--rows 110:389)" in objection.reason
+    rows = [(part.first_row, len(part)) for part in between_holes(test)]
+    assert rows == [(10, 100), (110, 280), (390, 191)]
+    still = replace(test, y_rad=np.where(np.arange(len(test)) < 100, test.y_rad[0], test.y_rad))
+    assert [part.first_row for part in between_holes(still)] == [110, 390]  # a part that hardly moves tells nothing
+    quick = replace(test, t_s=0.1 * test.t_s)
+    assert between_holes(quick) == [quick]  # none lasts

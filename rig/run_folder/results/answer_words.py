@@ -133,7 +133,7 @@ def beyond_drive(holds: HoldsResult | None, largest_V: float) -> str:
 
 def _seen(error: float) -> str:
     """The share of motion that is predicted, less than nothing as 0 %."""
-    return of_all(100.0 * (1.0 - error)) if error < 0.9 else f"{100.0 * max(1.0 - error, 0.0):.3g} %"
+    return of_all(100.0 * (1.0 - error)) if error < 5e-4 else f"{100.0 * max(1.0 - error, 0.0):.3g} %"
 
 
 def _numbers(answer: Answer, truth: TrueMotor | None) -> Iterator[str]:
