@@ -10,8 +10,8 @@ import pytest
 from evidence import evidence
 
 from real_records import __main__ as command
-from real_records.bounds import bounds
-from real_records.known import Known, known_of
+from real_records.bounds import bounds, tellable
+from real_records.known import PUBLISHED, Known, known_of
 from real_records.scores import FIGURES, Seen, by_table, figures, laws_shared, left_out
 from real_records.siblings import next_record, pairs_that_agree
 from rig.identification import identify
@@ -194,7 +194,9 @@ def test_figures_count_what_is_given_what_is_off_and_what_siblings_share() -> No
 
 
 @pytest.mark.usefixtures("plain_motor")
-def test_the_bound_at_the_true_numbers_is_the_scatter_of_the_fit_and_other_numbers_leave_more() -> None:
+def test_the_bound_at_the_true_numbers_is_the_scatter_of_the_fit_and_other_numbers_leave_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     found = _record(1, RealMotor(0.1, 5.0, 1.5))
     assert found.answer is not None
     true = bounds(found, {"tau_s": 0.1, "K_rad_s_V": 5.0, "fc_V": 1.5})
@@ -205,6 +207,11 @@ def test_the_bound_at_the_true_numbers_is_the_scatter_of_the_fit_and_other_numbe
         assert 0.5 * own < sensor < 4.0 * own  # blocks have starts of their own, and a force is free
         assert left == pytest.approx(sensor, rel=0.5)
         assert wrong[name][1] > 5.0 * wrong[name][0]
+    monkeypatch.setitem(PUBLISHED, "made", {"tau_s": (0.1, 0.0), "K_rad_s_V": (4.0, 0.0), "fc_V": (1.5, 0.0)})
+    (said,) = tellable([Seen("made_1", "made", found, 1.0)])
+    known = sum(left <= 0.25 for _, left in bounds(found, {"tau_s": 0.1, "K_rad_s_V": 4.0, "fc_V": 1.5}).values())
+    assert said.startswith(f"made: {known} of 3 numbers can be known to 25 %") and "rig gives 3: tau of made_1" in said
+    assert "K of made_1 25 % off" in said
 
 
 def test_without_the_folder_it_says_what_is_missing(
