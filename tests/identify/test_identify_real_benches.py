@@ -109,7 +109,8 @@ def test_gaps_between_which_nothing_shows_are_not_taken_for_other_time_stamps() 
 
 def test_a_pendulum_that_turns_over_is_a_force_over_position() -> None:
     """Cogging of one period a turn explains as much with one number more, and was taken for the better one."""
-    motor, t_s = RealMotor(0.08, 2.4, 0.45, force_sin_V=0.9), 0.01 * np.arange(1500)
+    motor = RealMotor(0.08, 2.4, 0.45, force_sin_V=0.9)
+    t_s: np.ndarray = np.linspace(0.0, 15.0, 1500, endpoint=False)
     u_V = np.round(5.0 * np.sin(2.2 * t_s + 2.5 * np.sin(0.44 * t_s)), 2)
     y_rad = response(motor, Frame(duration_s=15.0), (t_s + 0.002, u_V), t_s, Pieces.one())
     answer = answered((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))

@@ -50,9 +50,9 @@ def percent(ratio: float) -> str:
 
 
 def of_all(percent: float) -> str:
-    """A share as ``98.7 %``; one that is nearly all with the digits that what is missing needs, as ``99.997 %``.
+    """A share as ``98.7 %``; one that is nearly all with the digits that what is missing needs: ``99.997 %``.
 
-    What is missing below a ten-thousandth of a per cent does not count.
+    percent   the share, %; what is missing below a ten-thousandth of it does not count
     """
     missing = 100.0 - percent
     digits = 1 if missing >= 0.05 else min(-math.floor(math.log10(max(missing, 1e-9))), MOST_DIGITS)
