@@ -190,7 +190,7 @@ def test_figures_count_what_is_given_what_is_off_and_what_siblings_share(monkeyp
     assert first.found is not None
     halves = bounds(first.found, {"tau_s": 0.1, "K_rad_s_V": 4.0, "fc_V": 1.5}).values()
     assert said.startswith(f"a: {sum(left <= 0.25 for _, left in halves)} of 3 numbers can be known to 25 %")
-    assert "rig gives 3: tau of a1" in said and "K of a1 25 % off" in said
+    assert "rig gives 3: tau of a1" in said and "K of a1 (25 %)" in said
     without_b = [cells[3] for cells in left_out(records, known, [])]
     assert without_b == figures([first, second], known, [])
     worse = {**known, "a1": Known(True, 1.0, known["a1"].numbers)}  # no better than a linear model: rig's is nearer

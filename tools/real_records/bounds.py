@@ -70,7 +70,7 @@ def tellable(records: Sequence[Seen]) -> list[str]:
     for motor, each in by_motor.items():
         told = {name: sum(pairs[name][1] <= KNOWN for _, pairs in each) for name in NUMBERS}
         split = ", ".join(f"{word} of {count}" for word, count in zip(("tau", "K", "f_c"), told.values(), strict=True))
-        own = [f"{one.cells()[1]} of {one.record} {one.cells()[6]} off" for one in given if one.motor == motor]
+        own = [f"{one.cells()[1]} of {one.record} ({one.cells()[6]})" for one in given if one.motor == motor]
         lines.append(
             f"{motor}: {sum(told.values())} of {len(NUMBERS) * len(each)} numbers can be known to "
             f"{100.0 * KNOWN:.0f} % ({split} of its {len(each)} records). rig gives {len(own)}"
