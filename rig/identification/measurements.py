@@ -262,7 +262,9 @@ def _in_parts(series: TimeSeries, parts: Sequence[TimeSeries]) -> list[str]:
     if len(series) == len(parts[0]):
         return []
     used = sum(map(len, parts))
-    rest = f", without {len(series) - used} rows in parts that are short or hardly move" if used < len(series) else ""
+    rest = (
+        f", without {len(series) - used} rows of short parts and of such as hardly move" if used < len(series) else ""
+    )
     count = "1 part" if len(parts) == 1 else f"{len(parts)} parts"
     return [
         f"{series.name}: {holes_in_words(series)}: the drive there is unknown, so what lies between is identified as "
