@@ -30,7 +30,7 @@ from rig.run_folder.recording.given import recordings_of
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.sample_columns import COLUMNS, UNITS
 from rig.run_folder.results import Answer, EstimateResult, FoundLawResult, RunMeta, RunResult
-from rig.run_folder.results.answer_words import answer_lines
+from rig.run_folder.results.answer_words import answer_lines, of_all
 from rig.terminal import (
     BUDGET_HEADINGS,
     MOTOR_LAW_HEADINGS,
@@ -165,7 +165,7 @@ class Prediction(Simulated):
             return laid_out(drawn([self], self.method))
 
     def __repr__(self) -> str:
-        return f"{self.name}: fit {self.fit_percent:.1f} %" + (f"; {self.beyond}" if self.beyond else "")
+        return f"{self.name}: fit {of_all(self.fit_percent)}" + (f"; {self.beyond}" if self.beyond else "")
 
 
 @dataclass(frozen=True, repr=False)
@@ -306,6 +306,7 @@ class Found(Identification):
             shown.t_s,
             shown.measured_rad,
             shown.y_rad,
+            shown.parts,
             beyond(self.answer, recordings[0]),
             self.answer.method,
         )

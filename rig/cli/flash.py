@@ -20,7 +20,8 @@ _Options = dict[str, str | int | bool | None]
 
 def _inputs_of(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
     """The kind of inputs of the bridge that is named, by its inputs or as it is sold."""
-    from rig.config.new_bench import BRIDGES, AnswerError, require_braking
+    from rig.config.bridges import BRIDGES
+    from rig.config.new_bench import AnswerError, require_braking
 
     if value is None or value in BRIDGES:
         return None if value is None else BRIDGES[value].inputs

@@ -107,16 +107,21 @@ def identify(
             recordings = [replace(recording, slew_V_s=slew_V_s) for recording in recordings]
         found = identify_recordings(recordings, tuple(methods) or None, without=without)
     records = [str(recording.source) for recording in recordings]
-    undrawn = "" if picture is None else _draw(found, picture)
     if len(paths) == 1 and not methods and not without and rows is None and slew_V_s is None:
         _keep(paths[0], recordings[0], found)
-    if report is not None:
-        from rig.output.report.identified import write_identified
+    undrawn = unsaved = ""
+    try:
+        undrawn = "" if picture is None else _draw(found, picture)
+        if report is not None:
+            from rig.output.report.identified import write_identified
 
-        with patience("drawing the report"):
-            write_identified(found, records, report)
+            with patience("drawing the report"):
+                write_identified(found, records, report)
+    except CannotWriteError as error:  # what was found is told all the same
+        unsaved, picture, report = str(error), None, None
+        click.echo(f"rig: {unsaved}", err=True)
     result = found.as_result()
-    ok = result.answer is not None and not result.answer.is_refused
+    ok = result.answer is not None and not result.answer.is_refused and not unsaved
     if as_json:
         files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
         click.echo(json_text({"ok": ok, "records": records, **files, **result.as_json()}), nl=False)
@@ -125,6 +130,7 @@ def identify(
         click.echo(REHEARSAL)
     if not verbose:
         notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
+        notes += found.changes
         for note in notes[:MOST_NOTES]:
             click.echo(note)
         if len(notes) > MOST_NOTES:

@@ -8,23 +8,25 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NoReturn
 
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, written
 from rig.config import ConfigError, new_bench
+from rig.config.bridges import BRIDGES, RUNS_FREE
 
 VALUES = {"--bridge": "NAME", "--no-load-rpm": "RPM", "--counts-per-turn": "COUNTS"}  # of what has no default
+_SERVO: Final = "servo"
 
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False), default=Path("bench.yaml"))
-@click.option("--board", type=click.Choice([*new_bench.BOARDS, "servo"]), help="The board; a servo: --servo MODEL.")
+@click.option("--board", type=click.Choice([*new_bench.BOARDS, _SERVO]), help="The board; a servo: --servo MODEL.")
 @click.option("--sensor", type=click.Choice(list(new_bench.SENSORS)), help="The position sensor.")
 @click.option(
     "--bridge",
-    type=click.Choice([*new_bench.BRIDGES, *new_bench.RUNS_FREE]),
+    type=click.Choice([*BRIDGES, *RUNS_FREE]),
     help="The bridge, as it is sold, or by its inputs.",
 )
 @click.option(
@@ -86,8 +88,8 @@ def init(
         )  # fmt: skip
         _init_servo(file, servo, port, servo_id, supply_V, no_load_rpm)
         return
-    if board == "servo":
-        fail(EXIT_BAD_INPUT, "--board servo does not say which", "a servo: --servo MODEL, such as --servo xl330-m288")
+    if board == _SERVO:
+        _ask_which_servo()
     from rig.backends.links.usb_port import usb_port
     from rig.backends.serial.flashing import board_of
     from rig.running import preflight
@@ -118,9 +120,12 @@ def init(
         )
     told: dict[str, str | float] = {}
     try:
-        board = _chosen("board", board, {name: one.words for name, one in new_bench.BOARDS.items()})
+        boards = {name: one.words for name, one in new_bench.BOARDS.items()}
+        board = _chosen("board", board, boards | {_SERVO: "smart servo, Dynamixel X or Feetech STS: needs no board"})
+        if board == _SERVO:
+            _ask_which_servo()
         sensor = _chosen("sensor", sensor, new_bench.SENSORS)
-        bridges = {name: one.words for name, one in new_bench.BRIDGES.items()} | new_bench.RUNS_FREE
+        bridges = {name: one.words for name, one in BRIDGES.items()} | RUNS_FREE
         bridge = _chosen("bridge", bridge, bridges)
         new_bench.require_braking(bridge)
         is_encoder = sensor == "encoder"
@@ -215,6 +220,10 @@ def _without_number(port: str) -> str:
     if not Path(port).exists():
         return f"no board is at {port} yet: `rig calibrate` will note its USB serial number"
     return f"the board at {port} has no serial number on USB: rig cannot tell another one there from this one"
+
+
+def _ask_which_servo() -> NoReturn:
+    fail(EXIT_BAD_INPUT, "a servo's config needs its model", "type --servo MODEL, such as: rig init --servo xl330-m288")
 
 
 def _refuse_beside_servo(given: dict[str, object]) -> None:

@@ -12,6 +12,7 @@ from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS, require_new
 from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.log_format import LogFormat
+from rig.run_folder.results.answer_words import of_all
 from rig.terminal import patience
 
 
@@ -85,7 +86,8 @@ def predict_run(
         for note in recording.notes:
             click.echo(f"{one.name}: {note}")
         rms_rad = float((one.residual_rad**2).mean() ** 0.5)
-        click.echo(f"{one.name}: fit {one.fit_percent:.1f} %, {rms_rad:.3g} rad off (RMS)")
+        in_parts = f", in {one.parts} parts between its gaps, each from a start of its own" if one.parts > 1 else ""
+        click.echo(f"{one.name}: fit {of_all(one.fit_percent)}, {rms_rad:.3g} rad off (RMS){in_parts}")
         if remark:
             click.echo(f"{one.name}: {remark}")
     if picture is not None:

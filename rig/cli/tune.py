@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.argument("run_folder", metavar="MOTOR", type=click.Path(path_type=Path))
 @click.option(
     "--loop", type=click.Choice(["position", "velocity"]), default="position", show_default=True,
     help="What the loop controls.",
@@ -62,6 +62,10 @@ if TYPE_CHECKING:
     help="For --servo: the share of full duty that a gain of 1 makes of 1 rad, as `rig servo facts` measures it. "
     "Default: all that manuals and BAM say.",
 )  # fmt: skip
+@click.option(
+    "--supply-V", "supply_V", type=Positive(), metavar="V",
+    help="For --servo: its supply. Default: as the run says; the answer of a log does not say it.",
+)  # fmt: skip
 @OUT
 @PACE
 @JSON
@@ -77,21 +81,24 @@ def tune(
     config_path: Path | None,
     servo: str | None,
     p_scale: float | None,
+    supply_V: float | None,
     out: Path,
     pace: float | None,
     as_json: bool,
 ) -> None:
-    """Tune a loop for the motor of a run, and predict what it does.
+    """Tune a loop for an identified motor, and predict what it does.
 
-    Feed-forward by the identified law, feedback of the observed state, and an integral. The gains keep the margins for
-    every motor that the run does not exclude. The step and the tracking are simulated on motors drawn from its
-    intervals, with the delay, the sensor's noise and its steps. RUN must hold its config.
+    MOTOR is a run folder, or a file with what `rig identify LOG --json` printed. Feed-forward by the identified law,
+    feedback of the observed state, and an integral. The gains keep the margins for every motor that the run or the log
+    does not exclude. The step and the tracking are simulated on motors drawn from its intervals, with the delay, the
+    sensor's noise and its steps. A run must hold its config; of a log its own period, drives, speeds and travel count.
     """
     if servo is not None:
-        _of_servo(run_folder, servo, p_scale, (phase_deg, gain_dB), as_json)
+        _of_servo(run_folder, servo, p_scale, supply_V, (phase_deg, gain_dB), as_json)
         return
-    if p_scale is not None:
-        fail(EXIT_BAD_INPUT, "--p-scale is for the loop of a servo", "add --servo MODEL")
+    for option, value in (("--p-scale", p_scale), ("--supply-V", supply_V)):
+        if value is not None:
+            fail(EXIT_BAD_INPUT, f"{option} is for the loop of a servo", "add --servo MODEL")
     require_new(file, PICTURES)
     bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.terminal import patience, progress, show_tuned
@@ -143,7 +150,14 @@ def tune(
 _ONLY_OF_RIGS_LOOP = ("loop", "bandwidth_1_s", "step", "draws", "file", "config_path")
 
 
-def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[float, float], as_json: bool) -> None:
+def _of_servo(
+    run_folder: Path,
+    model: str,
+    p_scale: float | None,
+    supply_V: float | None,
+    least: tuple[float, float],
+    as_json: bool,
+) -> None:
     """The gains of a servo's own loop; ``least``: its margins, degrees and dB."""
     context = click.get_current_context()
     for name in _ONLY_OF_RIGS_LOOP:
@@ -159,7 +173,7 @@ def _of_servo(run_folder: Path, model: str, p_scale: float | None, least: tuple[
 
     servo = model_named(model)
     phase_deg, gain_dB = least
-    found = servo_loop_of(run_folder, servo, Margins(gain_dB, phase_deg, 0.0), p_scale)
+    found = servo_loop_of(run_folder, servo, Margins(gain_dB, phase_deg, 0.0), p_scale, supply_V)
     if as_json:
         click.echo(json_text({"ok": True, "run": run_folder.resolve().name, **found.as_json()}), nl=False)
     else:

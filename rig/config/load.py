@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from os import PathLike
+from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
@@ -91,7 +92,8 @@ def read(path: Given, *, follows_links: bool = True, takes_pipe: bool = False) -
     except UnfitError as error:
         raise ConfigError([Problem((), error.cause, error.cure, file)]) from error
     except FileNotFoundError as error:
-        raise ConfigError([Problem((), "no such file", "`rig config list` names the ready ones", file)]) from error
+        cure = f"`rig init {quote(file)}` writes one for your bench; `rig config list` names the ready ones"
+        raise ConfigError([Problem((), "no such file", cure, file)]) from error
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         raise ConfigError([Problem((), f"cannot be read: {error}", "", file)]) from error
     try:

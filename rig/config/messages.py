@@ -12,8 +12,9 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
+from rig.config.bridges import of_module
 from rig.config.problems import Path, Problem, key_of, printable
-from rig.config.schema import Experiment
+from rig.config.schema import Bridge, Experiment
 from rig.config.units import converted, stem_of, unit_of
 from rig.config.yaml12 import Document
 
@@ -106,9 +107,10 @@ def _invalid(path: Path, error: ErrorDetails, schema: type[BaseModel]) -> Proble
     if kind == "literal_error":
         choices = re.findall(r"'([^']*)'", context["expected"])
         close = difflib.get_close_matches(str(value), choices, n=1)
-        return Problem(
-            path, f"must be one of {', '.join(choices)}, {got}", f"did you mean '{close[0]}'?" if close else ""
-        )
+        hint = f"did you mean '{close[0]}'?" if close else ""
+        if choices == list(get_args(Bridge)):
+            hint = of_module(str(value)) or hint
+        return Problem(path, f"must be one of {', '.join(choices)}, {got}", hint)
     if kind == "model_type":
         return Problem(path, f"must be a section with keys of its own, {got}", _keys_hint(path, schema))
     if kind == "tuple_type":

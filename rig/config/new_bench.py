@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from rig.config import ready
+from rig.config.bridges import BRIDGES, COASTS, RUNS_FREE, BridgeModule
 from rig.core.errors import CauseError
 
 _EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the examples: their limits, speed and amplitudes go with it
@@ -32,22 +33,6 @@ _LEAST_CYCLE_COUNTS: Final = 34.0  # of the sensor: the second test's are 0.7 of
 
 class AnswerError(CauseError):
     """An answer that cannot be."""
-
-
-@dataclass(frozen=True)
-class BridgeModule:
-    """A bridge as it is sold.
-
-    words      what it is, for people
-    inputs     drive.bridge: the kind of its inputs
-    drop_V     lost in it at about 1 A, V
-    largest_V  motor supply by its data sheet, V
-    """
-
-    words: str
-    inputs: str
-    drop_V: float
-    largest_V: float
 
 
 @dataclass(frozen=True)
@@ -86,20 +71,6 @@ LIMITS: Final = {
 TESTS: Final = {
     "full": "limit cycles at two pairs of gains, recorded and identified by each method: about a minute",
     "quick": "tests that rig designs, until tau, K and f_c are known: some seconds; no limit cycle is recorded",
-}
-BRIDGES: Final = {
-    "l298n": BridgeModule("L298N, with its jumper on ENA", "in1-in2", 2.0, 35.0),
-    "tb6612": BridgeModule("TB6612FNG, PWMA and STBY tied high", "in1-in2", 0.5, 13.5),
-    "drv8871": BridgeModule("DRV8871", "in1-in2", 0.6, 45.0),
-    "drv8833": BridgeModule("DRV8833", "in1-in2", 0.4, 10.8),
-    "bts7960": BridgeModule("BTS7960 (IBT-2), R_EN and L_EN tied high", "in1-in2", 0.1, 27.0),
-    "md10c": BridgeModule("Cytron MD10C", "pwm-dir", 0.1, 30.0),
-    "in1-in2": BridgeModule("another with two inputs, which brakes while both are high", "in1-in2", 0.5, 50.0),
-    "pwm-dir": BridgeModule("another with PWM and direction, which brakes while PWM is low", "pwm-dir", 0.5, 50.0),
-}
-
-RUNS_FREE: Final = {
-    "l298-ena": "L298 with PWM at ENA, or a shield with one: rig refuses it, and says what to do",
 }
 
 
@@ -208,12 +179,7 @@ class Answers:
 def require_braking(bridge: str) -> None:
     """Raise AnswerError for a bridge that lets the motor run free while PWM is low."""
     if bridge in RUNS_FREE:
-        raise AnswerError(
-            "with PWM at ENA an L298 lets the motor run free while PWM is low: nothing brakes it then, and rig finds "
-            "no motor, or another one (docs/real-bench.md, Which bridge)",
-            "a module: put the jumper back on ENA, lead the two PWM pins to IN1 and IN2, and answer l298n; a shield: "
-            "take another bridge",
-        )
+        raise AnswerError(*COASTS)
 
 
 def possible(board: str, sensor: str, bridge: str, limits: str, asked: str) -> Answers:

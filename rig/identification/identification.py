@@ -48,6 +48,7 @@ from rig.run_folder.results import (
     HystereticResult,
     IdentificationResult,
     RelayTestResult,
+    SamplingResult,
     StaticFrictionResult,
     answer_of,
     chosen,
@@ -73,6 +74,7 @@ class Identification:
     breakaway   drives at break-away in both directions; None without breakaway ramps
     friction_map    the drive over speed and over position; None without a survey, or without a motor
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
+    changes     a sentence for each change of what plain files say before the fit; also in ``notes``
     notes       rows used, how the gains were found, what was left out and why
     rehearsal   whether a recording is a rehearsal: its motor was made up
     own_loop    of a servo that made a recording; None: volts are volts
@@ -86,6 +88,7 @@ class Identification:
     breakaway: StaticFrictionResult | None = None
     friction_map: FrictionMap | None = None
     motor_law: MotorLaw | None = None
+    changes: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     rehearsal: bool = False
     own_loop: OwnLoop | None = None
@@ -96,6 +99,7 @@ class Identification:
             answer=self.answer,
             estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
             rehearsal=self.rehearsal or None,
+            sampling=self.sampling,
             relays=tuple(self.relays),
             notes=tuple(self.notes),
             hysteretic=tuple(self.hysteretic) or None,
@@ -111,6 +115,17 @@ class Identification:
         found = {method: estimate.as_result() for method, estimate in self.estimates.items()}
         answer = answer_of(found) if law is None else law.answer(found, self.leading, largest_V)
         return answer if answer is None or self.own_loop is None else by_own_loop(answer, self.own_loop)
+
+    @property
+    def sampling(self) -> SamplingResult | None:
+        """How the tests were sampled; None without tests. Of tests that differ the coarser."""
+        if not self.tests:
+            return None
+        return SamplingResult(
+            period_s=max(test.period_s for test in self.tests),
+            noise_rad=max(test.noise_rad() for test in self.tests),
+            step_rad=max(test.resolution_rad() for test in self.tests),
+        )
 
     @property
     def evidence(self) -> dict[str, Any]:
@@ -392,6 +407,7 @@ def _found(data: Measurements) -> Identification:
         hysteretic=[Transient.of(run).as_result() for run in data.hysteretic],
         cycles=dict(cycles),
         tests=list(data.tests),
+        changes=list(data.changes),
         notes=list(data.notes),
     )
 

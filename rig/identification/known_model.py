@@ -64,19 +64,28 @@ def plain_motor(estimate: EstimateResult) -> Motor:
     return Motor(known(estimate.tau_s), known(estimate.K_rad_s_V), coulomb(known(estimate.fc_V)), bias_V)
 
 
+def is_printed(path: Path) -> bool:
+    """Whether a path is a file, and not the result.json of a run: what `rig identify --json` printed, if anything."""
+    return path.is_file() and path.name != RESULT
+
+
+def printed(path: Path) -> IdentificationResult:
+    """What `rig identify --json` printed into a file. Raises RecordingError where it is none."""
+    if not content_of(path, MOST_BYTES).lstrip().startswith(b"{"):
+        name = quote(str(path))
+        raise RecordingError(
+            path, "is no answer", f"if it is a recording, type: rig identify {name} --json > found.json; then give that"
+        )
+    return salvaged(IdentificationResult, read_object(path))[0]
+
+
 def answer_in(path: Path) -> Answer:
     """The answer of a run folder, of its result.json, or of what `rig identify --json` printed into a file.
 
     Raises RecordingError where there is none.
     """
-    if path.is_file() and path.name != RESULT:
-        if not content_of(path, MOST_BYTES).lstrip().startswith(b"{"):
-            name = quote(str(path))
-            raise RecordingError(
-                path, "is no answer", f"if it is a recording, type: rig identify {name} --json > found.json"
-            )
-        result, _ = salvaged(IdentificationResult, read_object(path))
-        answer = result.answer
+    if is_printed(path):
+        answer = printed(path).answer
     else:
         of_run, _ = read_result(path.parent if path.name == RESULT else path)
         answer = None if of_run is None else of_run.answer

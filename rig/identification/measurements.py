@@ -37,6 +37,7 @@ class Measurements:
     further     records beside the tests, for the law of the motor: gain search and breakaway check, as far as they are
                 sound, each with the number of a test of the same run
     stated      for each recording what its bench may be wrong by
+    changes     one sentence for each change of what plain files say before the fit; also in ``notes``
     notes       what was left out or corrected, how gains and cycles were found
     has_searches  whether gain searches count as tests beside others
     """
@@ -52,6 +53,7 @@ class Measurements:
     further: list[tuple[TimeSeries, int]] = field(default_factory=list)
     stated: list[StatedErrors] = field(default_factory=list)
     recording_of: list[str] = field(default_factory=list)
+    changes: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     has_searches: bool = False
 
@@ -91,7 +93,12 @@ class Measurements:
         moved = {id(test): changed(test) for test in self.tests}
         self.tests = [moved[id(test)] for test in self.tests]
         self.sources = [(name, [moved.get(id(series), series) for series in each]) for name, each in self.sources]
-        self.notes.append(note)
+        self.tell(note)
+
+    def tell(self, *changes: str) -> None:
+        """Note what was changed before the fit."""
+        self.changes += changes
+        self.notes += changes
 
     def take_searches(self) -> bool:
         """Read the gain searches as tests, too, before the others; whether there were any.
@@ -135,6 +142,10 @@ def measurements(
         data.guarded += _guarded(recording)
         data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]
         tests, runs = _series_of(recording, gone, len(recordings) > 1, data.notes)
+        if not recording.stages() and not plain_is_hysteretic:
+            [whole] = tests
+            tests, changes = at_their_times(whole)
+            data.tell(*changes)
         if plain_is_hysteretic and not recording.stages():
             runs = tests
         data.hysteretic += runs
@@ -231,11 +242,7 @@ def _series_of(
     runs: list[TimeSeries] = []
     for label, rows in chosen:
         series, remarks = from_recording(recording, rows, label)
-        if not stages:
-            parts, said = _at_their_times(series)
-            tests += parts
-            remarks += said
-        elif series.stage is None or series.stage.kind is not StageKind.HYSTERETIC:
+        if series.stage is None or series.stage.kind is not StageKind.HYSTERETIC:
             tests.append(series)
         elif series.u_V.any():
             runs.append(series)
@@ -248,7 +255,7 @@ def _series_of(
     return tests, runs
 
 
-def _at_their_times(whole: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
+def at_their_times(whole: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     """The parts of a plain file between gaps, at even times where its stamps scatter about these, and sentences."""
     test, said = evened(whole)
     parts, gaps = ([test], said) if said else without_holes(whole)

@@ -39,7 +39,7 @@ GAP_PERIODS = 5.0
 # the largest one
 ON_TIME, EVEN_ROWS, STEPPED = 0.1, 0.85, 0.2
 KEPT = 0.5  # of the rows, in parts between gaps that are long enough: with fewer, the gaps are what the record has
-
+MOST_PARTS = 40  # the longest ones tell enough
 # Positions that are set anew, at most; how far over all other steps, and how much larger; a spike goes back in the next
 # row, by this share or more
 MOST_JUMPS, FAR_JUMP, LARGER, GOES_BACK = 5, 4.0, 1.5, 0.75
@@ -309,37 +309,37 @@ def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     kept = sum(map(len, parts))
     if len(edges) == 2 or kept < KEPT * len(test):
         return [test], []
-    said = []
-    if holes.size:
-        gaps, steps_s = "a gap" if holes.size == 1 else f"{holes.size} gaps", np.diff(test.t_s)[holes]
-        row = test.first_row + int(holes[np.argmax(steps_s)])
-        said.append(f"{gaps}, the longest of {steps_s.max():.3g} s after row {row}, in which the drive is unknown")
+    parts = sorted(sorted(parts, key=len)[-MOST_PARTS:], key=lambda part: part.first_row)
+    said = [f"{_in_words(test, holes)}, in which the drive is unknown"] if holes.size else []
     if jumps.size:
         said.append(f"a position that is set anew after row {', '.join(str(test.first_row + k) for k in jumps)}")
-    left_out = f"; {len(test) - kept} rows in short parts were left out" if kept < len(test) else ""
-    return parts, [f"{test.name}: {' and '.join(said)}: each part is fitted with a start of its own{left_out}"]
+    rest = len(test) - sum(map(len, parts))
+    left_out = f"; {rest} rows in short parts were left out" if rest else ""
+    each = f"each of {len(parts)} parts is fitted with a start of its own"
+    return parts, [f"{test.name}: {' and '.join(said)}: {each}{left_out}"]
+
+
+def _in_words(test: TimeSeries, holes: NDArray[np.intp]) -> str:
+    """Holes, at least one, such as ``2 gaps, the largest a gap of 0.21 s after row 109``."""
+    steps_s = np.diff(test.t_s)[holes]
+    k = int(np.argmax(steps_s))
+    gap = f"gap of {steps_s[k]:.3g} s after row {test.first_row + int(holes[k])}"
+    return f"a {gap}" if holes.size == 1 else f"{holes.size} gaps, the largest a {gap}"
 
 
 def _holes(test: TimeSeries) -> list[Objection]:
     """Holes in the samples."""
-    found: list[Objection] = []
-    steps = np.diff(test.t_s)
     holes = hole_rows(test)
-    if holes.size:
-        k = int(holes[np.argmax(steps[holes])])
-        starts, ends = np.append(0, holes + 1), np.append(holes, len(steps))
-        part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
-        first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
-        gap = f"gap of {steps[k]:.3g} s after row {test.first_row + k}"
-        many = gap if holes.size == 1 else f"{holes.size} gaps, the largest a {gap}"
-        found.append(
-            Objection(
-                "doubtful",
-                f"{test.name}: {many}: the drive there is unknown; identify the longest part without a gap "
-                f"(--rows {first}:{last})",
-            )
-        )
-    return found
+    if not holes.size:
+        return []
+    starts, ends = np.append(0, holes + 1), np.append(holes, len(test) - 1)
+    part = int(np.argmax(test.t_s[ends] - test.t_s[starts]))
+    first, last = test.first_row + int(starts[part]), test.first_row + int(ends[part])
+    reason = (
+        f"{test.name}: {_in_words(test, holes)}: the drive there is unknown; identify the longest part without a gap "
+        f"(--rows {first}:{last})"
+    )
+    return [Objection("doubtful", reason)]
 
 
 def one_way(tests: Sequence[TimeSeries]) -> bool:

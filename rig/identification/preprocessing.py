@@ -171,5 +171,5 @@ def unfiltered(test: TimeSeries, lag_s: float) -> TimeSeries:
     """The series as its shaft moved, behind a filter of this time constant, s, >= 0. The first row is as it was."""
     if not lag_s > 0.0:
         return test
-    y, apart_s = test.y_rad, np.diff(test.t_s)
-    return replace(test, y_rad=np.append(y[0], y[1:] + np.diff(y) / np.expm1(apart_s / lag_s)))
+    y, left = test.y_rad, np.exp(-np.diff(test.t_s) / lag_s)
+    return replace(test, y_rad=np.append(y[0], y[1:] + np.diff(y) * left / (1.0 - left)))

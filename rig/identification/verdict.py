@@ -112,11 +112,9 @@ def reserved(estimate: Estimate, reservations: Sequence[str], *, runs_free: bool
     """
     if not reservations:
         return estimate
-    if estimate.verdict != "refused":
-        refuted = (MORE_CYCLES, ROW_UP) if runs_free else (MORE_CYCLES,)
-        kept = (reason for reason in estimate.reasons if not reason.endswith(refuted))
-        estimate = replace(estimate, reasons=tuple(kept))
-    return estimate.judged("doubtful", *reservations)
+    refuted = (MORE_CYCLES, ROW_UP) if runs_free else (MORE_CYCLES,)
+    kept = tuple(reason for reason in estimate.reasons if not reason.endswith(refuted))
+    return replace(estimate, reasons=kept).judged("doubtful", *reservations)
 
 
 def largest_drive_V(tests: Sequence[TimeSeries]) -> float:

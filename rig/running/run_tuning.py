@@ -1,4 +1,4 @@
-"""`rig tune` on run folders: the motor and the bench of a run, the loop tuned for them, and the law for a config."""
+"""`rig tune`: the motor and the bench of a run, or of a log, the loop tuned for them, and the law for a config."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from rig.design.tune.servo_loop import PositionMode, ServoLoop, servo_loop
 from rig.design.tune.trial import Record, Sensing
 from rig.design.tune.tuning import Tuned, TuneError, Wish, tune
 from rig.design.tune.uncertain import UncertainMotor
+from rig.identification.known_model import is_printed, printed
 from rig.output.report import write_report
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, RESULT, write_result
@@ -33,7 +35,7 @@ from rig.run_folder.recording.reader import read_meta, read_result, read_run
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.servo_law import scale_of
 from rig.run_folder.recording.stage import StageKind
-from rig.run_folder.results import HoldsResult, JsonObject, RunResult
+from rig.run_folder.results import Answer, HoldsResult, IdentificationResult, JsonObject, RunResult, known
 from rig.run_folder.results.answer_words import beyond_drive
 from rig.run_folder.results.tuned import TunedResult
 
@@ -62,8 +64,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class TunedRun:
-    """A loop for the motor of a run.
+    """A loop for the motor of a run, or of a log.
 
+    folder     of the run; the file with the answer of a log
     latency_s  that the run's device reports, from a sample to the effect of its drive, s
     holds      what the run's answer was measured over; None: not said
     made_up    the run was a rehearsal: nobody measured this motor
@@ -123,6 +126,38 @@ class TunedRun:
         return found.model_copy(update={"beyond": f"the trial has {beyond}" if beyond else None})
 
 
+class _Place(NamedTuple):
+    """Where a loop is to drive: how the bench samples, the travel for its trial, and the largest speed, rad/s."""
+
+    sensing: Sensing
+    room: Room
+    top_rad_s: float
+
+    @classmethod
+    def of(cls, e: Experiment, result: RunResult | None) -> _Place:
+        """Of a bench. ``result``: of a run with this sensor, whose noise counts; None: only the sensor's steps do."""
+        return cls(_sensing(e, result), _room(e), TOP_SHARE * e.limits.max_speed_rad_s)
+
+    @classmethod
+    def of_log(cls, path: Path, found: IdentificationResult) -> _Place:
+        """As a log shows it: no drive, speed or travel beyond its own. Raises RecordingError where it does not say."""
+        holds, sampled = None if found.answer is None else found.answer.holds, found.sampling
+        if holds is None or not (sampled and holds.drive_V and holds.speed_rad_s and holds.travel_rad):
+            raise RecordingError(
+                path, "does not say how its log was sampled", "give --try CONFIG, or identify it anew with --json"
+            )
+        largest_V, top_rad_s = known(holds.drive_V[1]), known(holds.speed_rad_s[1])
+        low_rad, high_rad = map(known, holds.travel_rad)
+        period_s, noise_rad, step_rad = map(known, (sampled.period_s, sampled.noise_rad, sampled.step_rad))
+        if not (min(largest_V, top_rad_s, high_rad - low_rad, period_s) > 0.0 and min(noise_rad, step_rad) >= 0.0):
+            raise RecordingError(path, "says that its log had no drive, speed, travel or period", "identify it anew")
+        white_rad = math.sqrt(max(noise_rad**2 - step_rad**2 / 12.0, 0.0))
+        sensing = Sensing(period_s, max(white_rad, LEAST_NOISE_RAD), step_rad, largest_V)
+        middle_rad, half_rad = 0.5 * (low_rad + high_rad), min(0.5 * (high_rad - low_rad), TURN_RAD)
+        middle_rad = math.remainder(middle_rad, 2.0 * math.pi)  # a turn away a shaft is where it was
+        return cls(sensing, Room(middle_rad - half_rad, middle_rad + half_rad), top_rad_s)
+
+
 def tune_run(
     folder: Path,
     asked: Asked,
@@ -130,52 +165,81 @@ def tune_run(
     bench: Experiment | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> TunedRun:
-    """Tune a loop for the motor of a run folder, and predict what it does.
+    """Tune a loop for the motor of a run folder, or of what `rig identify --json` printed, and predict what it does.
 
-    bench        on which it is to be driven; None: the run's own
+    bench        on which it is to be driven; None: the run's own, or as the log shows it
     on_progress  is called with how many motors are simulated, and how many there are
     Raises RecordingError where the folder has no result or config, ConfigError for a config that cannot be read, and
     TuneError where no such loop is possible, or where its trial would leave the soft limits of ``bench``.
     """
-    result, _ = read_result(folder)
-    if result is None:
-        require_run(folder)
-        raise RecordingError(folder / RESULT, "is missing", "`rig tune` reads the run folder of an identified motor")
+    if is_printed(folder):
+        found = printed(folder)
+        place = _Place.of_log(folder, found) if bench is None else _Place.of(bench, None)
+        return _tuned(folder, found.answer, bool(found.rehearsal), place, 0.0, asked, draws, bench, on_progress)
+    result = _result_of(folder)
     if bench is None and not (folder / CONFIG).exists():
         raise RecordingError(
             folder / CONFIG, "is missing: nothing says the bench's period, sensor and limits", "give --try CONFIG"
         )
     e = config.load(folder / CONFIG, follows_links=False) if bench is None else bench
-    motor = motor_of(result.answer)
-    sensing = _sensing(e, result if bench is None or _same_sensor(folder, bench) else None)
-    tuned, trial = _that_fits(e, asked, motor, sensing)
-    latency_s = min(_latency_s(read_run(folder)), motor.delay_s)
+    place = _Place.of(e, result if bench is None or _same_sensor(folder, bench) else None)
+    latency_s = _latency_s(read_run(folder))
+    return _tuned(folder, result.answer, bool(result.rehearsal), place, latency_s, asked, draws, bench, on_progress)
+
+
+def _result_of(folder: Path) -> RunResult:
+    """The result of a run folder. Raises RecordingError without one."""
+    result, _ = read_result(folder)
+    if result is None:
+        require_run(folder)
+        raise RecordingError(folder / RESULT, "is missing", "`rig tune` reads the run folder of an identified motor")
+    return result
+
+
+def _tuned(
+    path: Path,
+    answer: Answer | None,
+    made_up: bool,
+    place: _Place,
+    latency_s: float,
+    asked: Asked,
+    draws: int,
+    bench: Experiment | None,
+    on_progress: Callable[[int, int], None] | None,
+) -> TunedRun:
+    """The loop for the motor of an answer; ``latency_s``: of its delay, what the device reports. Raises TuneError."""
+    motor = motor_of(answer)
+    tuned, trial = _that_fits(place, asked, motor)
     prediction = predict(tuned, trial, draws, on_progress=on_progress)
     if bench is not None:
         _require_inside(bench, prediction)
-    holds = None if result.answer is None else result.answer.holds
-    return TunedRun(folder, tuned, trial, prediction, latency_s, holds, bool(result.rehearsal))
+    holds = None if answer is None else answer.holds
+    return TunedRun(path, tuned, trial, prediction, min(latency_s, motor.delay_s), holds, made_up)
 
 
-def servo_loop_of(folder: Path, model: ServoModel, least: Margins, p_scale: float | None = None) -> ServoLoop:
-    """The gains of a servo's own position loop for the motor of a run folder.
+def servo_loop_of(
+    folder: Path, model: ServoModel, least: Margins, p_scale: float | None = None, supply_V: float | None = None
+) -> ServoLoop:
+    """The gains of a servo's own position loop for the motor of a run folder, or of what `rig identify --json` printed.
 
+    supply_V  of the servo; None: as the run says
     least     margins that every motor of its intervals keeps
     p_scale   share of full duty that a gain of 1 makes of 1 rad, 1/rad; None: as manuals have it
     Raises RecordingError where the folder has no result, does not say its supply, or is of another servo, ConfigError
     for a config that cannot be read; TuneError as ``servo_loop``.
     """
-    result, _ = read_result(folder)
-    if result is None:
-        require_run(folder)
-        raise RecordingError(folder / RESULT, "is missing", "`rig tune` reads the run folder of an identified motor")
+    if is_printed(folder):
+        if supply_V is None:
+            raise RecordingError(folder, "does not say the supply: a duty is a share of it", "add --supply-V, in volts")
+        return servo_loop(motor_of(printed(folder).answer), position_mode_of(model, p_scale), supply_V, least)
+    result = _result_of(folder)
     own = config.load(folder / CONFIG, follows_links=False).daq.servo if (folder / CONFIG).exists() else None
     if own is not None and own.model != model.name:
         raise RecordingError(folder, f"is a run of a {own.model}, not of a {model.name}", f"type --servo {own.model}")
     meta, _ = read_meta(folder)
-    supply_V = None if meta is None or meta.drive is None else meta.drive.supply_V
+    supply_V = supply_V or (None if meta is None or meta.drive is None else meta.drive.supply_V)
     if not supply_V:
-        raise RecordingError(folder, "does not say the supply: a duty is a share of it", "give a run of this servo")
+        raise RecordingError(folder, "does not say the supply: a duty is a share of it", "add --supply-V, in volts")
     return servo_loop(motor_of(result.answer), position_mode_of(model, p_scale), supply_V, least)
 
 
@@ -210,10 +274,7 @@ def _same_sensor(folder: Path, bench: Experiment) -> bool:
 
 
 def _sensing(e: Experiment, result: RunResult | None) -> Sensing:
-    """How a bench samples and drives.
-
-    result  of a run with this sensor, whose noise counts; None: nobody has seen it, and only the sensor's steps count
-    """
+    """How a bench samples and drives; ``result`` as for ``_Place.of``."""
     lsb_rad = e.sensor.curve.lsb_rad
     seen = None if result is None or result.breakaway is None else result.breakaway.noise_rad
     # the noise that the breakaway check saw has the steps in it
@@ -221,9 +282,9 @@ def _sensing(e: Experiment, result: RunResult | None) -> Sensing:
     return Sensing(e.period_s, max(white_rad, LEAST_NOISE_RAD), lsb_rad, e.drive.max_V)
 
 
-def _that_fits(e: Experiment, asked: Asked, motor: UncertainMotor, sensing: Sensing) -> tuple[Tuned, Trial]:
+def _that_fits(place: _Place, asked: Asked, motor: UncertainMotor) -> tuple[Tuned, Trial]:
     """The loop and its trial; a step that nobody asked for is as large as fits. Raises TuneError."""
-    top_rad_s, room = TOP_SHARE * e.limits.max_speed_rad_s, _room(e)
+    sensing, room, top_rad_s = place
     least = Margins(asked.gain_dB, asked.phase_deg, 0.0)
     steps = [asked.step or STEP_SHARE * (room.high_rad - room.low_rad)]
     if asked.step is None and asked.loop == "velocity":

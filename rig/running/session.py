@@ -11,6 +11,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -351,6 +352,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         outcome.fail(error)
     except OSError as error:
         outcome.failures.append(f"no report: {error}")
+    except KeyboardInterrupt:
+        outcome.failures.append(f"no report: interrupted; `rig report {quote(str(session.folder))}` draws it")
     except Exception as error:  # noqa: BLE001 - recording and result are there
         outcome.failures.append(f"no report: {_defect(error)}")
     return outcome

@@ -13,6 +13,7 @@ from evidence import evidence
 
 from rig.cli import main
 from rig.config import new_bench, ready
+from rig.config.bridges import BRIDGES
 from rig.config.load import load
 from rig.running import preflight
 
@@ -44,7 +45,7 @@ def test_a_name_or_port_that_yaml_takes_for_something_else_stands_in_quotes(tmp_
     assert (load(file).name, load(file).daq.port) == ("123", "/dev/left: #2")
 
 
-@pytest.mark.parametrize("bridge", new_bench.BRIDGES)
+@pytest.mark.parametrize("bridge", BRIDGES)
 @pytest.mark.parametrize("travel_deg", [103.0, *evidence(40.0, 125.0)])
 def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: float) -> None:
     file = tmp_path / "bench.yaml"

@@ -43,7 +43,7 @@ def test_a_log_is_predicted_with_laws_and_delay_and_drawn(tmp_path: Path, log: P
     picture = tmp_path / "picture.png"
     done = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", picture)
     assert done.exit_code == 0, done.output
-    assert "log.csv: fit 100.0 %" in done.output
+    assert "log.csv: fit 100 %," in done.output
     assert "a drive of 1.5 V, and the answer holds up to 1 V" in done.output
     assert picture.is_file()
     again = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", picture)
@@ -51,6 +51,14 @@ def test_a_log_is_predicted_with_laws_and_delay_and_drawn(tmp_path: Path, log: P
     plain = command("predict-run", log, "--model", found_in(tmp_path, law=()), *OPTIONS, "--json")
     (one,) = json.loads(plain.output)["predictions"]
     assert one["fit_percent"] < 99.0 and one["beyond"]
+
+
+def test_a_log_with_a_gap_is_predicted_from_a_start_after_it(tmp_path: Path, log: Path) -> None:
+    lines = log.read_text().splitlines()
+    log.write_text("\n".join([*lines[:200], *lines[300:]]) + "\n")
+    done = command("predict-run", log, "--model", found_in(tmp_path), *OPTIONS, "--picture", tmp_path / "parts.png")
+    assert done.exit_code == 0, done.output
+    assert "log.csv: fit 100 %," in done.output and "in 2 parts between its gaps" in done.output
 
 
 def test_what_holds_no_motor_is_refused_in_words(tmp_path: Path, log: Path) -> None:

@@ -146,6 +146,7 @@ def test_a_first_config_knows_what_the_servo_tells(port: str, tmp_path: Path) ->
 @pytest.mark.parametrize(("arguments", "words"), [
     (("--servo", "ax-12"), "rig knows no servo"),
     (("--servo", "xl330"), "xl330 may be xl330-m077 or xl330-m288"),
+    (("--servo", "XL 330"), "XL 330 may be xl330-m077 or xl330-m288"),
     (("--servo", "xm430-w350"), "give --no-load-rpm"),
     (("--servo", "xl330", "--board", "uno"), "mean nothing with --servo"),
 ])  # fmt: skip

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import rig as command
 from tuned_run import GOLDEN, few_draws, tuned_run
@@ -14,6 +16,7 @@ from tuned_run import GOLDEN, few_draws, tuned_run
 import rig
 from rig import config
 from rig.run_folder.recording.errors import CannotWriteError
+from rig.run_folder.results import Answer, IdentificationResult, SamplingResult
 from rig.running.run_tuning import LEAST_NOISE_RAD, Asked, tune_run
 
 CONFIG = rig.ready("simulated")
@@ -98,6 +101,37 @@ def test_a_trial_that_would_leave_the_soft_limits_does_not_drive_a_bench(run: Pa
     done = command("tune", vague, *options, "--try", CONFIG)
     assert done.exit_code == 1 and "beyond the soft limits -1.10 to 1.10 rad" in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_loop_is_tuned_for_the_answer_of_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own period, drives, speeds and travel bound it; a servo's loop asks for the supply."""
+    few_draws(monkeypatch)
+    found = tmp_path / "found.json"
+    numbers = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "asym_V": 0.0, "delay_s": 0.004, "verdict": "ok"}
+    answer = Answer.model_validate(
+        {
+            **numbers, "law": [], "u95": {"tau_s": 0.002, "K_rad_s_V": 0.08, "fc_V": 0.004},
+            "ci95": {"tau_s": [0.169, 0.171], "K_rad_s_V": [6.48, 6.52]},
+            "holds": {"drive_V": [0.1, 2.0], "speed_rad_s": [0.1, 4.0], "travel_rad": [6.0, 8.0]},
+        }
+    )  # fmt: skip
+    sampling = SamplingResult(period_s=0.01, noise_rad=0.003, step_rad=0.001)
+    found.write_text(json.dumps(IdentificationResult(answer=answer, sampling=sampling).as_json()), encoding="utf-8")
+    tuned = tune_run(found, Asked("position", None, None, 45.0, 6.0), 39)
+    assert (tuned.tuned.sensing.period_s, tuned.tuned.sensing.largest_V) == (0.01, 2.0)
+    assert tuned.tuned.wish.step == 0.5 and tuned.tuned.wish.top_rad_s == 4.0
+    positions = np.concatenate([one.y_rad for one in tuned.prediction.records])
+    assert 7.0 - 2.0 * math.pi < positions.max() < 8.0 - 2.0 * math.pi  # a turn away the shaft is where it was
+    least = ("--phase-margin", 5, "--gain-margin", 1)
+    assert command("tune", found, "--servo", "sts3215", "--supply-V", 7.4, *least).exit_code == 0
+    asked = command("tune", found, "--servo", "sts3215")
+    assert asked.exit_code == 2 and "add --supply-V" in asked.stderr
+    found.write_text(json.dumps(IdentificationResult(answer=answer).as_json()), encoding="utf-8")
+    older = command("tune", found)
+    assert older.exit_code == 2 and "give --try CONFIG, or identify it anew with --json" in older.stderr
+    (tmp_path / "log.csv").write_text("t_s,u_V,y_rad\n", encoding="utf-8")
+    log = command("tune", tmp_path / "log.csv")
+    assert log.exit_code == 2 and "rig identify" in log.stderr and "--json > found.json" in log.stderr
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,14 @@ BROKEN = {
         "cycles: 10", "cycles: 12\n  where: devise", "devise", "relay.where", "must be one of host, device",
         "did you mean 'device'?",
     ),
+    "a bridge as it is sold": (
+        "supply_V: 12.0", "bridge: TB6612\n  supply_V: 12.0", "TB6612", "drive.bridge", "must be one of pwm-dir",
+        "write in1-in2, the inputs of TB6612FNG",
+    ),
+    "a bridge that nothing brakes": (
+        "supply_V: 12.0", "bridge: l298-ena\n  supply_V: 12.0", "l298-ena", "drive.bridge", "must be one of pwm-dir",
+        "put the jumper back on ENA",
+    ),
     "driver with capitals": (
         "driver: serial", "driver: Serial", "Serial", "daq.driver", "must be made of lower-case letters", ""
     ),
@@ -235,7 +243,7 @@ def test_deep_nesting_is_refused_at_its_place(tmp_path: Path) -> None:
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for path, message in (
-        (tmp_path / "none.yaml", "none.yaml: no such file"),
+        (tmp_path / "none.yaml", "none.yaml: no such file; `rig init"),
         (tmp_path, "is a folder, not a file"),
         (Path("a\x00b"), "cannot be read"),
         (tmp_path / "x" / ".." / ("n" * 5000), "cannot be read"),

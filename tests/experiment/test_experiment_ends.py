@@ -129,6 +129,14 @@ def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     assert json.loads(result.stdout)["estimates"]["sampled-data"]["verdict"] in ("ok", "doubtful")
     assert "Traceback" not in result.output
 
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(session, "write_report", interrupted)
+    result = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "jogs")
+    assert result.exit_code == 1 and "no report: interrupted; `rig report " in result.output
+    assert "run:" in result.output and "drive is on" not in result.output
+
 
 def test_a_result_that_cannot_be_made_is_the_least_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:

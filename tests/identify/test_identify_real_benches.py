@@ -88,6 +88,39 @@ def answered(*records: Recorded) -> Answer:
     return answer
 
 
+def test_what_lies_between_gaps_is_identified_in_parts() -> None:
+    """As one record tau came out twice as large, and its interval did not say so."""
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0))
+    kept = np.ones(t_s.size, dtype=bool)
+    kept[500:520] = kept[1100:1540] = False
+    found = found_in((t_s[kept], u_V[kept], y_rad[kept]))
+    [said] = found.changes
+    assert (
+        "2 gaps, the largest a gap of 2.21 s after row 1079, in which the drive is unknown" in said
+        and "3 parts" in said
+    )
+    assert found.answer is not None and found.answer.verdict == "ok" and said in found.notes
+    assert right(found.answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+
+
+def test_gaps_between_which_nothing_shows_are_not_taken_for_other_time_stamps() -> None:
+    t_s, u_V, y_rad = recorded(MOTOR, (0.0, 3.0, 5.0, 7.0), rows=1000)
+    kept = np.arange(t_s.size) % 75 >= 15  # parts of 0.3 s
+    first, *others = answered((t_s[kept], u_V[kept], y_rad[kept])).reasons
+    assert "gaps" in first and not any("--time-row" in reason for reason in others)
+
+
+def test_a_pendulum_that_turns_over_is_a_force_over_position() -> None:
+    """Cogging of one period a turn explains as much with one number more, and was taken for the better one."""
+    motor = RealMotor(0.08, 2.4, 0.45, force_sin_V=0.9)
+    t_s: np.ndarray = np.linspace(0.0, 15.0, 1500, endpoint=False)
+    u_V = np.round(5.0 * np.sin(2.2 * t_s + 2.5 * np.sin(0.44 * t_s)), 2)
+    y_rad = response(motor, Frame(duration_s=15.0), (t_s + 0.002, u_V), t_s, Pieces.one())
+    answer = answered((t_s, u_V, STEP_RAD * np.floor(y_rad / STEP_RAD + 0.5)))
+    assert [law.name for law in answer.law or ()] == ["force_over_position"]
+    assert right(answer, motor, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+
+
 def right(answer: Answer, motor: RealMotor, share: float, *names: str) -> bool:
     return all(abs(float(getattr(answer, name) or 0.0) / getattr(motor, name) - 1.0) < share for name in names)
 

@@ -87,6 +87,19 @@ def test_a_stage_that_has_several_laws_is_shown_once(tmp_path: Path) -> None:
         check=True,
     )
     assert told.stderr == "    6.4 s  search\n"
+    # the report of a run that is over takes its time: a line says so while nobody has ended the progress yet
+    ended = {"t_s": 12.1, "kind": "end"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "rig.run_folder.recording.follow", str(tmp_path)],
+        stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as drawing:  # fmt: skip
+        assert drawing.stdin is not None and drawing.stderr is not None
+        assert drawing.stderr.readline() == "    6.4 s  search\n"
+        with (tmp_path / "events.jsonl").open("a") as file:
+            file.write(json.dumps(ended) + "\n")
+        assert drawing.stderr.readline() == "   12.1 s  report\n"
+        drawing.stdin.close()
+        assert drawing.stderr.read() == ""
 
 
 LIVE: JsonObject = {

@@ -15,6 +15,7 @@ import rig as api
 from rig.identification import identify
 from rig.output.report.simulated import MOST, figure_of, fit_in_words, simulated
 from rig.output.report.style import AbsentError
+from rig.run_folder.recording.errors import CannotWriteError
 from rig.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.drawn
@@ -54,6 +55,20 @@ def test_the_summary_of_a_recording_is_under_ten_lines_and_the_rest_is_there_if_
     found = json.loads(rig("identify", chirp, "--json").stdout)
     assert found["ok"] and found["answer"]["verdict"] in ("ok", "doubtful")
     assert {"with_law", "law", "law_frame", "u95", "u95_absolute"}.isdisjoint(found)
+    assert found["sampling"]["period_s"] == pytest.approx(0.01) and found["sampling"]["step_rad"] == 0.0
+    assert found["sampling"]["noise_rad"] == pytest.approx(0.002, rel=0.1)
+
+
+def test_what_was_found_is_told_though_the_disk_takes_no_picture(
+    chirp: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: Path, data: bytes) -> None:
+        raise CannotWriteError(file, "No space left on device", "free some")
+
+    monkeypatch.setattr("rig.output.report.simulated.write_whole", full)
+    done = rig("identify", chirp, "--rows", ":400", "--picture", tmp_path / "fit.png")
+    assert done.exit_code == 1 and "fit.png: No space left on device" in done.stderr
+    assert done.stdout.startswith("tau") and "picture" not in done.stdout
 
 
 @pytest.mark.parametrize(

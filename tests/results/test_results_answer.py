@@ -34,7 +34,7 @@ from rig.run_folder.results import (
     TrueMotor,
     answer_of,
 )
-from rig.run_folder.results.answer_words import answer_lines, graded_words, validity
+from rig.run_folder.results.answer_words import answer_lines, graded_words, of_all, validity
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated"
 LAW = FoundLawResult(name="sag", value=0.02, unit="1/V", ci95=(0.01, 0.03), bic=30.0, numbers={"sag_per_V": 0.02})
@@ -264,3 +264,12 @@ def test_of_many_reasons_the_first_two_are_shown_and_of_a_refused_answer_the_fir
     doubtful = shown(answer_of({"sampled-data": one(0.17, "doubtful").model_copy(update=many)}))
     assert doubtful[-3:] == ["doubtful: first", "doubtful: second", "doubtful: 2 more reasons"]
     assert shown(None) == ["no answer: nothing was identified"]
+
+
+@pytest.mark.parametrize(
+    ("percent", "words"),
+    [(98.74, "98.7 %"), (5.0, "5.0 %"), (99.94, "99.9 %"), (99.96, "99.96 %"), (99.9972, "99.997 %"), (100.0, "100 %")],
+)
+def test_a_share_is_all_only_if_nothing_is_missing(percent: float, words: str) -> None:
+    """A fit of 100.0 % stood above a residual that everybody sees."""
+    assert of_all(percent) == words

@@ -10,8 +10,8 @@ import pytest
 from evidence import evidence
 
 from real_records import __main__ as command
-from real_records.bounds import bounds
-from real_records.known import Known, known_of
+from real_records.bounds import bounds, tellable
+from real_records.known import PUBLISHED, Known, known_of
 from real_records.scores import FIGURES, Seen, by_table, figures, laws_shared, left_out
 from real_records.siblings import next_record, pairs_that_agree
 from rig.identification import identify
@@ -167,7 +167,7 @@ def test_known_numbers_are_read_from_the_readme_beside_the_records(tmp_path: Pat
 
 
 @pytest.mark.laws
-def test_figures_count_what_is_given_what_is_off_and_what_siblings_share() -> None:
+def test_figures_count_what_is_given_what_is_off_and_what_siblings_share(monkeypatch: pytest.MonkeyPatch) -> None:
     motor = RealMotor(0.1, 5.0, 1.5)
     first, second, other = (Seen(name, name[0], _record(k, motor), 3.0) for k, name in enumerate(("a1", "a2", "b1")))
     late = Seen("b2", "b", None, 13.0)
@@ -185,6 +185,12 @@ def test_figures_count_what_is_given_what_is_off_and_what_siblings_share() -> No
     assert row["numbers of siblings that agree (90 % asked)"] == "3 of 3"
     assert row["within 12 s of CPU (90 % asked)"] == "3 of 4"
     assert laws_shared(records) == (0, 0)
+    monkeypatch.setitem(PUBLISHED, "a", {"tau_s": (0.1, 0.0), "K_rad_s_V": (4.0, 0.0), "fc_V": (1.5, 0.0)})
+    (said,) = tellable([first, late])
+    assert first.found is not None
+    halves = bounds(first.found, {"tau_s": 0.1, "K_rad_s_V": 4.0, "fc_V": 1.5}).values()
+    assert said.startswith(f"a: {sum(left <= 0.25 for _, left in halves)} of 3 numbers can be known to 25 %")
+    assert "rig gives 3: tau of a1" in said and "K of a1 (25 %)" in said
     without_b = [cells[3] for cells in left_out(records, known, [])]
     assert without_b == figures([first, second], known, [])
     worse = {**known, "a1": Known(True, 1.0, known["a1"].numbers)}  # no better than a linear model: rig's is nearer

@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.io import loadmat
 
-from real_records.bounds import bounds
-from real_records.known import NUMBERS, PUBLISHED, Known, known_of
+from real_records.bounds import bounded, tellable
+from real_records.known import Known, known_of
 from real_records.scores import HEAD as COMPARED
 from real_records.scores import Seen, by_published, by_table, left_out, left_out_head, percent
 from real_records.siblings import Next, next_record, pairs_that_agree
@@ -186,6 +186,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             head=HEAD,
             rows=rows,
             tables=tables,
+            tellable=tellable(records),
             cpu_90=f"{cpu[min(len(cpu) - 1, int(0.9 * len(cpu)))]:.0f}" if cpu else "-",
         )
         write(DOCS / "real-records.md", text)
@@ -210,13 +211,10 @@ def tables_of(records: Sequence[Seen], known: Mapping[str, Known]) -> dict[str, 
         if seen.found is not None and seen.answer is not None:
             by_motor.setdefault(seen.motor, {})[seen.name] = seen.found
     following = [one for siblings in by_motor.values() for one in next_records(siblings)]
-    at_most = []
-    for seen in records:
-        published = {name: value for name, (value, _) in PUBLISHED.get(seen.motor, {}).items()}
-        if seen.found is None or not all(name in published for name in NUMBERS):
-            continue
-        pairs = bounds(seen.found, published)
-        at_most.append([seen.name, *(f"{percent(own)}, {percent(left)}" for own, left in (pairs[n] for n in NUMBERS))])
+    at_most = [
+        [seen.name, *(f"{percent(own)}, {percent(left)}" for own, left in pairs.values())]
+        for seen, pairs in bounded(records)
+    ]
     return {
         "table": (COMPARED, [one.cells() for one in by_table(records, known)]),
         "published": (COMPARED, [one.cells() for one in by_published(records)]),

@@ -8,11 +8,13 @@ record with these numbers, coloured as it is: the best for somebody whose model 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from real_records.known import NUMBERS, PUBLISHED
+from real_records.scores import Seen, by_published
 from rig.identification.departures.blocks import Blocks
 from rig.identification.departures.choice import with_own_noise
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
@@ -22,8 +24,8 @@ from rig.identification.identification import Identification
 from rig.model.real_motor import RealMotor
 
 FORCE = ("force_sin_V", "force_cos_V")
-NUMBERS = ("tau_s", "K_rad_s_V", "fc_V")
 T95 = 1.96
+KNOWN = 0.25  # half width, relative: above it a number is not known
 
 
 def bounds(found: Identification, known: Mapping[str, float]) -> dict[str, tuple[float, float]]:
@@ -46,6 +48,35 @@ def bounds(found: Identification, known: Mapping[str, float]) -> dict[str, tuple
     at = with_own_noise(replace(load, problem=problem))
     sensor = replace(at, problem=problem)
     return {name: (_half(sensor, name, 1.0) / known[name], _half(at, name, unit(at)) / known[name]) for name in NUMBERS}
+
+
+def bounded(records: Sequence[Seen]) -> list[tuple[Seen, dict[str, tuple[float, float]]]]:
+    """The records of motors whose three numbers are published, each with its ``bounds`` there."""
+    found = []
+    for seen in records:
+        published = {name: value for name, (value, _) in PUBLISHED.get(seen.motor, {}).items()}
+        if seen.found is not None and all(name in published for name in NUMBERS):
+            found.append((seen, bounds(seen.found, published)))
+    return found
+
+
+def tellable(records: Sequence[Seen]) -> list[str]:
+    """A sentence for each such motor: how many of its numbers its records can tell at all, and what rig gives."""
+    by_motor: dict[str, list[tuple[str, dict[str, tuple[float, float]]]]] = {}
+    for seen, pairs in bounded(records):
+        by_motor.setdefault(seen.motor, []).append((seen.name, pairs))
+    given = [one for one in by_published(records) if one.is_given]
+    lines = []
+    for motor, each in by_motor.items():
+        told = {name: sum(pairs[name][1] <= KNOWN for _, pairs in each) for name in NUMBERS}
+        split = ", ".join(f"{word} of {count}" for word, count in zip(("tau", "K", "f_c"), told.values(), strict=True))
+        own = [f"{one.cells()[1]} of {one.record} ({one.cells()[6]})" for one in given if one.motor == motor]
+        lines.append(
+            f"{motor}: {sum(told.values())} of {len(NUMBERS) * len(each)} numbers can be known to "
+            f"{100.0 * KNOWN:.0f} % ({split} of its {len(each)} records). rig gives {len(own)}"
+            f"{': ' if own else ''}{', '.join(own)}."
+        )
+    return lines
 
 
 def _half(fit: Fit, name: str, variance: float) -> float:

@@ -48,7 +48,9 @@ def model_named(name: str, *, is_read: bool = False) -> ServoModel:
     is_read  the servo itself will tell which: then the first of several will do
     Raises AnswerError where rig knows none, and for several.
     """
-    found = [MODELS[name]] if name in MODELS else [MODELS[one] for one in sorted(MODELS) if one.startswith(name)]
+    plain = {_letters(one): MODELS[one] for one in sorted(MODELS)}
+    asked = _letters(name)
+    found = [plain[asked]] if asked in plain else [plain[one] for one in plain if asked and one.startswith(asked)]
     if not found:
         raise AnswerError(f"rig knows no servo {name!r}", f"one of {', '.join(sorted(MODELS))}")
     if len(found) > 1 and not is_read:
@@ -57,6 +59,11 @@ def model_named(name: str, *, is_read: bool = False) -> ServoModel:
             f"{name} may be {names}", f"name it, such as --servo {found[-1].name}; `rig init` with --port reads it"
         )
     return found[0]
+
+
+def _letters(name: str) -> str:
+    """A name as it is compared: ``STS-3215`` is ``sts3215``."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def text(answers: ServoAnswers) -> str:

@@ -64,6 +64,7 @@ FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
 VALLEY = (0.5, 1.0, 2.0)  # sizes that are looked at about that with which a law in a valley begins, over it
+ONE_WAVE_RAD = 0.5  # between two waves at the ends of the travel, up to which they may be one
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
@@ -155,7 +156,7 @@ class Chooser:
                 continue
             problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
             longer = self._at_best_shape(solve(start(problem, motor)), laws)
-            longer, found = self._settle(longer, laws)
+            longer, found = self._of_one_turn(*self._settle(longer, laws))
             if fit is not None and longer.rms_rad > max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad):
                 growth.append((cut.longest_s, longer.rms_rad))
                 break
@@ -339,7 +340,15 @@ class Chooser:
         end = self._greedy(*first[0], seen)
         if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
             return end  # it leaves nothing: another start would need two laws for as much
-        ends = [end, *(self._greedy(*step, seen) for step in first[1:])]
+        return self._ranked([end, *(self._greedy(*step, seen) for step in first[1:])])[0]
+
+    def _ranked(self, ends: list[tuple[Fit, tuple[Departure, ...]]]) -> list[tuple[Fit, tuple[Departure, ...]]]:
+        """Fits of the same rows, the best first: by what each leaves, and the price of its laws.
+
+        The noise is that of the finest: by noises of their own two that leave next to nothing are far apart.
+        """
+        if len(ends) < 2:
+            return ends
         finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
@@ -347,7 +356,27 @@ class Chooser:
             squares = finest.problem.cost(of.residual_rad, of.motor) / unit(finest)
             return squares + sum(self.price(law, of, self.asked.entry) for law in found)
 
-        return min(ends, key=worth)
+        return sorted(ends, key=worth)
+
+    def _of_one_turn(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """With a force over position in place of cogging of one period a turn, as of a pendulum: it has a number less.
+
+        Which of both a search takes first hangs on where its trials end.
+        """
+        of_name = {law.name: law for law in self.candidates}
+        wave, force = of_name.get("cogging"), of_name.get("force_over_position")
+        if wave not in laws or force is None or force in laws:
+            return fit, laws
+        motor, centre_rad = fit.motor, fit.problem.cut.frames[0].centre_rad
+        if abs(motor.cogging_per_rad - 1.0) * self.bench.half_travel_rad > ONE_WAVE_RAD:
+            return fit, laws
+        sin_V, cos_V = motor.cogging_sin_V, motor.cogging_cos_V
+        same = without(motor, wave)._replace(
+            force_sin_V=sin_V * math.cos(centre_rad) - cos_V * math.sin(centre_rad),
+            force_cos_V=sin_V * math.sin(centre_rad) + cos_V * math.cos(centre_rad),
+        )
+        others = tuple(force if law is wave else law for law in laws)
+        return self._ranked([(fit, laws), (solve(self.with_laws(fit, others, same)), others)])[0]
 
     def _greedy(self, fit: Fit, laws: tuple[Departure, ...], seen: Ends) -> tuple[Fit, tuple[Departure, ...]]:
         """One law after the other, the best each time; ``seen``: where the laws of other ways led, which it adds to.

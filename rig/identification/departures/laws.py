@@ -152,7 +152,7 @@ DEPARTURES: list[Departure] = [
                               [_bristles(bench, 0.3, 0.001)]},
     ),
     Departure(
-        "force_over_position", "force over position", "an unbalanced load, or a cable?",
+        "force_over_position", "force over position", "an unbalanced load, a pendulum, or a cable?",
         lambda bench: min(0.1, bench.half_drive_V), _SWEEPS, over_position=True,
     ),
     Departure(
@@ -160,7 +160,7 @@ DEPARTURES: list[Departure] = [
         over_position=True,
     ),
     Departure(
-        "cogging", "cogging", "the poles of the motor, the teeth of a gear, or a pendulum?",
+        "cogging", "cogging", "the poles of the motor, the teeth of a gear, or a load behind one?",
         lambda bench: min(0.05, bench.half_drive_V), _SWEEPS,
         trials=lambda bench: [{"cogging_per_rad": order} for order in orders(bench)], limits=_order_limits,
         shown=lambda bench: bool(orders(bench)), over_position=True,

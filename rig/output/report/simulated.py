@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from rig.identification.identification import Identification
 from rig.identification.known_model import model_of
+from rig.identification.measurements import at_their_times
 from rig.identification.preprocessing import from_recording
 from rig.output.report.model_curves import predicted
 from rig.output.report.source import Array
@@ -32,10 +33,12 @@ from rig.output.report.style import (
 from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.results import Answer, known
-from rig.run_folder.results.answer_words import beyond_drive
+from rig.run_folder.results.answer_words import beyond_drive, of_all
 
 PNG_DPI = 130
 TURNS_BACK = 0.1  # of the motion one way: from here on the shaft turns both ways
+GAP = 5.0  # of the sampling period: over it no line is drawn
+TITLE = 120  # letters in a row of titles
 MOST = 3  # tests in one picture: beside each other, more are too narrow to read
 
 
@@ -45,12 +48,14 @@ class Simulated:
 
     t_s                   time since its first sample, s
     measured_rad, y_rad   position as recorded and as simulated; only the start is fitted
+    parts                 between gaps, each with a start of its own
     """
 
     name: str
     t_s: Array
     measured_rad: Array
     y_rad: Array
+    parts: int = 1
 
     @property
     def residual_rad(self) -> Array:
@@ -82,7 +87,7 @@ def predicted_record(answer: Answer, recording: Recording) -> Simulated:
     """A recording as the motor of an answer moves under its drive: with laws and delay, from the start that fits best.
 
     A drift over the records that it was fitted to says nothing of another: it is left out. Raises AbsentError where the
-    answer is no motor, IdentifyError where the recording is too short.
+    answer is no motor, IdentifyError where the recording is too short. What lies between gaps has a start of its own.
     """
     try:
         motor = model_of(answer)
@@ -92,10 +97,11 @@ def predicted_record(answer: Answer, recording: Recording) -> Simulated:
         raise AbsentError("The answer is refused, or has no tau, K and f_c: there is no motor to predict with.")
     motor = replace(motor, motor=motor.motor._replace(drift=0.0))
     name = recording.source.name
-    test, _ = from_recording(recording, slice(0, len(recording)), name)
-    delay_s = known(answer.delay_s)
-    y_rad = predicted(motor if motor.parts else motor.plain, test, slice(None), (delay_s,)).y_rad
-    return Simulated(name, test.t_s - test.t_s[0], test.y_rad, y_rad)
+    parts = at_their_times(from_recording(recording, slice(0, len(recording)), name)[0])[0]
+    moves, delays_s = motor if motor.parts else motor.plain, (known(answer.delay_s),)
+    y_rad = np.concatenate([predicted(moves, part, slice(None), delays_s).y_rad for part in parts])
+    t_s, measured_rad = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "y_rad"))
+    return Simulated(name, t_s - t_s[0], measured_rad, y_rad, len(parts))
 
 
 def beyond(answer: Answer, recording: Recording) -> str:
@@ -122,7 +128,7 @@ def beyond(answer: Answer, recording: Recording) -> str:
 
 def fit_in_words(tests: Sequence[Simulated]) -> str:
     """The fit of each test, as ``any.csv 99.2 %, smaller.csv 98.7 %``."""
-    return ", ".join(f"{one.name} {one.fit_percent:.1f} %" for one in tests)
+    return ", ".join(f"{one.name} {of_all(one.fit_percent)}" for one in tests)
 
 
 def figure_of(found: Identification, tests: Sequence[Simulated]) -> Figure:
@@ -138,10 +144,14 @@ def drawn(tests: Sequence[Simulated], method: str) -> Figure:
     for column, one in enumerate(tests):
         top, bottom = panels[0, column], panels[1, column]
         dense = one.t_s.size > RASTER_FROM
-        top.plot(one.t_s, one.measured_rad, color=MEASURED, lw=2.4, alpha=0.45, label="measured", rasterized=dense)
-        top.plot(one.t_s, one.y_rad, color=colour(method), lw=0.9, label="simulated", rasterized=dense)
-        top.set_title(f"{plain(one.name)}: fit {one.fit_percent:.1f} %")
-        bottom.plot(one.t_s, 1e3 * one.residual_rad, color=colour(method), lw=0.6, rasterized=dense)
+        gaps = np.flatnonzero(np.diff(one.t_s) > GAP * np.median(np.diff(one.t_s))) + 1
+        t_s, measured_rad, y_rad = (np.insert(a, gaps, np.nan) for a in (one.t_s, one.measured_rad, one.y_rad))
+        top.plot(t_s, measured_rad, color=MEASURED, lw=2.4, alpha=0.45, label="measured", rasterized=dense)
+        top.plot(t_s, y_rad, color=colour(method), lw=0.9, label="simulated", rasterized=dense)
+        most = TITLE // len(tests)
+        name = one.name if len(one.name) <= most else f"{one.name[: most // 2]}…{one.name[-(most // 2) :]}"
+        top.set_title(f"{plain(name)}\nfit {of_all(one.fit_percent)}")
+        bottom.plot(t_s, 1e3 * (measured_rad - y_rad), color=colour(method), lw=0.6, rasterized=dense)
         bottom.axhline(0.0, color=INK if dense else MUTED, lw=0.7)
         bottom.set_xlabel("time since the start of the test, s")
     panels[0, 0].set_ylabel("position, rad")

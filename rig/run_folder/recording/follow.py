@@ -267,7 +267,8 @@ def print_stages(events: Tail, waiting: EndOfInput) -> None:
         for line in events.lines():
             try:
                 event = event_of(line)
-                text = stage_line(event)
+                draws = event.get("kind") == "end" and not over
+                text = f"{event['t_s'] or 0.0:7.1f} s  report" if draws else stage_line(event)
             except (ValueError, KeyError, TypeError):
                 continue  # whoever reads the run afterwards says what is wrong with its files
             goes_on = event.get("kind") == "stage" and str(event["name"]) == stage

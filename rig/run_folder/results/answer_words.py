@@ -14,6 +14,7 @@ VERDICTS = {"ok": "ok: rig promises 5 %"}
 NOT_KNOWN = "not known"
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
 BEYOND = 1.05  # of the largest drive that the motor was measured with: so much more is no other range
+MOST_DIGITS = 4  # of a share
 MOST_REASONS = 2  # the others are among the details
 
 
@@ -46,6 +47,17 @@ def percent(ratio: float) -> str:
     value = 100.0 * ratio
     digits = 0 if abs(value) >= 9.95 else (1 if abs(value) >= 0.995 else 2)
     return f"{value:+.{digits}f} %" if round(value, digits) else "0 %"
+
+
+def of_all(percent: float) -> str:
+    """A share as ``98.7 %``; one that is nearly all with the digits that what is missing needs: ``99.997 %``.
+
+    percent   the share, %; what is missing below a ten-thousandth of it does not count
+    """
+    missing = 100.0 - percent
+    digits = 1 if missing >= 0.05 else min(-math.floor(math.log10(max(missing, 1e-9))), MOST_DIGITS)
+    said = f"{percent:.{digits}f}"
+    return f"{100 if float(said) == 100.0 else said} %"
 
 
 def answer_lines(
@@ -120,8 +132,8 @@ def beyond_drive(holds: HoldsResult | None, largest_V: float) -> str:
 
 
 def _seen(error: float) -> str:
-    """The share of motion that is predicted, less than nothing as 0 %; a per mille is told from all of it."""
-    return f"{100.0 * max(1.0 - error, 0.0):.3g} %"
+    """The share of motion that is predicted, less than nothing as 0 %."""
+    return of_all(100.0 * (1.0 - error)) if error < 5e-4 else f"{100.0 * max(1.0 - error, 0.0):.3g} %"
 
 
 def _numbers(answer: Answer, truth: TrueMotor | None) -> Iterator[str]:

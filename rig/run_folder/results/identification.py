@@ -82,7 +82,16 @@ class _Found(Part):
     friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
 
 
+class SamplingResult(Part):
+    """How the tests were sampled; of tests that differ the coarser."""
+
+    period_s: Number = Field(None, description="between two rows, s")
+    noise_rad: Number = Field(None, description="standard deviation of the position's noise, its steps included, rad")
+    step_rad: Number = Field(None, description="step of the sensor, rad; 0: none is seen")
+
+
 class IdentificationResult(OlderKeys, MotorLawResult, _Found, Answered):
     """The identification of recordings: `rig identify --json`."""
 
     # Its parts are read from right to left: the JSON keeps that order of keys.
+    sampling: Sometimes[SamplingResult] = Field(None, description="how the tests were sampled")
