@@ -502,7 +502,7 @@ def motor_law(
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *at_rests, *of_levels),
+        (*of_model.lines, *like, *any_bend(parts, bare, goes_along=bench.goes_along), *of_one_size(parts), *at_rests, *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))
