@@ -4,10 +4,10 @@ On a motor that is what the model says both are no larger than the scatter of th
 the pieces differ by more than that, for the noise of each is not the cause: then what they differ by says how far the
 numbers may be off (a sandwich covariance over pieces, and half the difference between the halves with low and with high
 drive). The numbers of a record differ by much the same ratio, and few pieces tell each one's own badly: so what the
-others say joins it, of white noise all that the fit has. Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands
-for it, but not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a
-velocity. It stands for three laws and more, too, whatever they leave: so many stand in for something that no law here
-describes.
+others say joins it, of white noise all that the fit has. Neither sees an error that all pieces share. Where the model
+leaves far more than noise, 3 % stands for it, but not for a plain motor that predicts to a part in 200: what is left
+there is rounding, or noise of a velocity. It stands for three laws and more, too, whatever they leave: so many stand in
+for something that no law here describes.
 
 A law of the catalogue is not quite that of a bench. Where a fit with one or two laws leaves white noise, or rounding
 to the sensor's steps, they are the bench's. Else what a law leaves beyond noise, over what is left without it, is the
