@@ -4,18 +4,21 @@ On a motor that is what the model says both are no larger than the scatter of th
 the pieces differ by more than that, for the noise of each is not the cause: then what they differ by says how far the
 numbers may be off (a sandwich covariance over pieces, and half the difference between the halves with low and with high
 drive). The numbers of a record differ by much the same ratio, and few pieces tell each one's own badly: so what the
-others say joins it. Neither sees an error that all pieces share. Where the model leaves far more than noise, 3 % stands
-for it, but not for a plain motor that predicts to a part in 200: what is left there is rounding, or noise of a
-velocity. It stands for three laws and more, too, whatever they leave: so many stand in for something that no law here
-describes.
+others say joins it, of white noise all that the fit has. Neither sees an error that all pieces share. Where the model
+leaves far more than noise, 3 % stands for it, but not for a plain motor that predicts to a part in 200: what is left
+there is rounding, or noise of a velocity. It stands for three laws and more, too, whatever they leave: so many stand in
+for something that no law here describes.
 
 A law of the catalogue is not quite that of a bench. Where a fit with one or two laws leaves white noise, or rounding
-to the sensor's steps, they are the bench's. Else three tenths of what each law moves a number by stand for what it is
-off. Friction may move by more than itself: without a law of friction f_c has in it what the law took.
+to the sensor's steps, they are the bench's. Else what a law leaves beyond noise, over what is left without it, is the
+share of its motion that is not the bench's; twice that share of what the law moves a number by stands for what the
+number is off, and at most three tenths of it. Friction may move by more than itself: without a law of friction f_c has
+in it what the law took.
 
-A drive that bends, as by a sag, has a number for its bend. Where the tests hold no more sizes of drive than that law
-and K and f_c have numbers, any bend fits, as of a stage that gives less than its largest drive: no record tells it.
-Where they hold more, and the fit leaves more than noise, the bend is another one.
+A drive that bends, as by a sag, has numbers for its bend, and a dead band is one more. Each size of drive tells one
+number: K, then those of the bend. Where the tests hold no more sizes than that, any bend fits, as of a stage that gives
+less than its largest drive: no record tells it. Where they hold more, and the fit leaves more than noise, the bend is
+another one.
 
 Of a record with one size of drive, which acts as a share of itself, tau is known, and K times that share, and K f_c:
 speeds that it drives to, reversals and coasting have nothing else in them. So no record of that kind shows a dead band,
@@ -57,18 +60,18 @@ PIECES = "pieces that differ"
 DRIVES = "low and high drive"
 LEFT = "what the model leaves out"
 LIKE = "laws that are only like the bench's"
-ALIKE = 0.3  # of what a law moves a number by
+ALIKE = 0.3  # of what a law moves a number by, at most
 FARTHEST = 0.5  # of tau or K: a fit without the law that is farther off has lost its way, and counts as that far
 LEAVES = 3.0  # residual over the sensor's noise of a fit that leaves more than noise: then pieces may share an error
 SHARED = 0.03  # of each number
 MANY_LAWS = 3
-FEW_DRIVES = 3  # sizes: K, f_c and a bend fit them all
 ONE_DRIVE, OFTEN = 0.02, 0.02  # of the largest drive: within it two are one size; of the time: less is no size
 ALIKE_DRIVES = 0.1  # of the largest drive: within it two tell little of a bend; and noise of a drive that was measured
 BY_CHANCE = 3.0  # standard errors of a stroke's mean
 STAIRS, RAMPS = 5, 1.0 / 3.0  # drives of a stroke, at least, and of its time, at most, where it is ramped at its ends
 BENDS = "a bend of the drive"
 BY_SIZE = ("sag", "source")
+BENDS_BY = {"sag": 1, "source": 2, "dead_band": 1}  # numbers of what acts of each size of drive
 ONE_SIZE = "one size of drive"
 TAKEN = 0.19  # of it may be missing, at 95 %: a bridge of bipolar transistors takes 1.8 V (L298N, at 1 A) of 9.5 V
 AT_0_V = "rows at 0 V"
@@ -120,8 +123,10 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
     if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):
         return ModelError()
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-    of_pieces, effect, of_each = beyond_noise(matrix, gradient, unit(fit), at, as_noise=not leaves)
-    lines = (of_pieces, _drives(matrix, gradient, at, _drive_V(fit.problem.cut)))
+    others = [k for k in range(len(free)) if k not in at] if fit.problem.noise.white else []
+    beyond, effect, each = beyond_noise(matrix, gradient, unit(fit), [*at, *others], as_noise=not leaves)
+    of_pieces, of_each = beyond[: len(at)], each[: len(at)]
+    lines = (of_pieces, _drives(matrix, gradient, unit(fit), at, _drive_V(fit.problem.cut)))
     found = [
         Entry(source, *(half * size).tolist())
         for source, half in zip((PIECES, DRIVES), lines, strict=True)
@@ -138,31 +143,41 @@ def only_like(
     """The line for laws that leave more than white noise, or that are many: what they may be off.
 
     fit    with its noise
-    bare   for each of its laws the fit without it
+    bare   for each of its laws the fit without it: the law takes away what that leaves more
     near   with other laws in place of one, which leave hardly more, and how much each counts: the motor may be that one
     laws   how many it has
     """
     if fit.problem.noise.white and laws < MANY_LAWS:
         return ()
+    others = list(bare)
     here = np.array([getattr(fit.motor, name) for name in OF])
-    there = np.array([[getattr(one.motor, name) for name in OF] for one in bare]).reshape(-1, len(OF))
+    there = np.array([[getattr(one.motor, name) for name in OF] for one in others]).reshape(-1, len(OF))
     moves, most = np.abs(there - here), FARTHEST * np.abs(here)
     lost = np.any(moves[:, :2] > most[:2], axis=1)
     moves = np.where(lost[:, None], np.minimum(moves, most), moves)
+    if laws < MANY_LAWS:
+        white = min(unit(fit), 1.0) * fit.problem.sigma_rad**2
+        left, all_of_it = (np.sqrt([max(one.rms_rad**2 - white, 0.0) for one in each]) for each in ([fit], others))
+        moves *= np.minimum(COVERAGE * left / np.maximum(all_of_it, 1e-300), ALIKE)[:, None]
+    else:
+        moves *= ALIKE
     apart = [count * np.abs([getattr(one.motor, name) for name in OF] - here) for one, count in near]
-    half = np.max([ALIKE * np.sqrt((moves**2).sum(axis=0)), *apart], axis=0)
+    half = np.max([np.sqrt((moves**2).sum(axis=0)), *apart], axis=0)
     return (Entry(LIKE, *half.tolist()),) if half.any() else ()
 
 
-def any_bend(fit: Fit, bare: Mapping[str, Fit]) -> tuple[Entry, ...]:
+def any_bend(fit: Fit, bare: Mapping[str, Fit], *, goes_along: bool = False) -> tuple[Entry, ...]:
     """The line for a law that bends the drive, where the tests do not say that this is the bend.
 
     They hold too few sizes of it, or they leave more than noise.
 
-    bare   for each law of ``fit`` the fit without it
+    bare         for each law of ``fit`` the fit without it
+    goes_along   whether the drive always pushes the way that the shaft turns, and never rests: then f_c is told by the
+                 sizes, too
     """
     bent = [name for name in BY_SIZE if name in bare]
-    is_told = drive_sizes(fit.problem.cut) > FEW_DRIVES and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
+    numbers = 1 + goes_along + sum(BENDS_BY.get(name, 0) for name in bare)
+    is_told = drive_sizes(fit.problem.cut) > numbers and fit.rms_rad <= LEAVES * fit.problem.sigma_rad
     if not bent or is_told:
         return ()
     here = np.array([getattr(fit.motor, name) for name in OF])
@@ -331,8 +346,11 @@ def _as_many(squares: Array) -> Array:
     return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
 
 
-def _drives(matrix: Array, gradient: Array, at: Sequence[int], drive_V: Array) -> Array:
-    """(3,) half the difference between the halves with low and with high drive, less what chance makes it."""
+def _drives(matrix: Array, gradient: Array, noise: float, at: Sequence[int], drive_V: Array) -> Array:
+    """(3,) half the difference between the halves with low and with high drive, less what chance makes it.
+
+    noise   variance of the rows: pieces that are alike by luck do not make chance smaller than it does
+    """
     nothing = np.zeros(len(at))
     high = drive_V > np.median(drive_V)
     if min(np.count_nonzero(high), np.count_nonzero(~high)) < FEWEST_PIECES // 2:
@@ -345,7 +363,8 @@ def _drives(matrix: Array, gradient: Array, at: Sequence[int], drive_V: Array) -
         moves = -(gradient[half] @ inverse)[:, at]
         found.append(moves.sum(axis=0))
         off = moves - moves.mean(axis=0)
-        variance.append((off**2).sum(axis=0) * len(off) / max(len(off) - 1, 1))
+        by_pieces = (off**2).sum(axis=0) * len(off) / max(len(off) - 1, 1)
+        variance.append(np.maximum(by_pieces, np.diag(inverse)[at] * noise))
     difference, chance = found[0] - found[1], variance[0] + variance[1]
     shows = difference**2 > DIFFER**2 * chance
     return np.where(shows, 0.5 * np.sqrt(np.maximum(difference**2 - chance, 0.0)), 0.0)

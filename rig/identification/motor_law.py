@@ -498,13 +498,14 @@ def motor_law(
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     is_plain = not choice.laws and not further and not coupled
     at_rests = of_rests(parts, plain if is_plain else None)
+    bends = any_bend(parts, bare, goes_along=bench.goes_along)
     lines = budget(
         nuisances.tempered(of_model.effect),
         by_size,
         instead,
         scales,
         scatter * of_model.of_each,
-        (*of_model.lines, *like, *any_bend(parts, bare), *of_one_size(parts), *at_rests, *of_levels),
+        (*of_model.lines, *like, *bends, *of_one_size(parts), *at_rests, *of_levels),
     )
     holds = _holds(whole, turns_both="bias_V" in begun.chooser.core)
     bounded = tuple(_at_bounds(fit, choice.laws))

@@ -285,7 +285,8 @@ def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     bounds = (0.0, max(test.longest_delay_s for test in tests)) if unknown else None
     theta = theta if unknown else theta._replace(delay_s=0.0)
     try:
-        first = refit(tests[:1], theta, free, bounds)
+        # a fit of one test alone may lose its way; the estimate is where it began
+        first = min((refit(tests[:1], theta, free, bounds), refit(tests[:1], theta)), key=_rms_rad)
         first_free = [*(PARAMETERS.index(name) for name in free), len(PARAMETERS), len(PARAMETERS) + 1]
         model = Theta(math.exp(first.x[0]), math.exp(first.x[1]), *(float(x) for x in first.x[2:5]))
         scatter, _ = covariance_of(*map(first.counting, (first.jacobian[:, first_free], first.residual)))

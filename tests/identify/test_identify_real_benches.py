@@ -30,6 +30,7 @@ from rig.identification.model_error import (
     LEFT,
     LIKE,
     PIECES,
+    _drives,
     any_bend,
     beyond_noise,
     model_error,
@@ -389,12 +390,19 @@ def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_mov
     bare = without_it(1.1)
     assert only_like(fit, bare) == only_like(fit, bare, laws=2) == ()  # white noise is left: the laws are the bench's
     assert [line.source for line in only_like(fit, bare, laws=3)] == [LIKE]  # but so many stand in for something
-    fit = replace(fit, problem=replace(problem, noise=Noise(0.1, 4.0)))
+
+    def leaving(one: Fit, rad: float) -> Fit:
+        return replace(one, residual_rad=np.full(one.residual_rad.size, rad))
+
+    fit = leaving(replace(fit, problem=replace(problem, noise=Noise(0.1, 4.0))), 0.1)
+    (line,) = only_like(fit, [leaving(bare[0], 10.0)])  # it takes away all but a hundredth
+    assert line.K_rad_s_V == pytest.approx(2.0 * 0.01 * 0.1 * fit.motor.K_rad_s_V, rel=1e-3)
+    bare = [leaving(bare[0], 0.2)]
     (line,) = only_like(fit, bare)
     assert line.source == LIKE and line.tau_s == pytest.approx(0.0, abs=1e-12)
     assert line.K_rad_s_V == pytest.approx(0.03 * fit.motor.K_rad_s_V)
     assert line.fc_V == pytest.approx(2.4 * fit.motor.fc_V)  # friction that the law took
-    (line,) = only_like(fit, without_it(1.6))
+    (line,) = only_like(fit, [leaving(without_it(1.6)[0], 0.2)])
     assert line.K_rad_s_V == pytest.approx(0.15 * fit.motor.K_rad_s_V)  # a fit that lost its way counts as half
     assert line.fc_V == pytest.approx(0.15 * fit.motor.fc_V)
     assert only_like(fit, []) == ()
@@ -406,28 +414,54 @@ def test_a_law_that_is_only_like_the_benchs_may_be_off_by_a_share_of_what_it_mov
 
 
 @pytest.mark.parametrize(
-    ("drives_V", "noises", "lines"),
+    ("drives_V", "beside", "noises", "goes_along", "lines"),
     [
-        ((3.0, 7.0), 1.0, 1),
-        ((3.0, 5.0, 7.0), 1.0, 1),
-        ((3.0, 5.0, 6.0, 7.0), 1.0, 0),
-        ((3.0, 5.0, 6.0, 7.0), 5.0, 1),  # it leaves more than noise
-        ((3.0, 6.5, 6.8, 7.0), 1.0, 1),
+        ((3.0, 7.0), "drag", 1.0, False, 1),
+        ((3.0, 5.0, 7.0), "drag", 1.0, False, 0),
+        ((3.0, 5.0, 7.0), "drag", 1.0, True, 1),  # sizes tell f_c, too
+        ((3.0, 5.0, 7.0), "dead_band", 1.0, False, 1),  # two numbers of a bend, as of a supply that gives 9 V of 12
+        ((3.0, 5.0, 6.0, 7.0), "dead_band", 1.0, False, 0),
+        ((3.0, 5.0, 6.0, 7.0), "drag", 5.0, False, 1),  # it leaves more than noise
+        ((3.0, 6.5, 6.8, 7.0), "drag", 1.0, False, 1),
     ],
 )
 def test_few_sizes_of_drive_do_not_tell_a_sag_from_a_supply_that_gives_less_nor_do_more_that_it_does_not_explain(
-    drives_V: tuple[float, ...], noises: float, lines: int
+    drives_V: tuple[float, ...], beside: str, noises: float, goes_along: bool, lines: int
 ) -> None:
     _, problem, motor = _whole_fit(recorded(MOTOR, drives_V, rows=1200))
     fit = start(problem, motor)
     fit = replace(fit, residual_rad=np.full(fit.residual_rad.size, noises * problem.sigma_rad))
     bare = start(problem, motor._replace(K_rad_s_V=0.6 * motor.K_rad_s_V, fc_V=9.0 * motor.fc_V))
     assert any_bend(fit, {}) == any_bend(fit, {"drag": bare}) == ()
-    found = any_bend(fit, {"sag": bare})
+    found = any_bend(fit, {"sag": bare, beside: fit}, goes_along=goes_along)
     assert [line.source for line in found] == [BENDS] * lines
     for line in found:
         assert line.K_rad_s_V == pytest.approx(0.4 * motor.K_rad_s_V) and line.fc_V == pytest.approx(motor.fc_V)
         assert line.tau_s == 0.0
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize(("sag_per_V", "most_V", "is_ok"), [(0.02, 99.0, True), (0.0, 9.0, False)])
+def test_three_sizes_of_drive_tell_a_sag_and_a_supply_that_gives_less_stays_doubtful(
+    sag_per_V: float, most_V: float, is_ok: bool
+) -> None:
+    """A sag and a dead band together fit the lower supply: K was 84 % off, and ok."""
+    motor = RealMotor(0.11, 6.5, 0.9, sag_per_V=sag_per_V)
+    t_s, u_V, _ = recorded(motor, (4.0, 8.0, 12.0))
+    y_rad = response(motor, Frame(), (t_s + 0.002, np.clip(u_V, -most_V, most_V)), t_s, Pieces.one())
+    answer = answered((t_s, u_V, STEP_RAD * np.round(y_rad / STEP_RAD)))
+    assert answer.law is not None and "sag" in [law.name for law in answer.law]
+    assert (answer.verdict == "ok") == is_ok
+    half = (answer.u95 or {}).get("K_rad_s_V")
+    assert answer.K_rad_s_V is not None and half is not None
+    assert abs(answer.K_rad_s_V - motor.K_rad_s_V) < half
+
+
+def test_sizes_of_a_dead_band_that_are_nearly_one_are_one() -> None:
+    """Behind one drive and before the next: from one to the other a number moves without a slope. u95 was 36,000."""
+    (dead_band,) = (law for law in DEPARTURES if law.name == "dead_band")
+    sizes = dead_band.sizes(Bench(20.0, 0.6, 12.0, 100.0, 100.0, 0.01, 0.1, (0.02, 0.02 * 1.1 / 0.9)))
+    assert 8 < len(sizes) < 12 and np.all(np.diff(sizes) > 0.05 * np.array(sizes[:-1]))
 
 
 def test_a_record_of_one_size_of_drive_holds_a_dead_band_that_it_cannot_show() -> None:
@@ -576,7 +610,10 @@ def test_a_soft_coupling_holds_the_reading_back_by_its_acceleration_and_a_curren
     changes = {law.name: change for law, change, _ in outside(fit, (), bench)}  # of the stiffest coupling
     assert set(changes) == {"soft_coupling", "sag_by_current"}
     sag = [law for law in DEPARTURES if law.name == "sag"]
-    assert {law.name for law, _, _ in outside(fit, sag, bench)} == {"soft_coupling"}
+    bent = {law.name: change for law, change, _ in outside(fit, sag, bench)}
+    assert set(bent) == {"soft_coupling", "bend"}
+    up = problem.cut.readings(fit.motor._replace(sag_per_V=1e-4), fit.starts) - problem.cut.y_rad - fit.residual_rad
+    assert 0.9 < np.corrcoef(bent["bend"][:, 0], up)[0, 1] < 0.9999  # three sizes of drive tell it from a sag
     coloured = replace(fit, problem=replace(problem, noise=Noise(0.1, 2.0)))
     assert "friction_wave" in [law.name for law, _, _ in outside(coloured, (), bench)]
     y_rad, t_s = problem.cut.y_rad + fit.residual_rad, problem.cut.t_s
@@ -689,6 +726,31 @@ def test_few_pieces_that_differ_hold_the_truth_and_are_no_wider_than_that_takes(
     assert np.median(half) < 3.0 * scatter / math.sqrt(pieces)
     # what the other numbers say makes the width less a matter of chance
     assert bool(np.std(half) < 0.2 * np.mean(half)) == (len(at) > 1)
+
+
+@pytest.mark.parametrize(("noise", "joining"), [(Noise(), 5), (Noise(0.1, 0.1), 3)])
+def test_of_white_noise_all_numbers_say_how_pieces_differ(
+    noise: Noise, joining: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=1000))
+    fit = solve(start(replace(problem, noise=noise), motor))
+    asked = []
+
+    def seen(*given: object, as_noise: bool) -> object:
+        asked.append(given[3])
+        return beyond_noise(*given, as_noise=as_noise)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("rig.identification.model_error.beyond_noise", seen)
+    model_error(fit, cut.every(0.5), 1.0)
+    assert asked == [list(range(joining))]
+
+
+def test_halves_that_differ_as_noise_makes_them_say_nothing_however_alike_their_pieces() -> None:
+    matrix, drive_V = np.repeat(np.eye(4)[None], 8, axis=0), np.repeat([3.0, 7.0], 4)
+    apart = np.where(drive_V > 5.0, 1.0, -1.0)[:, None] * [0.8, 2.0, 0.0, 0.0]  # 2.3 and 5.7 standard deviations
+    half = _drives(matrix, apart, 1.0, [0, 1, 2], drive_V)
+    assert half == pytest.approx([0.0, 0.5 * math.sqrt(4.0**2 - 0.5), 0.0])
+    assert np.all(_drives(matrix, apart, 6.0, [0, 1, 2], drive_V) == 0.0)
 
 
 def test_pieces_that_differ_by_noise_alone_are_believed_where_the_fit_leaves_more_than_noise() -> None:

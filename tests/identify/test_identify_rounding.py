@@ -88,6 +88,17 @@ def test_the_answer_counts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(np.divide(told, scatter())) > 1.5
 
 
+def test_the_rounding_of_cycles_of_a_whole_number_of_rows_is_no_law() -> None:
+    """It repeats in each cycle as a wave would: it asked for a cogging and a drag, and tau was 17 % off."""
+    rows = np.arange(2400)
+    t_s: np.ndarray = 0.01 * rows
+    u_V: np.ndarray = np.where(rows < 1200, 1.6, 1.1) * np.where(rows // 40 % 2, -1.0, 1.0)
+    y_rad = response(RealMotor(0.17, 6.5, 0.5), Frame(duration_s=24.0), (t_s + 0.002, u_V), t_s, Pieces.one())
+    step_rad = 2.0 * math.pi / 256
+    test = TimeSeries(t_s, step_rad * np.floor(y_rad / step_rad + 0.3), None, u_V)
+    assert motor_law([test], sampled_data.fit([test]), [None]).found == ()
+
+
 ROWS = np.arange(600)
 T_S = np.asarray(0.005 * np.arange(2400), dtype=np.float64)
 

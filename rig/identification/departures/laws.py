@@ -13,7 +13,7 @@ from typing import Final
 from rig.core.motor_numbers import PARTS
 from rig.identification.departures.departure import Bench, Departure, Start
 
-EVEN = 8  # sizes of a dead band, evenly up to the largest
+EVEN, APART = 8, 1.05  # sizes of a dead band, evenly up to the largest; each over the one before, at least
 VISCOUS, MOST_VISCOUS = 0.1, 0.9  # of 1/K: the rest is back-EMF
 MOST_PER_RAD = 30.0
 OF_POLES = 3.0  # per radian: from there on it is the poles, or teeth; below it is a shaft behind a gear, a cam, a cable
@@ -52,7 +52,11 @@ def _dead_bands(bench: Bench) -> Sequence[float]:
     if not near:
         return ()
     even = (largest * (k + 0.5) / EVEN for k in range(EVEN))
-    return sorted({*(size for size in near if size < largest), *even})
+    sizes = sorted([*(size for size in near if size < largest), *even])
+    kept = sizes[:1]
+    for size in sizes[1:]:  # between two that are nearly one, what a number moves by has no slope
+        kept += [size] * (size > APART * kept[-1])
+    return kept
 
 
 def _least_pulse_V(bench: Bench) -> float:
@@ -217,6 +221,11 @@ SAG_BY_CURRENT: Final = Departure(
     "sag_by_current", "sag of the drive by the current", "a supply with long leads?", _sag_per_V, _REVERSALS,
     numbers=("sag_per_V",), unit="1/V", one_sided=True,
 )  # fmt: skip
+BEND: Final = Departure(
+    "bend", "another bend of the drive", "a stage that gives less than its largest drive?",
+    lambda bench: _sag_per_V(bench) / bench.largest_V, "drives of several sizes",
+    numbers=("bend_per_V2",), unit="1/V2",
+)  # fmt: skip
 SOFT_COUPLING: Final = Departure(  # its size is one over the square of its frequency
     "soft_coupling", "soft coupling", "a belt, or a long shaft?", lambda bench: FREQUENCIES_RAD_S[0] ** -2,
     "quick reversals, with rows of a few milliseconds", numbers=("soft_coupling_s2",), unit="s2", one_sided=True,
@@ -225,4 +234,4 @@ FRICTION_WAVE: Final = Departure(
     "friction_wave", "friction over position with a period of its own", "a gear, a cam or a cable?", _wave_V, _SWEEPS,
     numbers=("friction_wave_sin_V", "friction_wave_cos_V"), unit="V", over_position=True,
 )  # fmt: skip
-OUTSIDE: list[Departure] = [SAG_BY_CURRENT, SOFT_COUPLING, FRICTION_WAVE]
+OUTSIDE: list[Departure] = [SAG_BY_CURRENT, BEND, SOFT_COUPLING, FRICTION_WAVE]

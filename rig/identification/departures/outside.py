@@ -7,6 +7,9 @@ it turns. Where the records hold few sizes of drive, a sag by the drive alone ex
 friction are too large by about the share that the largest drives lose. So it is tried in the place of a sag: the drive
 less what the fitted motion's current takes, and the other numbers fitted to that.
 
+A drive that bends need not sag: beside a sag a bend with the square of the drive stands for any other. Three sizes of
+drive tell the two apart, if they lie apart and the noise lets them.
+
 Behind a soft coupling the load swings: the reading is behind the shaft of a stiff bench by a swing that its
 acceleration drives, d'' + 2 z w d' + w^2 d = a, whatever share of the mass is the load. A fit takes that for a shorter
 tau and a longer delay. So each of some frequencies w is a start of that law.
@@ -32,6 +35,7 @@ from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, refitted, solve
 from rig.identification.departures.in_place import InPlace, gained
 from rig.identification.departures.laws import (
+    BEND,
     DEPARTURES,
     FREQUENCIES_RAD_S,
     FRICTION_WAVE,
@@ -77,7 +81,9 @@ def outside(fit: Fit, laws: Sequence[Departure], bench: Bench) -> list[Outside]:
             Outside(SOFT_COUPLING, by_coupling(fit, rad_s) / SOFT_COUPLING.range_of(bench), len(FREQUENCIES_RAD_S))
             for rad_s in FREQUENCIES_RAD_S
         ]
-    if not any(law.name in INSTEAD_OF for law in laws):
+    if any(law.name in INSTEAD_OF for law in laws):
+        found.append(Outside(BEND, _by_bend(fit, bench)))
+    else:
         found.append(Outside(SAG_BY_CURRENT, _by_sag(fit, bench)))
     if not fit.problem.noise.white and COGGING.fits(bench):
         every = orders(bench)
@@ -111,9 +117,32 @@ def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser:
 
 def _by_sag(fit: Fit, bench: Bench) -> Array:
     size = FIRST * SAG_BY_CURRENT.range_of(bench)
-    cut = by_current(fit, fit.motor.K_rad_s_V, size)
+    return _by_drive(fit, by_current(fit, fit.motor.K_rad_s_V, size), size)
+
+
+def _by_bend(fit: Fit, bench: Bench) -> Array:
+    size = FIRST * BEND.range_of(bench)
+    bent = [
+        Steps(window.steps.edge_s, window.steps.u_V * (1.0 - size * window.steps.u_V**2))
+        for window in fit.problem.cut.windows
+    ]
+    return _by_drive(fit, _driven(fit, bent), size)
+
+
+def _by_drive(fit: Fit, cut: Cut, size: float) -> Array:
+    """(n, 1) change of the readings under the drive of ``cut``, for 1 of what is ``size`` there."""
     change = cut.readings(fit.motor, fit.starts) - fit.problem.cut.readings(fit.motor, fit.starts)
     return np.asarray(change / size)[:, None]
+
+
+def _driven(fit: Fit, drives: Sequence[Steps]) -> Cut:
+    """The fit's rows under another drive of each window."""
+    cut = fit.problem.cut
+    windows = [
+        replace(window, series=replace(window.series, edges=drive))
+        for window, drive in zip(cut.windows, drives, strict=True)
+    ]
+    return replace(cut, windows=tuple(windows))
 
 
 def by_coupling(fit: Fit, rad_s: float) -> Array:
@@ -157,14 +186,13 @@ def by_current(fit: Fit, K_rad_s_V: float, size_per_V: float) -> Cut:
     """
     cut = fit.problem.cut
     y_rad = cut.y_rad + fit.residual_rad
-    windows, first = [], 0
+    drives, first = [], 0
     for window in cut.windows:
         stop = first + window.t_s.size
         speed = np.gradient(y_rad[first:stop], window.t_s)
-        drive = _less(window.steps, window.t_s, speed, fit.motor.delay_s, K_rad_s_V, size_per_V)
-        windows.append(replace(window, series=replace(window.series, edges=drive)))
+        drives.append(_less(window.steps, window.t_s, speed, fit.motor.delay_s, K_rad_s_V, size_per_V))
         first = stop
-    return replace(cut, windows=tuple(windows))
+    return _driven(fit, drives)
 
 
 def _less(steps: Steps, t_s: Array, speed: Array, delay_s: float, K_rad_s_V: float, size_per_V: float) -> Steps:
