@@ -199,7 +199,7 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
     plain   of the same tests: its method and its rows, and its delay where that is known
     """
     cut, free, motor = pieces.problem.cut, pieces.problem.free, pieces.motor
-    normal = Normal.of(pieces.problem.rows(motor, pieces.starts), cut)
+    normal = Normal.of(pieces.rows, cut)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(pieces))
     size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in free])
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identification.departures.choice import Columns, with_own_noise
+from rig.identification.departures.choice import Columns
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import POSITIVE, Fit, Rows, unit
 
@@ -73,11 +73,11 @@ class Nuisances:
                   sizes, and how many starts the law has
         longest_s   of a piece between which evidence may differ, s: longer ones of the fit are cut
         """
-        fit = with_own_noise(fit)
+        fit = fit.with_own_noise
         absent = [law for law in candidates if law not in laws]
         smooth = [law for law in absent if law.trials(bench) == (NOTHING,)]
-        rows = fit.problem.rows(fit.motor, fit.starts)
-        columns = Columns(fit, rows, smooth)
+        rows = fit.rows
+        columns = Columns(fit, smooth)
         added: list[Array] = []
         each: list[Nuisance] = []
         spreads: list[float] = []

@@ -31,6 +31,7 @@ Rows = NDArray[np.int64]
 FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
 SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
+VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
 STILL = 1e6  # times the longest window: in so long a course a window is an instant
 TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
@@ -227,6 +228,11 @@ class Cut:
         return np.asarray(self.t_s[last] - self.t_s[self.begins])
 
     @cached_property
+    def shown_s2(self) -> Array:
+        """Square of the time in which the velocity of a piece's start is taken to show at least, s^2."""
+        return np.asarray((VELOCITY_SHOWN * self.durations_s) ** 2)
+
+    @cached_property
     def freedom(self) -> int:
         """Rows that count, less the fitted numbers of the starts of pieces that have any."""
         if self.weight is None:
@@ -345,9 +351,12 @@ class Cut:
     @staticmethod
     def _begins(starts: Array) -> Array:
         """(p, 4) the starts, with the play on the side of the motion, and bristles bent where it is fast."""
+        begins = np.empty((starts.shape[0], 4))
         v0 = starts[:, 0]
-        side, top = np.sign(v0), max(float(np.abs(v0).max()), 1e-9)
-        return np.column_stack((starts, side, np.where(np.abs(v0) > BENT_WITHIN * top, side, 0.0)))
+        speed = np.abs(v0)
+        begins[:, :2], begins[:, 2] = starts, np.sign(v0)
+        begins[:, 3] = begins[:, 2] * (speed > BENT_WITHIN * max(float(speed.max()), 1e-9))
+        return begins
 
 
 def _parabolas(t_s: Array, y_rad: Array, rows: Rows) -> Array:
