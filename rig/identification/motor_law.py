@@ -17,7 +17,7 @@ from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
-from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, Shifts, budget
+from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
 from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
 from rig.identification.departures.coupled import coupling_rad_s, takes_enough
 from rig.identification.departures.departure import Departure
@@ -492,7 +492,7 @@ def motor_law(
     for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
         instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
-    scatter = Shifts.of(nuisances).scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
+    scatter = nuisances.scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     is_plain = not choice.laws and not further and not coupled
     at_rests = of_rests(parts, plain if is_plain else None)

@@ -25,7 +25,7 @@ SHARED = 5  # number of parameters that all windows share: tau, K, fc, asym, del
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be separated
 NAMES = (*CORE, DELAY)  # of these five
 ITERATIONS = 100
-ENOUGH = Enough(0.0, 1e-9)
+ENOUGH = Enough(0.0, 1e-8)
 
 
 @dataclass(frozen=True)

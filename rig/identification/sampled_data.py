@@ -22,6 +22,7 @@ from rig.identification.estimator import Estimator
 from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identification.measurements import Measurements
 from rig.identification.output_error import (
+    ENOUGH,
     SHARED,
     OutputErrorProblem,
     Solution,
@@ -54,6 +55,8 @@ BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of 
 ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
 ROWS_OF_STEPS = 8000  # of a coarse sensor, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
+FAR_FROM_NOISE, FAR = 8.0, Enough(0.0, 1e-4)  # residual over noise of a fit whose last digits mean nothing
+SAME = 1e-6  # difference of squares of two fits that ended in the same place
 ROUNDS_OF_GAIN = 3
 SCORED_ROWS = 600  # of all tests: by so many starts are compared
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
@@ -118,6 +121,7 @@ class _WhiteFit:
     """A fit of these tests that takes the noise for white.
 
     rows   first and last row of the recordings, where the fit has several as one; None: those of the problem
+    thin   the solution of fewer rows that it comes from; None: it comes from none
     """
 
     problem: OutputErrorProblem
@@ -125,6 +129,7 @@ class _WhiteFit:
     tests: Sequence[TimeSeries]
     periods_s: Sequence[float | None]
     rows: tuple[int, int] | None = None
+    thin: Solution | None = None
 
     @property
     def rms_rad(self) -> float:
@@ -143,18 +148,19 @@ def _white_fit(
     *,
     free_delay: bool | None = None,
     periods_s: Sequence[float | None] | None = None,
+    earlier: _WhiteFit | None = None,
 ) -> _WhiteFit:
-    """As ``fit``, with white noise."""
+    """As ``fit``, with white noise; ``earlier``: from other starts, which is taken where fewer rows lead there, too."""
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
     given = periods_s or [None] * len(tests)
     periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
     of_step = min(sum(map(len, tests)) // ROWS_OF_STEPS, *map(of_one_step, tests))
     if of_step > 1:  # a coarse sensor
-        found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free))
+        found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free), earlier)
         if math.exp(found.best.x[0]) >= ROWS_OF_TAU * of_step * max(test.period_s for test in tests):
             first, last = min(test.first_row for test in tests), max(test.first_row + len(test) for test in tests)
             return replace(found, rows=(first, last - 1))
-    return _fitted(tests, starts, periods, _delays_s(tests, free))
+    return _fitted(tests, starts, periods, _delays_s(tests, free), earlier)
 
 
 def _fitted(
@@ -162,15 +168,22 @@ def _fitted(
     starts: Sequence[Start] | None,
     periods_s: Sequence[float | None],
     delay_s: tuple[float, float] | None,
+    earlier: _WhiteFit | None = None,
 ) -> _WhiteFit:
     """``_white_fit`` to these rows; ``delay_s``: bounds of the delay, s; None: it is known."""
     problem = _problem(tests, delay_s)
     guesses = list(starts) if starts else grid_starts(problem.windows)
     cycles_s = [period for period in periods_s if period is not None]
-    best = _of_fewer_rows(problem, tests, guesses, cycles_s)
-    if best is None:
-        best = _extended(problem, _candidates(problem, guesses), cycles_s)
-    return _WhiteFit(problem, best, tests, periods_s)
+    thin = _of_fewer_rows(problem, tests, guesses, cycles_s)
+    if thin is None:
+        return _WhiteFit(problem, _extended(problem, _candidates(problem, guesses), cycles_s), tests, periods_s)
+    if earlier is not None and earlier.thin is not None and math.isclose(earlier.thin.cost, thin.cost, rel_tol=SAME):
+        return earlier
+    states = [value for window in problem.windows for value in initial_state(window)]
+    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    enough = ENOUGH if thin.rms_rad < FAR_FROM_NOISE * noise_rad else FAR
+    best = problem.solve(np.concatenate((thin.x[:SHARED], states)), enough).after(thin)
+    return _WhiteFit(problem, best, tests, periods_s, thin=thin)
 
 
 def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, float] | None:
@@ -183,7 +196,7 @@ def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, flo
 def _of_fewer_rows(
     problem: OutputErrorProblem, tests: Sequence[TimeSeries], starts: Sequence[Start], periods_s: Sequence[float]
 ) -> Solution | None:
-    """The solution for long tests from that of fewer rows; None where the tests are short, or tau is for those rows."""
+    """The solution of fewer rows of long tests; None where the tests are short, or tau is for those rows."""
     rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
     if rows < 2:
         return None
@@ -194,8 +207,7 @@ def _of_fewer_rows(
     first = _extended(thin, _candidates(thin, starts), periods_s)
     if math.exp(first.x[0]) < ROWS_OF_TAU * max(window.period_s for window in thin.windows):
         return None
-    states = [value for window in problem.windows for value in initial_state(window)]
-    return problem.solve(np.concatenate((first.x[:SHARED], states))).after(first)
+    return first
 
 
 def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods_s: Sequence[float | None]) -> Estimate:
@@ -221,7 +233,7 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
         return white.estimate()  # too short for pieces
     motor = pieces.motor
     start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
-    again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s)
+    again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s, earlier=white)
     if again.best.converged and (not white.best.converged or again.rms_rad < white.rms_rad):
         white = again
     found = white.estimate()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import (
-    ENOUGH,
+    ROUGHLY,
     Enough,
     Fit,
     Known,
@@ -30,6 +30,7 @@ from rig.identification.departures.fit import (
     limits_of,
     refitted,
     solve,
+    solved,
     start,
     unit,
 )
@@ -66,6 +67,7 @@ FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
 LEAP_ITERATIONS = 4
 VALLEY = (0.5, 1.0, 2.0)  # sizes that are looked at about that with which a law in a valley begins, over it
+ALIKE = 1e-11  # of a singular value of scaled columns: such columns say the same
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
@@ -152,18 +154,27 @@ class Chooser:
         growth: list[tuple[float, float]] = []
         hidden_rad = HIDDEN * self.sigma_rad if self._within_steps else 0.0
         fit: Fit | None = None
-        for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
+        lengths_s = [*(cycles * cycle_s for cycles in CYCLES), math.inf]
+        while lengths_s:
+            # what leaves noise alone on short pieces may be right; the whole tests say whether it is
+            leaps = len(growth) == 1 and fit is not None and fit.rms_rad < AT_NOISE * self.sigma_rad
+            length_s = math.inf if leaps else lengths_s.pop(0)
             cut = whole if math.isinf(length_s) else whole.every(length_s)
             if fit is not None and len(cut.begins) == len(fit.problem.cut.begins):
+                if leaps:
+                    break
                 continue
+            most_rad = math.inf if fit is None else max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad)
             problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
-            longer = self._at_best_shape(solve(start(problem, motor)), laws)
-            longer, found = self._settle(longer, laws)
-            if fit is not None and longer.rms_rad > max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad):
-                growth.append((cut.longest_s, longer.rms_rad))
+            longer, found = self._at_best_shape(solve(start(problem, motor)), laws), laws
+            if not leaps or longer.rms_rad <= most_rad:
+                longer, found = self._settle(longer, laws)
+            growth.append((cut.longest_s, longer.rms_rad))
+            is_borne = not longer.rms_rad > most_rad
+            if is_borne:
+                fit, laws, motor = longer, found, longer.motor
+            if leaps == is_borne:  # the whole is borne, or no longer pieces are
                 break
-            fit, laws, motor = longer, found, longer.motor
-            growth.append((cut.longest_s, fit.rms_rad))
         assert fit is not None
         fit, laws = self._last(fit, laws)
         while (leaner := self._leaner(fit, laws)) is not None:
@@ -223,9 +234,11 @@ class Chooser:
             if not law.shape or len(trials) == 1:
                 continue
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS, ROUGHLY)
             for promise in self._starts([law], Columns(bare))[:RESHAPED]:
-                trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
+                trial = solve(
+                    self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS, ROUGHLY
+                )
                 if trial.cost < fit.cost:
                     fit = solve(trial)
         return fit
@@ -248,7 +261,7 @@ class Chooser:
     def bare(self, fit: Fit, laws: Sequence[Departure], law: Departure) -> Fit:
         """The fit of the same rows without one of its laws, the others at their best shape, with the same noise."""
         others = tuple(one for one in laws if one is not law)
-        bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
+        bare = solve(self.with_laws(fit, others, without(fit.motor, law)), enough=ROUGHLY)
         is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
         return self._at_best_shape(bare, others) if is_faint else bare
 
@@ -398,7 +411,7 @@ class Chooser:
             if cost >= self.price(law, seen, self.asked.stay):
                 return None
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), enough=ROUGHLY)
             if _gain(bare, fit) < FAINT:
                 return bare, others
         return None
@@ -421,7 +434,7 @@ class Chooser:
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
         is_far = self._within_steps or fit.rms_rad > FAR * self.sigma_rad
-        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
+        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ROUGHLY
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
         trials = side_by_side(tried, wanted, fit.residual_rad.size)
@@ -503,7 +516,7 @@ class Chooser:
                 return loss(normal, fit, law)
             others = [one for one in laws if one is not law]
             bare = self.with_laws(fit, others, without(fit.motor, law))
-            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
+            return solve(bare, LEAP_ITERATIONS, ROUGHLY).cost - fit.cost
 
         return sorted(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
@@ -559,7 +572,7 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
 
     def fitted(other: float) -> tuple[float, Fit]:
-        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS)
+        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS, ROUGHLY)
         return other, replace(one, problem=fit.problem)
 
     sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
@@ -572,7 +585,7 @@ def in_valley(trial: Fit, law: Departure) -> Fit:
     problem, motor = trial.problem, trial.motor
     others = replace(problem, free=tuple(one for one in problem.free if one not in (name, *law.shape)))
     sizes = [share * getattr(motor, name) for share in VALLEY]
-    each = [solve(refitted(trial, others, motor._replace(**{name: size})), TRIAL_ITERATIONS) for size in sizes]
+    each = [solve(refitted(trial, others, motor._replace(**{name: size})), TRIAL_ITERATIONS, ROUGHLY) for size in sizes]
     return replace(min(each, key=lambda one: one.cost), problem=problem)
 
 
@@ -685,9 +698,10 @@ class Columns:
         at = np.concatenate((np.arange(m), m + of))
         scale = np.sqrt(np.maximum(np.diag(normal.raw)[at], 1e-300))
         matrix, gradient = normal.matrix[np.ix_(at, at)] / np.outer(scale, scale), normal.gradient[at] / scale
-        with_it = np.linalg.lstsq(matrix, gradient, rcond=1e-11)[0]
-        alone = np.linalg.lstsq(matrix[:m, :m], gradient[:m], rcond=1e-11)[0]
-        return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]
+        nothing = np.zeros(at.size, dtype=bool)
+        with_it = solved(matrix, gradient, nothing, ALIKE)
+        alone = solved(matrix[:m, :m], gradient[:m], nothing[:m], ALIKE)
+        return float(gradient[:m] @ alone - gradient @ with_it), (with_it / scale)[m:]
 
     def normal(self, added: Array) -> Normal:
         """The normal equations with the columns ``added``, 1 per unit of their numbers, behind the fit's own."""

@@ -38,7 +38,10 @@ class Enough(NamedTuple):
 
 
 ENOUGH = Enough(0.01, 2e-6)  # the share is that of a model that leaves far more than noise
-REGULAR = 1e-10  # least pivot of normal equations over their largest number, from which on any way to solve them is good
+REGULAR = (
+    1e-10  # least pivot of normal equations over their largest number, from which on any way to solve them is good
+)
+ROUGHLY = Enough(0.1, 2e-5)  # of a fit that others are compared with, or that another one follows
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -414,7 +417,7 @@ class Normal:
 
     def promised(self, held: NDArray[np.bool_]) -> float:
         """By how much the squares fall in the linear model, at most, while the numbers ``held`` stay."""
-        return float(self.both[-1, -1]) - self.squares - float(self.gradient @ _solved(self.matrix, self.gradient, held))
+        return float(self.both[-1, -1]) - self.squares - float(self.gradient @ solved(self.matrix, self.gradient, held))
 
     def step(self, held: NDArray[np.bool_], damping: float) -> tuple[Array, Array]:
         """Change of the numbers and of the starts.
@@ -422,29 +425,32 @@ class Normal:
         held      which numbers stay, True or False each
         damping   share of the diagonal that is added to it, 1
         """
-        left, solved = _reduced(self.own, self.border, self.scale, damping, self.both)
+        left, of_starts = _reduced(self.own, self.border, self.scale, damping, self.both)
         diagonal = self.both.diagonal()[:-1]
         every = np.arange(diagonal.size)
         left[every, every] += damping * np.where(diagonal > 0.0, diagonal, 1.0)
         change = np.ones(diagonal.size + 1)
-        change[:-1] = _solved(left[:-1, :-1], left[:-1, -1], held)
-        return change[:-1], -(solved @ change)
+        change[:-1] = solved(left[:-1, :-1], left[:-1, -1], held)
+        return change[:-1], -(of_starts @ change)
 
 
-def _solved(matrix: Array, gradient: Array, held: NDArray[np.bool_]) -> Array:
-    """The step (m,) of normal equations (m, m), (m,), 1; what is ``held`` stays.
+def solved(matrix: Array, gradient: Array, held: NDArray[np.bool_], singular: float = 1e-14) -> Array:
+    """The step (m,) of normal equations, each number in its unit; what is ``held`` stays.
 
-    Along a way that the rows do not show the step is as short as can be.
+    matrix, gradient   (m, m), (m,), 1 per unit of each number
+    singular   share of the largest singular value, up to which rows do not show a way: along it the step is as short as
+               can be
     """
     m = gradient.size
     step, work = np.empty(m), room(m * (m + 4))
-    into = address(work), address(step)
-    if LIBRARY.normal_step(address(given(matrix)), address(given(gradient)), address(held), m, *into) > REGULAR:
+    table, pull = given(matrix), given(gradient)  # the library reads them where they are: they live as long as this
+    into = address(held), m, address(work), address(step)
+    if LIBRARY.normal_step(address(table), address(pull), *into) > max(REGULAR, singular):
         return step
     step[:] = 0.0
     free = np.flatnonzero(~held)
     if free.size:
-        step[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=1e-14)[0]
+        step[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=singular)[0]
     return step
 
 
@@ -453,10 +459,10 @@ def _reduced(own: Array, border: Array, scale: Array, damping: float, both: Arra
 
     damping   share of ``scale`` that is added to the starts' own sums
     """
-    left, solved = both.copy(), np.empty_like(border)
-    into = address(left), address(solved)
+    left, of_starts = both.copy(), np.empty_like(border)
+    into = address(left), address(of_starts)
     LIBRARY.bordered_reduce(address(own), address(border), len(own), both.shape[0] - 1, damping, address(scale), *into)
-    return left, solved
+    return left, of_starts
 
 
 def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -114,6 +115,19 @@ class Nuisances:
     def core(self) -> int:
         """How many numbers are the fit's own; the nuisances follow."""
         return len(self.fit.problem.free)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the fit's own numbers, by the noise alone."""
+        own = self.matrix[: self.core, : self.core]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        both = np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(own * both, rcond=1e-13, hermitian=True) * both)
+
+    @property
+    def scatter(self) -> Array:
+        """(3,) variances of tau, K and friction by the noise alone."""
+        return np.diag(self.covariance)[self.at] * self.size**2
 
     @property
     def at(self) -> list[int]:

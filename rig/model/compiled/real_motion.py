@@ -86,16 +86,17 @@ class Windows:
         All are nan in a window in which the motor runs away, or is so stiff that it takes too many steps.
         Raises ValueError on starts of another number of pieces, and on numbers that no motor has.
         """
-        which, begin = _places(None if free is None else tuple(free), orders.size, plain), given(starts)
+        which = _places(None if free is None else tuple(free), orders.size, plain)
+        begin, vector, waves = given(starts), given(motor), given(orders)
         require_size(begin, 4 * self.pieces, "starts of the pieces")
-        require_size(motor, NUMBERS, "numbers of a motor")
+        require_size(vector, NUMBERS, "numbers of a motor")
         columns = which.size
         size = 7 * self._longest if plain else _COLUMN_ROWS * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
         work, y_rad, jacobian = room(size), np.empty(self.rows), np.empty((self.rows, columns))
-        wanted = RealColumns(address(which), address(orders), address(work), columns, orders.size)
+        wanted = RealColumns(address(which), address(waves), address(work), columns, orders.size)
         read = LIBRARY.windows_plain if plain else LIBRARY.windows_readings
         into = address(y_rad), address(jacobian)
-        read(address(given(motor)), self._table, len(self._table), address(begin), byref(wanted), *into)
+        read(address(vector), self._table, len(self._table), address(begin), byref(wanted), *into)
         return y_rad, jacobian
 
 
