@@ -25,6 +25,7 @@ DELAY = "delay_s"
 POSITIVE = ("tau_s", "K_rad_s_V")  # fitted by their logarithms
 LARGEST_STEP = 1.0  # of a logarithm, in one iteration
 ITERATIONS = 40
+OF_ALL = 1e-4  # of the squares: more than that is worth a step, however small they are
 NEARLY = 100.0  # times a gain that is not worth a step: a larger one says too little of what is left
 CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
 SINGULAR = 1e-12  # of a correlation: no variance is smaller
@@ -310,14 +311,14 @@ def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fi
     promise = _Promise()
 
     def least(cost: float) -> float:
-        return max(enough.squares, enough.share * cost)
+        return max(min(enough.squares, max(ENOUGH.squares, OF_ALL * cost)), enough.share * cost)
 
     def linearised(at: Fit) -> Callable[[float], Fit] | None:
         normal = Normal.of(at.rows, problem.cut)
         if not normal.is_finite:
             return None
         held = problem.held(at.motor, normal.gradient)
-        promise.made(normal.promised(held), least(at.cost))
+        promise.made(normal.promised(held), min(least(at.cost), OF_ALL * at.cost))
 
         def moved(damping: float) -> Fit:
             change, starts = normal.step(held, damping)
