@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rig.identification.departures.blocks import Blocks, share_cut
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import (
-    ROUGHLY,
+    ENOUGH,
     Enough,
     Fit,
     Known,
@@ -234,11 +234,9 @@ class Chooser:
             if not law.shape or len(trials) == 1:
                 continue
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS, ROUGHLY)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
             for promise in self._starts([law], Columns(bare))[:RESHAPED]:
-                trial = solve(
-                    self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS, ROUGHLY
-                )
+                trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
                 if trial.cost < fit.cost:
                     fit = solve(trial)
         return fit
@@ -261,7 +259,7 @@ class Chooser:
     def bare(self, fit: Fit, laws: Sequence[Departure], law: Departure) -> Fit:
         """The fit of the same rows without one of its laws, the others at their best shape, with the same noise."""
         others = tuple(one for one in laws if one is not law)
-        bare = solve(self.with_laws(fit, others, without(fit.motor, law)), enough=ROUGHLY)
+        bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
         is_faint = (bare.cost - fit.cost) / unit(fit) < FAINT
         return self._at_best_shape(bare, others) if is_faint else bare
 
@@ -411,7 +409,7 @@ class Chooser:
             if cost >= self.price(law, seen, self.asked.stay):
                 return None
             others = tuple(one for one in laws if one is not law)
-            bare = solve(self.with_laws(fit, others, without(fit.motor, law)), enough=ROUGHLY)
+            bare = solve(self.with_laws(fit, others, without(fit.motor, law)))
             if _gain(bare, fit) < FAINT:
                 return bare, others
         return None
@@ -434,7 +432,7 @@ class Chooser:
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
         is_far = self._within_steps or fit.rms_rad > FAR * self.sigma_rad
-        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ROUGHLY
+        near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
         trials = side_by_side(tried, wanted, fit.residual_rad.size)
@@ -516,7 +514,7 @@ class Chooser:
                 return loss(normal, fit, law)
             others = [one for one in laws if one is not law]
             bare = self.with_laws(fit, others, without(fit.motor, law))
-            return solve(bare, LEAP_ITERATIONS, ROUGHLY).cost - fit.cost
+            return solve(bare, LEAP_ITERATIONS).cost - fit.cost
 
         return sorted(((cost(law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
 
@@ -572,7 +570,7 @@ def by_size(fit: Fit, law: Departure) -> list[tuple[float, Fit]]:
     others = replace(fit.problem, free=tuple(one for one in fit.problem.free if one != name))
 
     def fitted(other: float) -> tuple[float, Fit]:
-        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS, ROUGHLY)
+        one = solve(refitted(fit, others, fit.motor._replace(**{name: other})), LEAP_ITERATIONS)
         return other, replace(one, problem=fit.problem)
 
     sizes = [share * size for share in LEAPS if 0.0 < share * size <= most]
@@ -585,7 +583,7 @@ def in_valley(trial: Fit, law: Departure) -> Fit:
     problem, motor = trial.problem, trial.motor
     others = replace(problem, free=tuple(one for one in problem.free if one not in (name, *law.shape)))
     sizes = [share * getattr(motor, name) for share in VALLEY]
-    each = [solve(refitted(trial, others, motor._replace(**{name: size})), TRIAL_ITERATIONS, ROUGHLY) for size in sizes]
+    each = [solve(refitted(trial, others, motor._replace(**{name: size})), TRIAL_ITERATIONS) for size in sizes]
     return replace(min(each, key=lambda one: one.cost), problem=problem)
 
 

@@ -42,7 +42,6 @@ ENOUGH = Enough(0.01, 2e-6)  # the share is that of a model that leaves far more
 REGULAR = (
     1e-10  # least pivot of normal equations over their largest number, from which on any way to solve them is good
 )
-ROUGHLY = Enough(0.1, 2e-5)  # of a fit that others are compared with, or that another one follows
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -311,7 +310,7 @@ def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fi
     promise = _Promise()
 
     def least(cost: float) -> float:
-        return max(min(enough.squares, max(ENOUGH.squares, OF_ALL * cost)), enough.share * cost)
+        return max(enough.squares, enough.share * cost)
 
     def linearised(at: Fit) -> Callable[[float], Fit] | None:
         normal = Normal.of(at.rows, problem.cut)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rig.identification.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED, Chooser
 from rig.identification.departures.departure import Departure
-from rig.identification.departures.fit import ROUGHLY, Fit, refitted, solve, unit
+from rig.identification.departures.fit import Fit, refitted, solve, unit
 from rig.identification.departures.nuisances import OF, Nuisance, Nuisances
 from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
@@ -90,7 +90,7 @@ def nearly_as_good(
         return []
 
     def by_squares(one: Fit) -> Fit:
-        return solve(refitted(one, replace(one.problem, noise=WHITE)), TRIAL_ITERATIONS, ROUGHLY)
+        return solve(refitted(one, replace(one.problem, noise=WHITE)), TRIAL_ITERATIONS)
 
     def left_rad(one: Fit) -> float:
         return math.sqrt(max(one.rms_rad**2 - chooser.sigma_rad**2, 0.0))
@@ -105,7 +105,7 @@ def nearly_as_good(
         for promise in promises[:TRIED]:
             motor = without_it.motor._replace(**promise.first)
             tried.append(chooser.with_laws(without_it, [*others, promise.law], motor))
-    fits = side_by_side(lambda one: solve(one, TRIAL_ITERATIONS, ROUGHLY), tried, fit.residual_rad.size)
+    fits = side_by_side(lambda one: solve(one, TRIAL_ITERATIONS), tried, fit.residual_rad.size)
     here = np.array([getattr(fit.motor, name) for name in OF])
     far = [np.any(np.abs([getattr(one.motor, name) for name in OF] - here) > FAR * np.abs(here)) for one in fits]
     counts = [min((FAR_WORSE - left_rad(one) / least_rad) / (FAR_WORSE - alike), 1.0) for one in fits]
@@ -133,7 +133,7 @@ def _fitted(
     for promise in [one for k, one in enumerate(promises) if k < most or one.law.name in far]:
         one = promise.law
         motor = bare.motor._replace(**promise.first)
-        trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS, ROUGHLY)
+        trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
         found.append(InPlace(law, one, gained(fit, trial) + _extra(fit, law, one), moves))
     return found

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from rig.identification.departures.choice import TRIAL_ITERATIONS, Chooser, without
 from rig.identification.departures.departure import Bench, Departure
-from rig.identification.departures.fit import ROUGHLY, Fit, refitted, solve
+from rig.identification.departures.fit import Fit, refitted, solve
 from rig.identification.departures.in_place import InPlace, gained
 from rig.identification.departures.laws import (
     DEPARTURES,
@@ -103,7 +103,7 @@ def instead_of_sag(fit: Fit, law: Departure, laws: Sequence[Departure], chooser:
         for _ in range(2):  # the current is that of the motor as it is fitted
             cut = by_current(fit, trial.motor.K_rad_s_V, size)
             problem = replace(chooser.problem(cut, others, fit.problem.robust_rad), noise=fit.problem.noise)
-            trial = solve(refitted(trial, problem, without(trial.motor, law)), TRIAL_ITERATIONS, ROUGHLY)
+            trial = solve(refitted(trial, problem, without(trial.motor, law)), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
         found.append(InPlace(law, SAG_BY_CURRENT, gained(fit, trial), moves))
     return [min(found, key=lambda one: one.rise)]
