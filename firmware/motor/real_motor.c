@@ -2,6 +2,7 @@
 
 #include <math.h>
 #include <stdbool.h>
+#include <string.h>
 
 static const double PI = 3.14159265358979323846;
 static const double LEAST_LEVEL_V = 1e-4;   /* of bristles: their friction is divided by the level */
@@ -36,39 +37,40 @@ static double most(double a, double b)
     return b > a ? b : a;
 }
 
-static bool turns(const real_motor *m)
-{
-    return m->force_sin_V != 0.0 || m->force_cos_V != 0.0 || m->friction_sin_V != 0.0 || m->friction_cos_V != 0.0;
-}
+/* The numbers of a motor, and what else is the same in all of its steps: whether it has a force or a friction over the
+ * travel, cogging, a Stribeck effect, and a torque that differs from its drive; mean of the cosine over the travel. */
+typedef struct {
+    REAL_MOTOR_NUMBERS(REAL_MOTOR_FIELD)
+    double centre_rad, half_travel_rad, start_s, duration_s;
+    bool turns, cogs, falls, transmits;
+    double mean_cosine;
+} motor;
 
-static bool cogs(const real_motor *m)
+static motor motor_of(const real_motor *numbers)
 {
-    return m->cogging_sin_V != 0.0 || m->cogging_cos_V != 0.0;
-}
-
-static bool falls(const real_motor *m)
-{
-    return m->stribeck_V != 0.0 && m->stribeck_rad_s > 0.0;
-}
-
-static bool transmits(const real_motor *m)
-{
-    return m->load_friction != 0.0 || m->source_per_V2 != 0.0;
+    motor m;
+    memcpy(&m, numbers, sizeof *numbers);
+    m.turns = m.force_sin_V != 0.0 || m.force_cos_V != 0.0 || m.friction_sin_V != 0.0 || m.friction_cos_V != 0.0;
+    m.cogs = m.cogging_sin_V != 0.0 || m.cogging_cos_V != 0.0;
+    m.falls = m.stribeck_V != 0.0 && m.stribeck_rad_s > 0.0;
+    m.transmits = m.load_friction != 0.0 || m.source_per_V2 != 0.0;
+    m.mean_cosine = m.turns ? sin(m.half_travel_rad) / m.half_travel_rad : 0.0;
+    return m;
 }
 
 /* The part of 1/K that is back-EMF, V; and the motor's torque, V, at the drive `w`, which a supply with a resistance lets
  * the current lower: the bridge connects it for the share w of the time. */
-static double back_emf(const real_motor *m, double v)
+static double back_emf(const motor *m, double v)
 {
     return (1.0 - m->viscous_share) * v / m->K_rad_s_V;
 }
 
-static double torque(const real_motor *m, double w, double v)
+static double torque(const motor *m, double w, double v)
 {
     return (w - back_emf(m, v)) / (1.0 + m->source_per_V2 * w * w);
 }
 
-static double staged(const real_motor *m, double u_V)
+static double staged(const motor *m, double u_V)
 {
     const double beyond = fabs(u_V) - m->dead_band_V;
     if (beyond <= 0.0) {
@@ -79,25 +81,37 @@ static double staged(const real_motor *m, double u_V)
     return sign * size * (1.0 - m->sag_per_V * size);
 }
 
-static double lagged(const real_motor *m, double staged_V, double w_V, double h_s)
+static double lagged(const motor *m, double staged_V, double w_V, double h_s)
 {
     return m->lag_s <= 0.0 ? staged_V : staged_V + (w_V - staged_V) * exp(-h_s / m->lag_s);
 }
 
-/* sin and cos over the travel, the cosine less its mean */
-static double over_travel(const real_motor *m, double y, double sine, double cosine)
+/* A wave over the travel at a position. */
+typedef struct {
+    double sine, cosine;
+} wave;
+
+static wave wave_at(const motor *m, double y)
 {
-    if (sine == 0.0 && cosine == 0.0) {
-        return 0.0;
+    wave here = {0.0, 1.0};
+    if (m->turns) {
+        const double q = y - m->centre_rad;
+        here.sine = sin(q);
+        here.cosine = cos(q);
     }
-    const double q = y - m->centre_rad;
-    return sine * sin(q) + cosine * (cos(q) - sin(m->half_travel_rad) / m->half_travel_rad);
+    return here;
 }
 
-static double force(const real_motor *m, double y)
+/* The wave with these shares, the cosine less its mean over the travel. */
+static double over_travel(const motor *m, wave here, double sine, double cosine)
 {
-    double total = over_travel(m, y, m->force_sin_V, m->force_cos_V);
-    if (cogs(m)) {
+    return m->turns ? sine * here.sine + cosine * (here.cosine - m->mean_cosine) : 0.0;
+}
+
+static double force(const motor *m, double y, wave here)
+{
+    double total = over_travel(m, here, m->force_sin_V, m->force_cos_V);
+    if (m->cogs) {
         const double q = m->cogging_per_rad * y;
         total += m->cogging_sin_V * sin(q) + m->cogging_cos_V * cos(q);
     }
@@ -105,81 +119,82 @@ static double force(const real_motor *m, double y)
 }
 
 /* Torque that load friction sees, at the drive `w`. */
-static double transmitted(const real_motor *m, double w, double v, double y)
+static double transmitted(const motor *m, double w, double v, double y, wave here)
 {
-    return torque(m, w, v) + m->load_outside * force(m, y);
+    return torque(m, w, v) + m->load_outside * force(m, y, here);
 }
 
-static double level(const real_motor *m, double speed, double y, double t_s)
+static double level(const motor *m, double speed, wave here, double t_s)
 {
     double total = m->fc_V;
     if (m->drift != 0.0) {
         total += m->fc_V * m->drift * ((t_s - m->start_s) / m->duration_s - 0.5);
     }
-    total += over_travel(m, y, m->friction_sin_V, m->friction_cos_V);
-    if (falls(m)) {
+    total += over_travel(m, here, m->friction_sin_V, m->friction_cos_V);
+    if (m->falls) {
         /* a step that is tried beyond standstill and then cut: not infinite */
         total += m->stribeck_V * exp(least(-speed / m->stribeck_rad_s, HUGE_POWER));
     }
     return total;
 }
 
-static double level_at_rest(const real_motor *m, double y, double t_s)
+static double level_at_rest(const motor *m, wave here, double t_s)
 {
-    return level(m, 0.0, y, t_s) + m->static_V;
+    return level(m, 0.0, here, t_s) + m->static_V;
 }
 
 /* Pull on a motor at rest under the drive `w`, and the friction that it must pass, without bristles. */
-static double pull_at_rest(const real_motor *m, double w, double y)
+static double pull_at_rest(const motor *m, double w, double y, wave here)
 {
-    return torque(m, w, 0.0) + m->bias_V - force(m, y);
+    return torque(m, w, 0.0) + m->bias_V - force(m, y, here);
 }
 
-static double load_at_rest(const real_motor *m, double w, double y)
+static double load_at_rest(const motor *m, double w, double y, wave here)
 {
-    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, 0.0, y));
+    return m->load_friction == 0.0 ? 0.0 : m->load_friction * fabs(transmitted(m, w, 0.0, y, here));
 }
 
-static double level_of_bristles(const real_motor *m, double speed, double y, double t_s)
+static double level_of_bristles(const motor *m, double speed, wave here, double t_s)
 {
-    return most(level(m, speed, y, t_s), LEAST_LEVEL_V);
+    return most(level(m, speed, here, t_s), LEAST_LEVEL_V);
 }
 
-static double stiffness(const real_motor *m, double level_V)
+static double stiffness(const motor *m, double level_V)
 {
     return least(m->bristle_V_rad, level_V / LEAST_BEND_RAD);
 }
 
-static double target(const real_motor *m, double sign, const real_state *at, double t_s)
+static double target(const motor *m, double sign, const real_state *at, wave here, double t_s)
 {
     const double speed = sign * at->v;
-    const double friction = m->bristle_V_rad > 0.0 ? at->f : sign * level(m, speed, at->y, t_s);
+    const double friction = m->bristle_V_rad > 0.0 ? at->f : sign * level(m, speed, here, t_s);
     const double viscous = speed * (m->viscous_by_direction_V_s_rad + m->drag_V_s2_rad2 * at->v);
     double drive = at->w;
-    if (transmits(m)) {
-        const double load = m->load_friction * fabs(transmitted(m, at->w, at->v, at->y));
+    if (m->transmits) {
+        const double load = m->load_friction * fabs(transmitted(m, at->w, at->v, at->y, here));
         drive = torque(m, at->w, at->v) + back_emf(m, at->v) - sign * load;
     }
-    return m->K_rad_s_V * (drive + m->bias_V - force(m, at->y) - friction - viscous);
+    return m->K_rad_s_V * (drive + m->bias_V - force(m, at->y, here) - friction - viscous);
 }
 
-static double bending(const real_motor *m, double sign, const real_state *at, double t_s)
+static double bending(const motor *m, double sign, const real_state *at, wave here, double t_s)
 {
     if (m->bristle_V_rad <= 0.0) {
         return 0.0;
     }
     const double speed = sign * at->v;
-    const double top = level_of_bristles(m, speed, at->y, t_s);
+    const double top = level_of_bristles(m, speed, here, t_s);
     return stiffness(m, top) * (at->v - speed * at->f / top);
 }
 
-static double direction(const real_motor *m, const real_state *at, double staged_V, double t_s)
+static double direction(const motor *m, const real_state *at, double staged_V, double t_s)
 {
     if (at->v != 0.0) {
         return at->v > 0.0 ? 1.0 : -1.0;
     }
-    double pull = pull_at_rest(m, at->w, at->y);
-    const double load = load_at_rest(m, at->w, at->y);
+    const wave here = wave_at(m, at->y);
+    double pull = pull_at_rest(m, at->w, at->y, here);
+    const double load = load_at_rest(m, at->w, at->y, here);
     if (m->bristle_V_rad > 0.0) {
         pull -= at->f;
         if (fabs(pull) <= BALANCED + load) {
@@ -190,7 +205,7 @@ static double direction(const real_motor *m, const real_state *at, double staged
         }
         return pull > 0.0 ? 1.0 : -1.0;
     }
-    const double held = level_at_rest(m, at->y, t_s) + load;
+    const double held = level_at_rest(m, here, t_s) + load;
     return pull > held ? 1.0 : pull < -held ? -1.0 : 0.0;
 }
 
@@ -229,13 +244,13 @@ static weights weights_of(double c)
 }
 
 /* Rate at which the friction of bristles nears its level in the middle of a step. */
-static double sliding(const real_motor *m, double sign, const real_state *at, double a1, double t, double h)
+static double sliding(const motor *m, double sign, const real_state *at, wave here, double a1, double t, double h)
 {
     if (m->bristle_V_rad <= 0.0) {
         return 0.0;
     }
     const double speed = most(sign * (at->v + 0.5 * h * (a1 - at->v) / m->tau_s), 0.0);
-    const double top = level_of_bristles(m, speed, at->y, t);
+    const double top = level_of_bristles(m, speed, here, t);
     return stiffness(m, top) * speed / top;
 }
 
@@ -245,74 +260,89 @@ typedef struct {
     double a1, a2, a3, a4;
     double v2, y2, f2, v3, y3, f3, v4, y4, f4;
     double slide;
+    wave here1, here2, here3, here4; /* over the travel */
     weights k, b; /* of the motion, and of the bristles */
+    double taus;  /* of the step that `k` is of; below 0: of none yet */
 } stages;
 
 /* of a step of no time constants */
 static const weights NO_FADING = {1.0, 1.0, 1.0, 1.0 / 6.0, 1.0 / 3.0, 1.0 / 6.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0};
 
-/* State after `h` s in the direction `sign`, and its stages. */
-static real_state moved(const real_motor *restrict m, double sign, const real_state *restrict at, double staged_V, double t, double h, stages *restrict s)
+/* The first stage of any step from there in the direction `sign`. */
+static void set_out(const motor *m, double sign, const real_state *at, double t, stages *s)
+{
+    s->here1 = wave_at(m, at->y);
+    s->a1 = target(m, sign, at, s->here1, t);
+}
+
+/* State after `h` s in the direction `sign`, and its further stages. */
+static real_state moved(const motor *restrict m, double sign, const real_state *restrict at, double staged_V, double t, double h, stages *restrict s)
 {
     const double tau = m->tau_s;
     const double c = h / tau;
-    const weights k = s->k = weights_of(c);
+    if (c != s->taus) {
+        s->k = weights_of(c);
+        s->taus = c;
+    }
+    const weights k = s->k;
     const double near = 0.5 * c * k.mean;
     const double middle = t + 0.5 * h;
     const double p = at->y + tau * at->v;
     real_state in = *at;
-    s->a1 = target(m, sign, &in, t);
-    s->slide = sliding(m, sign, at, s->a1, t, h);
+    s->slide = sliding(m, sign, at, s->here1, s->a1, t, h);
     const weights b = s->b = m->bristle_V_rad > 0.0 ? weights_of(h * s->slide) : NO_FADING;
     const double near_f = 0.5 * h * b.mean;
-    const double n1 = bending(m, sign, &in, t) + s->slide * in.f;
+    const double n1 = bending(m, sign, &in, s->here1, t) + s->slide * in.f;
     in.v = s->v2 = k.half * at->v + near * s->a1;
     in.y = s->y2 = p + 0.5 * h * s->a1 - tau * in.v;
     in.f = s->f2 = b.half * at->f + near_f * n1;
     in.w = lagged(m, staged_V, at->w, 0.5 * h);
-    s->a2 = target(m, sign, &in, middle);
-    const double n2 = bending(m, sign, &in, middle) + s->slide * in.f;
+    s->here2 = wave_at(m, in.y);
+    s->a2 = target(m, sign, &in, s->here2, middle);
+    const double n2 = bending(m, sign, &in, s->here2, middle) + s->slide * in.f;
     in.v = s->v3 = k.half * at->v + near * s->a2;
     in.y = s->y3 = p + 0.5 * h * s->a2 - tau * in.v;
     in.f = s->f3 = b.half * at->f + near_f * n2;
-    s->a3 = target(m, sign, &in, middle);
-    const double n3 = bending(m, sign, &in, middle) + s->slide * in.f;
+    s->here3 = wave_at(m, in.y);
+    s->a3 = target(m, sign, &in, s->here3, middle);
+    const double n3 = bending(m, sign, &in, s->here3, middle) + s->slide * in.f;
     in.v = s->v4 = k.half * s->v2 + near * (2.0 * s->a3 - s->a1);
     in.y = s->y4 = p + h * s->a3 - tau * in.v;
     in.f = s->f4 = b.half * s->f2 + near_f * (2.0 * n3 - n1);
     in.w = lagged(m, staged_V, at->w, h);
-    s->a4 = target(m, sign, &in, t + h);
-    const double n4 = bending(m, sign, &in, t + h) + s->slide * in.f;
+    s->here4 = wave_at(m, in.y);
+    s->a4 = target(m, sign, &in, s->here4, t + h);
+    const double n4 = bending(m, sign, &in, s->here4, t + h) + s->slide * in.f;
     in.v = k.keep * at->v + c * (k.b1 * s->a1 + k.b2 * (s->a2 + s->a3) + k.b4 * s->a4);
     in.y = p + h / 6.0 * (s->a1 + 2.0 * (s->a2 + s->a3) + s->a4) - tau * in.v;
     in.f = b.keep * at->f + h * (b.b1 * n1 + b.b2 * (n2 + n3) + b.b4 * n4);
     return in;
 }
 
-/* Largest step in the direction `sign` with a small error; infinite for a motor without parts. */
-static double longest_step(const real_motor *m, double sign, const real_state *at, double staged_V, double t_s)
+/* Largest step in the direction `sign` with a small error, whose first stage is `s`; infinite for a motor without parts. */
+static double longest_step(const motor *m, double sign, const real_state *at, double staged_V, double t_s, const stages *s)
 {
     double longest = INFINITY;
     const double tau = m->tau_s;
     const double speed = fabs(at->v);
-    const double pull = fabs(target(m, sign, at, t_s) - at->v) / tau;
-    double distance = turns(m) ? STEP_OF_TURN : INFINITY;
+    const double pull = fabs(s->a1 - at->v) / tau;
+    double distance = m->turns ? STEP_OF_TURN : INFINITY;
     double spring = 0.0;
     if (m->lag_s > 0.0 && at->w != staged_V) {
         longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * most(m->lag_s, SHORT_LAG_S), -0.2);
     }
-    if (cogs(m)) {
+    if (m->cogs) {
         if (m->cogging_per_rad != 0.0) {
             distance = least(distance, STEP_OF_TURN / fabs(m->cogging_per_rad));
         }
         spring += fabs(m->cogging_per_rad) * (fabs(m->cogging_sin_V) + fabs(m->cogging_cos_V));
     }
     if (m->bristle_V_rad > 0.0) {
-        const double top = level_of_bristles(m, speed, at->y, t_s);
+        const double top = level_of_bristles(m, speed, s->here1, t_s);
         const double stiff = stiffness(m, top);
         double left = least(most(fabs(1.0 - sign * at->f / top), SLIDING), 2.0);
         left += LEVEL_CHANGES * (fabs(m->friction_sin_V) + fabs(m->friction_cos_V)) / stiff;
-        if (falls(m)) {
+        if (m->falls) {
             left += fabs(m->stribeck_V) * exp(-speed / m->stribeck_rad_s) / top;
         }
         distance = least(distance, STEP_OF_BRISTLE * top / stiff * pow(left, -0.25));
@@ -324,24 +354,25 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
     if (spring > 0.0) {
         longest = least(longest, STEP_OF_SWING * sqrt(tau / (m->K_rad_s_V * spring)));
     }
-    if (falls(m)) {
+    if (m->falls) {
         const double unit = m->stribeck_rad_s;
         const double fade = exp(least(speed / (5.0 * unit), 50.0));
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = least(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (falls(m) || turns(m) || transmits(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
+    if (m->falls || m->turns || m->transmits || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
         longest = least(longest, STEP_OF_TAU * tau);
     }
     return STRETCH * longest;
 }
 
 /* By how much the pull in the direction `sign` on a motor at rest is above its level `h` s after `t`. */
-static double margin(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h)
+static double margin(const motor *m, double sign, const real_state *at, double staged_V, double t, double h)
 {
     const double w = lagged(m, staged_V, at->w, h);
-    const double held = level_at_rest(m, at->y, t + h) + load_at_rest(m, w, at->y); /* as in `direction`, to the last bit */
-    return sign * pull_at_rest(m, w, at->y) - held;
+    const wave here = wave_at(m, at->y);
+    const double held = level_at_rest(m, here, t + h) + load_at_rest(m, w, at->y, here); /* as in `direction`, to the last bit */
+    return sign * pull_at_rest(m, w, at->y, here) - held;
 }
 
 /* Motion in one direction, or rest.
@@ -358,8 +389,10 @@ typedef struct {
     stages in;
 } step;
 
+static const step FIRST_STEP = {.in = {.taus = -1.0}}; /* whose weights are not known yet */
+
 /* The next step of a motor that friction holds, at most `longest_s`: to its end, or to where it breaks away. */
-static void rest(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
+static void rest(const motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
 {
     double h = longest_s;
     s->released = 0.0;
@@ -397,22 +430,22 @@ static void rest(const real_motor *m, const real_state *at, double staged_V, dou
 }
 
 /* Ends a step of `h` s, which load friction sees, where the torque turns; returns how long it then is. */
-static double until_torque_turns(const real_motor *m, double sign, const real_state *at, double staged_V, double t_s, double h, step *s)
+static double until_torque_turns(const motor *m, double sign, const real_state *at, double staged_V, double t_s, double h, step *s)
 {
     if (m->load_friction == 0.0) {
         return h;
     }
     double low = 0.0;
     double high = h;
-    double first = transmitted(m, at->w, at->v, at->y);
-    double last = transmitted(m, s->end.w, s->end.v, s->end.y);
+    double first = transmitted(m, at->w, at->v, at->y, s->in.here1);
+    double last = transmitted(m, s->end.w, s->end.v, s->end.y, wave_at(m, s->end.y));
     if (fabs(first) <= TURNED_V || fabs(last) <= TURNED_V || (first > 0.0) == (last > 0.0)) {
         return h;
     }
     for (int i = 0; i < ROUNDS && fabs(last) > TURNED_V; i++) { /* friction is continuous there: near it will do */
         h = low + (high - low) * least(most(first / (first - last), 0.05), 0.95);
         s->end = moved(m, sign, at, staged_V, t_s, h, &s->in);
-        const double now = transmitted(m, s->end.w, s->end.v, s->end.y);
+        const double now = transmitted(m, s->end.w, s->end.v, s->end.y, wave_at(m, s->end.y));
         if (fabs(now) <= TURNED_V) {
             break;
         }
@@ -428,14 +461,15 @@ static double until_torque_turns(const real_motor *m, double sign, const real_st
 }
 
 /* The next step under the constant drive `staged_V` before its lag: at most `longest_s` long, to an event. */
-static void next_step(const real_motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
+static void next_step(const motor *m, const real_state *at, double staged_V, double t_s, double longest_s, step *s)
 {
     const double sign = direction(m, at, staged_V, t_s);
     if (sign == 0.0) {
         rest(m, at, staged_V, t_s, longest_s, s);
         return;
     }
-    double h = least(longest_s, longest_step(m, sign, at, staged_V, t_s));
+    set_out(m, sign, at, t_s, &s->in);
+    double h = least(longest_s, longest_step(m, sign, at, staged_V, t_s, &s->in));
     s->sign = sign;
     s->released = 0.0;
     s->reverses = false;
@@ -455,7 +489,7 @@ static void next_step(const real_motor *m, const real_state *at, double staged_V
     double low = 0.0;
     double high = h;
     for (int i = 0; i < ROUNDS; i++) {
-        const double slope = sign * (target(m, sign, &s->end, t_s + h) - s->end.v) / m->tau_s;
+        const double slope = sign * (target(m, sign, &s->end, wave_at(m, s->end.y), t_s + h) - s->end.v) / m->tau_s;
         double next = slope < 0.0 ? h - sign * s->end.v / slope : 0.5 * (low + high);
         if (!(low < next && next < high)) {
             next = 0.5 * (low + high);
@@ -478,7 +512,7 @@ static void next_step(const real_motor *m, const real_state *at, double staged_V
 }
 
 /* Cuts a step of a motor in motion, which ends beyond `stop`, where it meets it. */
-static void cut(const real_motor *m, const real_state *at, double staged_V, double t_s, double stop, step *s)
+static void cut(const motor *m, const real_state *at, double staged_V, double t_s, double stop, step *s)
 {
     double low = 0.0;
     double high = s->duration_s;
@@ -497,7 +531,7 @@ static void cut(const real_motor *m, const real_state *at, double staged_V, doub
     s->duration_s = high;
 }
 
-static void take_up_play(const real_motor *m, double sign, real_state *at)
+static void take_up_play(const motor *m, double sign, real_state *at)
 {
     if (sign > 0.0) {
         at->x = most(at->x, at->y - 0.5 * m->backlash_rad);
@@ -506,16 +540,19 @@ static void take_up_play(const real_motor *m, double sign, real_state *at)
     }
 }
 
-void real_start(const real_motor *m, real_state *at, double y)
+void real_start(const real_motor *numbers, real_state *at, double y)
 {
+    const motor own = motor_of(numbers);
+    const motor *const m = &own;
     at->v = 0.0;
     at->y = y;
     at->x = y;
     at->w = staged(m, 0.0);
     at->f = 0.0;
     if (m->bristle_V_rad > 0.0) {
-        const double held = level_of_bristles(m, 0.0, y, m->start_s);
-        at->f = least(most(pull_at_rest(m, at->w, y), -held), held);
+        const wave here = wave_at(m, y);
+        const double held = level_of_bristles(m, 0.0, here, m->start_s);
+        at->f = least(most(pull_at_rest(m, at->w, y, here), -held), held);
     }
 }
 
@@ -526,11 +563,13 @@ void real_put(const real_motor *m, real_state *at, double v, double y)
     at->x = least(most(at->x, y - 0.5 * m->backlash_rad), y + 0.5 * m->backlash_rad);
 }
 
-void real_advance(const real_motor *m, real_state *at, double u_V, const double when[2], const double stops[2])
+void real_advance(const real_motor *numbers, real_state *at, double u_V, const double when[2], const double stops[2])
 {
+    const motor own = motor_of(numbers);
+    const motor *const m = &own;
     const double drive_V = staged(m, u_V);
     double left_s = when[1];
-    step s;
+    step s = FIRST_STEP;
     if (m->lag_s <= 0.0) {
         at->w = drive_V;
     }
@@ -553,24 +592,28 @@ void real_advance(const real_motor *m, real_state *at, double u_V, const double 
     }
 }
 
-double real_force(const real_motor *m, double y)
+double real_force(const real_motor *numbers, double y)
 {
-    return force(m, y);
+    const motor m = motor_of(numbers);
+    return force(&m, y, wave_at(&m, y));
 }
 
-double real_level(const real_motor *m, double speed, double y)
+double real_level(const real_motor *numbers, double speed, double y)
 {
-    return level(m, speed, y, m->start_s);
+    const motor m = motor_of(numbers);
+    return level(&m, speed, wave_at(&m, y), m.start_s);
 }
 
-double real_level_at_rest(const real_motor *m, double y)
+double real_level_at_rest(const real_motor *numbers, double y)
 {
-    return level_at_rest(m, y, m->start_s);
+    const motor m = motor_of(numbers);
+    return level_at_rest(&m, wave_at(&m, y), m.start_s);
 }
 
-double real_staged(const real_motor *m, double u_V)
+double real_staged(const real_motor *numbers, double u_V)
 {
-    return staged(m, u_V);
+    const motor m = motor_of(numbers);
+    return staged(&m, u_V);
 }
 
 double real_reading(const real_motor *m, double x)

@@ -20,8 +20,7 @@ enum { STAGES = REAL_STAGE_ROWS - 3 };
  * stage            of the right sides at the four stages of a step: target velocity and bristles' rate in turn
  * by_stage         for each stage, of the target velocity and of the bristles' rate in turn, by column: what does not
  *                  come from the state
- * mean             of the cosine over the travel
- * position, cogging, stribeck, transmits   which of the derivatives cost a function of their own
+ * curved           whether the sensor is, or could be: a derivative by its curvature is asked for
  */
 typedef struct {
     const int64_t *which;
@@ -29,8 +28,7 @@ typedef struct {
     int columns, waves, width;
     double *v, *y, *f, *x;
     double *w, *given, *level, *stage[STAGES], *by_stage[STAGES];
-    double mean;
-    bool position, cogging, stribeck, transmits;
+    bool curved;
 } slopes;
 
 /* Derivatives of a right side: of the target velocity by v, y and w, of the bristles' rate by v, y and f. */
@@ -38,40 +36,19 @@ typedef struct {
     double av, ay, aw, rv, ry, rf;
 } by_state;
 
-static double mean_cosine(const real_motor *m)
-{
-    return sin(m->half_travel_rad) / m->half_travel_rad;
-}
-
-/* A wave over the travel at a position. */
-typedef struct {
-    double sine, cosine;
-} wave;
-
-static wave wave_at(const real_motor *m, const slopes *d, double y)
-{
-    wave at = {0.0, 1.0};
-    if (d->position) {
-        const double q = y - m->centre_rad;
-        at.sine = sin(q);
-        at.cosine = cos(q);
-    }
-    return at;
-}
-
 /* Fills `out` with the derivatives of the level; gives those by speed and position. */
-static void level_slopes(const real_motor *m, const slopes *d, double speed, wave at, double t, double *out, double by[2])
+static void level_slopes(const motor *m, double speed, wave at, double t, double *out, double by[2])
 {
     const double course = (t - m->start_s) / m->duration_s - 0.5;
     out[AT_fc_V] = 1.0 + m->drift * course;
     out[AT_drift] = m->fc_V * course;
     by[0] = by[1] = 0.0;
-    if (d->position) {
+    if (m->turns) {
         out[AT_friction_sin_V] = at.sine;
-        out[AT_friction_cos_V] = at.cosine - d->mean;
+        out[AT_friction_cos_V] = at.cosine - m->mean_cosine;
         by[1] = m->friction_sin_V * at.cosine - m->friction_cos_V * at.sine;
     }
-    if (d->stribeck && m->stribeck_rad_s > 0.0) {
+    if (m->falls) {
         const double share = exp(-speed / m->stribeck_rad_s);
         out[AT_stribeck_V] = share;
         out[AT_stribeck_rad_s] = m->stribeck_V * share * speed / (m->stribeck_rad_s * m->stribeck_rad_s);
@@ -82,27 +59,27 @@ static void level_slopes(const real_motor *m, const slopes *d, double speed, wav
 static const int OF_LEVEL[] = {AT_fc_V, AT_drift, AT_friction_sin_V, AT_friction_cos_V, AT_stribeck_V, AT_stribeck_rad_s};
 enum { LEVELS = sizeof OF_LEVEL / sizeof OF_LEVEL[0] };
 
-static double side_of(const real_motor *m, const real_state *at)
+static double side_of(const motor *m, const real_state *at, wave here)
 {
-    return transmitted(m, at->w, at->v, at->y) > 0.0 ? 1.0 : -1.0;
+    return transmitted(m, at->w, at->v, at->y, here) > 0.0 ? 1.0 : -1.0;
 }
 
 /* Adds to `a` and `by` what load friction and the supply's resistance change, where the torque has the sign `side`; returns
  * the derivative by the force. */
-static double load_slopes(const real_motor *m, double sign, double side, const real_state *at, double *a, by_state *by)
+static double load_slopes(const motor *m, double sign, double side, const real_state *at, wave here, double *a, by_state *by)
 {
     const double gain = m->K_rad_s_V;
     const double w = at->w;
     const double back = back_emf(m, at->v);
     const double share = 1.0 / (1.0 + m->source_per_V2 * w * w);
-    const double seen = transmitted(m, w, at->v, at->y);
+    const double seen = transmitted(m, w, at->v, at->y, here);
     const double load = side * sign * m->load_friction;
     const double passed = 1.0 - load; /* of a change of the torque */
     by->aw = gain * passed * share * (1.0 - 2.0 * m->source_per_V2 * w * (w - back) * share);
     by->av += (1.0 - m->viscous_share) * (1.0 - passed * share);
     a[AT_K_rad_s_V] += back * (passed * share - 1.0);
     a[AT_load_friction] = -gain * sign * fabs(seen);
-    a[AT_load_outside] = -gain * load * force(m, at->y);
+    a[AT_load_outside] = -gain * load * force(m, at->y, here);
     a[AT_viscous_share] = at->v * (passed * share - 1.0);
     a[AT_source_per_V2] = -gain * passed * (w - back) * w * w * share * share;
     return -gain * (1.0 + load * m->load_outside);
@@ -110,7 +87,7 @@ static double load_slopes(const real_motor *m, double sign, double side, const r
 
 /* Fills two rows with the derivatives of the target velocity and of the bristles' rate at a stage, where the target
  * velocity is `aim`, and the torque has the sign `side`. */
-static by_state right_sides(const real_motor *m, const slopes *d, double sign, double side, const real_state *at, double t, double aim, int stage)
+static by_state right_sides(const motor *m, const slopes *d, double sign, double side, const real_state *at, wave here, double t, double aim, int stage)
 {
     double *const a = d->stage[2 * stage];
     double *const r = d->stage[2 * stage + 1];
@@ -125,16 +102,15 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
     a[AT_viscous_by_direction_V_s_rad] = -gain * speed;
     a[AT_drag_V_s2_rad2] = -gain * v * speed;
     by.av = -gain * (m->viscous_by_direction_V_s_rad * sign + 2.0 * m->drag_V_s2_rad2 * speed);
-    if (d->transmits) {
-        by_force = load_slopes(m, sign, side, at, a, &by);
+    if (m->transmits) {
+        by_force = load_slopes(m, sign, side, at, here, a, &by);
     }
-    const wave here = wave_at(m, d, y);
-    if (d->position) {
+    if (m->turns) {
         a[AT_force_sin_V] = by_force * here.sine;
-        a[AT_force_cos_V] = by_force * (here.cosine - d->mean);
+        a[AT_force_cos_V] = by_force * (here.cosine - m->mean_cosine);
         by.ay += by_force * (m->force_sin_V * here.cosine - m->force_cos_V * here.sine);
     }
-    if (d->cogging) {
+    if (m->cogs) {
         const double q = m->cogging_per_rad * y;
         const double sine = sin(q);
         const double cosine = cos(q);
@@ -162,7 +138,7 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
         a[REAL_WAVES + 2 * k + 1] = by_force * at_order.cosine;
     }
     double by_level[2];
-    level_slopes(m, d, speed, here, t, r, by_level);
+    level_slopes(m, speed, here, t, r, by_level);
     if (m->bristle_V_rad <= 0.0) {
         for (int k = 0; k < LEVELS; k++) {
             a[OF_LEVEL[k]] = -gain * sign * r[OF_LEVEL[k]];
@@ -171,7 +147,7 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
         by.ay -= gain * sign * by_level[1];
         return by;
     }
-    const double top = level_of_bristles(m, speed, y, t);
+    const double top = level_of_bristles(m, speed, here, t);
     const double stiff = stiffness(m, top);
     const double share = at->f / top;
     const bool limited = stiff < m->bristle_V_rad;
@@ -187,7 +163,7 @@ static by_state right_sides(const real_motor *m, const slopes *d, double sign, d
 }
 
 /* Fills `out` at the numbers of the drive stage with the derivatives of the drive behind it. */
-static void staged_slopes(const real_motor *m, double u_V, double *out)
+static void staged_slopes(const motor *m, double u_V, double *out)
 {
     out[AT_dead_band_V] = out[AT_gain_by_sign] = out[AT_sag_per_V] = 0.0;
     const double beyond = fabs(u_V) - m->dead_band_V;
@@ -203,24 +179,16 @@ static void staged_slopes(const real_motor *m, double u_V, double *out)
 }
 
 /* Acceleration; 0 of a motor that friction holds. */
-static double acceleration(const real_motor *m, const real_state *at, double staged_V, double t_s)
+static double acceleration(const motor *m, const real_state *at, double staged_V, double t_s)
 {
     const double sign = direction(m, at, staged_V, t_s);
-    return sign == 0.0 ? 0.0 : (target(m, sign, at, t_s) - at->v) / m->tau_s;
-}
-
-static void copy_given(const slopes *d)
-{
-    for (int i = 0; i < d->width; i++) {
-        d->w[i] = d->given[i];
-    }
+    return sign == 0.0 ? 0.0 : (target(m, sign, at, wave_at(m, at->y), t_s) - at->v) / m->tau_s;
 }
 
 /* Carries the derivatives of the drive over `h_s`, at whose start it is `faded_V` from its end. */
-static void fade_drive(const real_motor *m, const slopes *d, double faded_V, double h_s)
+static void fade_drive(const motor *m, const slopes *d, double faded_V, double h_s)
 {
     if (m->lag_s <= 0.0) {
-        copy_given(d);
         return;
     }
     const double keep = exp(-h_s / m->lag_s);
@@ -231,20 +199,18 @@ static void fade_drive(const real_motor *m, const slopes *d, double faded_V, dou
 }
 
 /* Takes the derivatives over an edge from `staged_V` to the drive `u_V`; returns it as it is before the lag. */
-static double step_drive(const real_motor *m, const slopes *d, double staged_V, double u_V)
+static double step_drive(const motor *m, const slopes *d, double staged_V, double u_V)
 {
     const double new_V = staged(m, u_V);
     staged_slopes(m, u_V, d->given);
     if (m->lag_s > 0.0) {
         d->w[AT_delay_s] += (staged_V - new_V) / m->lag_s;
-    } else {
-        copy_given(d);
     }
     return new_V;
 }
 
 /* State at the start of a piece at `t`, where the drive behind the lag is `w`, and its derivatives. */
-static real_state begin(const real_motor *m, const slopes *d, const double start[4], double t, double w)
+static real_state begin(const motor *m, const slopes *d, const double start[4], double t, double w)
 {
     const double v0 = start[0];
     const double side = start[2];
@@ -259,8 +225,9 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
     if (m->bristle_V_rad <= 0.0) {
         return at;
     }
-    const double top = level_of_bristles(m, fabs(v0), at.y, t);
-    const double pull = pull_at_rest(m, w, at.y);
+    const wave here = wave_at(m, at.y);
+    const double top = level_of_bristles(m, fabs(v0), here, t);
+    const double pull = pull_at_rest(m, w, at.y, here);
     if (bend == 0.0 && fabs(pull) > top) {
         bend = pull > 0.0 ? 1.0 : -1.0;
     }
@@ -269,12 +236,12 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
         return at;
     }
     const double gain = m->K_rad_s_V;
-    const by_state by = right_sides(m, d, 1.0, side_of(m, &at), &at, t, target(m, 1.0, &at, t), 0);
+    const by_state by = right_sides(m, d, 1.0, side_of(m, &at, here), &at, here, t, target(m, 1.0, &at, here, t), 0);
     for (int i = 0; i < d->width; i++) {
         d->level[i] = 0.0;
     }
     double by_level[2];
-    level_slopes(m, d, fabs(v0), wave_at(m, d, at.y), t, d->level, by_level);
+    level_slopes(m, fabs(v0), here, t, d->level, by_level);
     const double by_v = v0 > 0.0 ? by_level[0] : -by_level[0];
     for (int i = 0; i < d->columns; i++) {
         const int64_t p = d->which[i];
@@ -290,7 +257,7 @@ static real_state begin(const real_motor *m, const slopes *d, const double start
 }
 
 /* Takes the derivatives of v, y, f through a step of a motor in motion from `at`, at `t`. */
-static void through(const real_motor *restrict m, const slopes *d, const real_state *restrict at, const step *restrict now, double t, double staged_V)
+static void through(const motor *restrict m, const slopes *d, const real_state *restrict at, const step *restrict now, double t, double staged_V)
 {
     const stages *const s = &now->in;
     const double h = now->duration_s;
@@ -320,11 +287,11 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
     const real_state at2 = {s->v2, s->y2, s->f2, middle, 0.0};
     const real_state at3 = {s->v3, s->y3, s->f3, middle, 0.0};
     const real_state at4 = {s->v4, s->y4, s->f4, now->end.w, 0.0};
-    const double side = side_of(m, &at2); /* of the whole step, which ends where the torque turns */
-    const by_state d1 = right_sides(m, d, now->sign, side, at, t, s->a1, 0);
-    const by_state d2 = right_sides(m, d, now->sign, side, &at2, t + 0.5 * h, s->a2, 1);
-    const by_state d3 = right_sides(m, d, now->sign, side, &at3, t + 0.5 * h, s->a3, 2);
-    const by_state d4 = right_sides(m, d, now->sign, side, &at4, t + h, s->a4, 3);
+    const double side = side_of(m, &at2, s->here2); /* of the whole step, which ends where the torque turns */
+    const by_state d1 = right_sides(m, d, now->sign, side, at, s->here1, t, s->a1, 0);
+    const by_state d2 = right_sides(m, d, now->sign, side, &at2, s->here2, t + 0.5 * h, s->a2, 1);
+    const by_state d3 = right_sides(m, d, now->sign, side, &at3, s->here3, t + 0.5 * h, s->a3, 2);
+    const by_state d4 = right_sides(m, d, now->sign, side, &at4, s->here4, t + h, s->a4, 3);
     const int columns = d->columns;
     double *const restrict a1_of = d->by_stage[0];
     double *const restrict a2_of = d->by_stage[2];
@@ -427,9 +394,9 @@ static void through(const real_motor *restrict m, const slopes *d, const real_st
 }
 
 /* Jump of the velocity's derivatives at a reversal of a motion in the direction `sign`. */
-static void reverse(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double staged_V)
+static void reverse(const motor *m, const slopes *d, double sign, const real_state *at, double t, double staged_V)
 {
-    const double before = (target(m, sign, at, t) - at->v) / m->tau_s;
+    const double before = (target(m, sign, at, wave_at(m, at->y), t) - at->v) / m->tau_s;
     const double jump = before != 0.0 ? acceleration(m, at, staged_V, t) / before : 0.0;
     for (int i = 0; i < d->columns; i++) {
         d->v[i] *= jump;
@@ -437,11 +404,12 @@ static void reverse(const real_motor *m, const slopes *d, double sign, const rea
 }
 
 /* Jump of the velocity's derivatives where the lag or the drift lets the motor go in the direction `sign`. */
-static void release(const real_motor *m, const slopes *d, double sign, const real_state *at, double t, double staged_V)
+static void release(const motor *m, const slopes *d, double sign, const real_state *at, double t, double staged_V)
 {
     const double gain = m->K_rad_s_V;
-    const double aim = target(m, sign, at, t);
-    const by_state by = right_sides(m, d, sign, side_of(m, at), at, t, aim, 0);
+    const wave here = wave_at(m, at->y);
+    const double aim = target(m, sign, at, here, t);
+    const by_state by = right_sides(m, d, sign, side_of(m, at, here), at, here, t, aim, 0);
     double rate = m->lag_s > 0.0 ? by.aw / gain * (staged_V - at->w) / m->lag_s : 0.0;
     rate -= sign * m->fc_V * m->drift / m->duration_s; /* of the pull beyond the level */
     double *const a = d->stage[0];
@@ -455,14 +423,15 @@ static void release(const real_motor *m, const slopes *d, double sign, const rea
 }
 
 /* Jump of the velocity's derivatives at an edge without lag, at `t`, from one drive to another. */
-static void kick(const real_motor *m, const slopes *d, const real_state *before, const real_state *at, double t, const double drives_V[2])
+static void kick(const motor *m, const slopes *d, const real_state *before, const real_state *at, double t, const double drives_V[2])
 {
     const double was = acceleration(m, before, drives_V[0], t);
     const double later = was - acceleration(m, at, drives_V[1], t);
     double slower = later; /* a short lag acts as a delay, except where it lets go of a motor at rest */
     if (was == 0.0 && at->v == 0.0 && later != 0.0 && m->bristle_V_rad <= 0.0) {
-        const double beyond = fabs(pull_at_rest(m, drives_V[1], at->y)) - level_at_rest(m, at->y, t) -
-                              load_at_rest(m, drives_V[1], at->y);
+        const wave here = wave_at(m, at->y);
+        const double beyond = fabs(pull_at_rest(m, drives_V[1], at->y, here)) - level_at_rest(m, here, t) -
+                              load_at_rest(m, drives_V[1], at->y, here);
         slower = later * log(fabs(drives_V[1] - drives_V[0]) / beyond);
         slower += copysign(m->K_rad_s_V / m->tau_s * beyond, later);
     }
@@ -476,8 +445,14 @@ static void kick(const real_motor *m, const slopes *d, const real_state *before,
 }
 
 /* Fills a row of the Jacobian of the reading at `x`. */
-static void read_slopes(const real_motor *m, const slopes *d, double x, double *row)
+static void read_slopes(const motor *m, const slopes *d, double x, double *row)
 {
+    if (!d->curved) {
+        for (int i = 0; i < d->columns; i++) {
+            row[i] = d->x[i];
+        }
+        return;
+    }
     const double share = (x - m->centre_rad) / m->half_travel_rad;
     const double q = PI * share;
     const double s1 = sin(q);
@@ -496,7 +471,17 @@ static void read_slopes(const real_motor *m, const slopes *d, double x, double *
     }
 }
 
-static slopes room_for(const real_motor *m, const real_columns *c)
+static bool is_curved(const motor *m, const real_columns *c)
+{
+    bool curved = m->linearity_sin1_rad != 0.0 || m->linearity_cos1_rad != 0.0 || m->linearity_sin2_rad != 0.0 ||
+                  m->linearity_cos2_rad != 0.0;
+    for (int64_t i = 0; i < c->columns; i++) {
+        curved = curved || (AT_linearity_sin1_rad <= c->which[i] && c->which[i] <= AT_linearity_cos2_rad);
+    }
+    return curved;
+}
+
+static slopes room_for(const motor *m, const real_columns *c)
 {
     slopes d;
     double *at = c->work;
@@ -517,20 +502,16 @@ static slopes room_for(const real_motor *m, const real_columns *c)
     for (int i = 0; i < STAGES * d.columns; i++) {
         d.by_stage[0][i] = 0.0;
     }
-    d.mean = mean_cosine(m);
     for (int i = 0; i < REAL_STAGE_ROWS * d.width; i++) {
         at[i] = 0.0;
     }
-    d.w = at;
-    d.given = d.w + d.width;
+    d.given = at + d.width;
+    d.w = m->lag_s > 0.0 ? at : d.given; /* without a lag both are the same */
     d.level = d.given + d.width;
     for (int i = 0; i < STAGES; i++) {
         d.stage[i] = d.level + (i + 1) * d.width;
     }
-    d.position = turns(m);
-    d.cogging = cogs(m);
-    d.stribeck = m->stribeck_V != 0.0;
-    d.transmits = transmits(m);
+    d.curved = is_curved(m, c);
     return d;
 }
 
@@ -557,8 +538,10 @@ static int64_t edge_at(const real_record *record, double delay_s, double now)
     return low;
 }
 
-void real_readings(const real_motor *m, const real_record *record, const real_columns *columns, double *y_rad, double *jacobian)
+void real_readings(const real_motor *numbers, const real_record *record, const real_columns *columns, double *y_rad, double *jacobian)
 {
+    const motor own = motor_of(numbers);
+    const motor *const m = &own;
     const slopes d = room_for(m, columns);
     const bool sloping = d.columns > 0;
     const double *const edge_s = record->edge_s;
@@ -572,10 +555,12 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
     int64_t j = edge_at(record, m->delay_s, t_s[0] - FORGOTTEN_LAGS * most(m->lag_s, 0.0));
     double staged_V = staged(m, u_V[j]);
     staged_slopes(m, u_V[j], d.given);
-    copy_given(&d);
+    if (m->lag_s > 0.0) {
+        memcpy(d.w, d.given, (size_t)d.width * sizeof(double));
+    }
     double w = staged_V;
     double begun = least(t_s[0], edge_s[j] + m->delay_s);
-    step s;
+    step s = FIRST_STEP;
     for (int64_t piece = 0; piece < record->pieces; piece++) {
         int64_t k = record->first[piece];
         const int64_t last = piece + 1 < record->pieces ? record->first[piece + 1] : n;
@@ -597,7 +582,7 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
         for (;;) {
             while (k < last && (t_s[k] <= now || now < edge)) {
                 if (t_s[k] <= now) {
-                    y_rad[k] = real_reading(m, at.x);
+                    y_rad[k] = real_reading(numbers, at.x);
                     if (sloping) {
                         read_slopes(m, &d, at.x, jacobian + k * d.columns);
                     }
@@ -657,7 +642,8 @@ void real_readings(const real_motor *m, const real_record *record, const real_co
     }
 }
 
-double real_target(const real_motor *m, double sign, const real_state *at, double t_s)
+double real_target(const real_motor *numbers, double sign, const real_state *at, double t_s)
 {
-    return target(m, sign, at, t_s);
+    const motor m = motor_of(numbers);
+    return target(&m, sign, at, wave_at(&m, at->y), t_s);
 }

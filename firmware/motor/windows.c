@@ -121,6 +121,74 @@ void bordered_reduce(const double *own, const double *border, int64_t pieces, in
     }
 }
 
+double normal_step(const double *matrix, const double *vector, const uint8_t *held, int64_t numbers, double *work, double *x)
+{
+    double *const lower = work; /* row k: what is left of all columns at the k-th pivot, over the root of that */
+    double *const left = lower + numbers * numbers;
+    double *const scale = left + numbers;
+    double *const solved = scale + numbers;
+    double *const order = solved + numbers;
+    double largest = 0.0;
+    double regular = INFINITY;
+    int64_t free = 0;
+    for (int64_t i = 0; i < numbers; i++) {
+        const double own = matrix[(numbers + 1) * i];
+        x[i] = left[i] = scale[i] = 0.0;
+        if (!held[i]) {
+            free++;
+            left[i] = 1.0;
+            scale[i] = 1.0 / sqrt(own);
+            largest = own > largest ? own : largest;
+        }
+    }
+    for (int64_t pivot = 0; pivot < free; pivot++) {
+        int64_t at = 0;
+        for (int64_t i = 1; i < numbers; i++) {
+            at = left[i] > left[at] ? i : at;
+        }
+        if (!(left[at] > 0.0)) {
+            return 0.0;
+        }
+        double *const row = lower + numbers * pivot;
+        const double root = sqrt(left[at]);
+        regular = fmin(regular, left[at] / (scale[at] * scale[at]));
+        double pull = -scale[at] * vector[at];
+        for (int64_t k = 0; k < pivot; k++) {
+            pull -= lower[numbers * k + at] * solved[k];
+        }
+        solved[pivot] = pull / root;
+        for (int64_t i = 0; i < numbers; i++) {
+            if (left[i] > 0.0) {
+                double rest = scale[at] * scale[i] * matrix[numbers * at + i];
+                for (int64_t k = 0; k < pivot; k++) {
+                    rest -= lower[numbers * k + at] * lower[numbers * k + i];
+                }
+                row[i] = rest / root;
+                left[i] -= row[i] * row[i];
+                if (!(left[i] > 0.0) && i != at) {
+                    return 0.0;
+                }
+            }
+        }
+        row[at] = root;
+        left[at] = 0.0;
+        order[pivot] = (double)at;
+    }
+    for (int64_t k = free - 1; k >= 0; k--) {
+        const int64_t at = (int64_t)order[k];
+        double rest = solved[k];
+        for (int64_t j = k + 1; j < free; j++) {
+            const int64_t other = (int64_t)order[j];
+            rest -= lower[numbers * k + other] * x[other];
+        }
+        x[at] = rest / lower[numbers * k + at];
+    }
+    for (int64_t i = 0; i < numbers; i++) {
+        x[i] *= scale[i];
+    }
+    return regular / largest;
+}
+
 void windows_filter(const double forward[3], const double back[2], const int64_t *first, int64_t pieces, int64_t rows, int64_t columns, double *values)
 {
     for (int64_t piece = 0; piece < pieces; piece++) {

@@ -41,6 +41,11 @@ void bordered_sums(const bordered_rows *rows, double *own, double *border);
  * one of each column. */
 void bordered_reduce(const double *own, const double *border, int64_t pieces, int64_t numbers, double damping, const double *scale, double *matrix, double *solved);
 
+/* Solves matrix x = -vector, of `numbers` numbers, for those that are not `held` (1 each; those stay 0), by Cholesky's
+ * factors of the matrix scaled to a diagonal of 1, the largest one first. `work`: room for numbers (numbers + 4) numbers.
+ * Returns how regular the matrix is: its least pivot over its largest number, 0 of a singular one. */
+double normal_step(const double *matrix, const double *vector, const uint8_t *held, int64_t numbers, double *work, double *x);
+
 /* Filters the columns of `values` (rows, columns) in place, from nothing on at each piece: y_k = f0 x_k + f1 x_(k-1) +
  * f2 x_(k-2) - b0 y_(k-1) - b1 y_(k-2). `first`: first rows of the pieces. */
 void windows_filter(const double forward[3], const double back[2], const int64_t *first, int64_t pieces, int64_t rows, int64_t columns, double *values);

@@ -12,17 +12,26 @@ from collections.abc import Sequence
 from shlex import quote
 
 from rig.identification import sampled_data
+from rig.identification.estimate import Estimate
 from rig.identification.opinion import RecordingEstimate, agree, differences, mean_of
+from rig.identification.starts import Start
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries
 
 
-def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[RecordingEstimate]:
-    """The estimate of each recording (name, tests) alone, without those that cannot be identified."""
+def estimates_of_each(
+    recordings: Sequence[tuple[str, Sequence[TimeSeries]]], of_all: Estimate | None = None
+) -> list[RecordingEstimate]:
+    """The estimate of each recording (name, tests) alone, without those that cannot be identified.
+
+    of_all   estimate of all of them, from which each starts, if it is usable
+    """
     found = []
+    known = of_all is not None and of_all.is_motor and of_all.converged and not of_all.spoiled
+    starts = [Start(of_all.tau_s, of_all.K_rad_s_V, max(of_all.fc_V, 0.0))] if known and of_all is not None else None
     for name, tests in recordings:
         try:
-            one = RecordingEstimate.of(name, sampled_data.fit(tests)) if tests else None
+            one = RecordingEstimate.of(name, sampled_data.fit(tests, starts)) if tests else None
         except IdentifyError:
             continue
         if one is not None:

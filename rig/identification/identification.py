@@ -243,7 +243,7 @@ def _identified(asked: _Asked, data: Measurements) -> Identification:
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
-    each = estimates_of_each(data.sources) if len(recordings) > 1 and reads_tests else []
+    each = estimates_of_each(data.sources, found.estimates.get(LEADING)) if len(recordings) > 1 and reads_tests else []
     objections = [*_said(disagreement(each)), *data.supplies]
     if stamps or objections:
         found.estimates = {

@@ -30,15 +30,15 @@ from rig.identification.departures.fit import (
     unit,
 )
 from rig.identification.departures.fit import start as begin
-from rig.identification.departures.pieces import Cut
+from rig.identification.departures.pieces import Cut, parabolas
 from rig.identification.estimate import PARAMETERS, Estimate, intervals
 from rig.identification.noise import WHITE
 from rig.identification.plausibility import one_way
 from rig.identification.side_by_side import side_by_side
 from rig.identification.thinning import thinned
-from rig.model.real_motor import RealMotor
+from rig.model.real_motor import Frame, RealMotor
 from rig.model.real_step import mean_cosine
-from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries, Window
 
 Array = NDArray[np.float64]
 
@@ -154,17 +154,8 @@ def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> 
     Linear least squares of the inverse model (Gautier and Khalil, IEEE Int. Conf. Robotics and Automation, 1988): it
     needs no start, and it is one. Its numbers carry what noise does to an acceleration.
     """
-    columns, drives = [], []
-    for window, frame in zip(cut.windows, cut.frames, strict=True):
-        rows = max(5, min(round(length_s / window.period_s), window.t_s.size // FEWEST_STRETCHES))
-        for first in range(0, window.t_s.size - rows + 1, rows):
-            t_s, y_rad = window.t_s[first : first + rows], window.y_rad[first : first + rows]
-            curve, speed, y = np.polyfit(t_s - float(t_s.mean()), y_rad, 2).tolist()
-            steps, q = window.steps, y - frame.centre_rad
-            at = np.searchsorted(steps.edge_s, t_s - delay_s, side="right") - 1
-            drives.append(float(np.mean(steps.u_V[np.maximum(at, 0)])))
-            columns.append((speed, 2.0 * curve, np.sign(speed), 1.0, np.sin(q), np.cos(q) - mean_cosine(frame)))
-    table, u_V = np.array(columns), np.array(drives)
+    each = [_stretches(window, frame, length_s, delay_s) for window, frame in zip(cut.windows, cut.frames, strict=True)]
+    table, u_V = np.concatenate([columns for columns, _ in each]), np.concatenate([drives for _, drives in each])
     speeds, largest_V = np.abs(table[:, 0]), max(float(np.abs(u_V).max()), 1e-9)
     moves = speeds >= AT_REST * float(speeds.max())
     names = ("by_speed", "by_curve", "fc_V", "bias_V", *FORCE)
@@ -177,6 +168,18 @@ def balanced(cut: Cut, length_s: float, free: Sequence[str], delay_s: float) -> 
     tau_s = max(by_curve / by_speed, 2.0 * min(window.period_s for window in cut.windows))
     numbers = dict(zip((names[k] for k in used[2:]), rest, strict=True))
     return RealMotor(tau_s, 1.0 / by_speed, 0.0, 0.0, delay_s)._replace(**numbers)
+
+
+def _stretches(window: Window, frame: Frame, length_s: float, delay_s: float) -> tuple[Array, Array]:
+    """(k, 6) what the drive of each stretch of a series is made up of, for 1 of each number; (k,) its mean drive, V."""
+    rows = max(5, min(round(length_s / window.period_s), window.t_s.size // FEWEST_STRETCHES))
+    count = window.t_s.size // rows
+    t_s, y_rad = (one[: count * rows].reshape(count, rows) for one in (window.t_s, window.y_rad))
+    middle_rad, speed, curve = parabolas(t_s - t_s.mean(axis=1, keepdims=True), y_rad)
+    at = np.searchsorted(window.steps.edge_s, t_s - delay_s, side="right") - 1
+    q = middle_rad - frame.centre_rad
+    columns = (speed, 2.0 * curve, np.sign(speed), np.ones(count), np.sin(q), np.cos(q) - mean_cosine(frame))
+    return np.column_stack(columns), window.steps.u_V[np.maximum(at, 0)].mean(axis=1)
 
 
 def _no_less(table: Array, wanted: Array, least: Array) -> Array:
@@ -199,7 +202,7 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
     plain   of the same tests: its method and its rows, and its delay where that is known
     """
     cut, free, motor = pieces.problem.cut, pieces.problem.free, pieces.motor
-    normal = Normal.of(pieces.problem.rows(motor, pieces.starts), cut)
+    normal = Normal.of(pieces.rows, cut)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(pieces))
     size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in free])
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))

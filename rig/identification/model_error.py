@@ -117,7 +117,7 @@ def model_error(fit: Fit, blocks: Cut, predicts: float, laws: int = 0) -> ModelE
         given = replace(fit.problem, cut=blocks)
         at_these = solve(begin(replace(given, free=()), fit.motor))
         fit = refitted(replace(at_these, problem=given))
-    matrix, gradient = sums_of_pieces(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut.begins)
+    matrix, gradient = sums_of_pieces(fit.rows, fit.problem.cut.begins)
     free = fit.problem.free
     at = [free.index(name) for name in OF if name in free]
     if gradient.shape[0] < FEWEST_PIECES or len(at) < len(OF):

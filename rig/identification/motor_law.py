@@ -17,8 +17,8 @@ from rig.core.motor_numbers import NUMBERS
 from rig.identification.chance import student_975
 from rig.identification.departures import DEPARTURES, OUTSIDE
 from rig.identification.departures.blocks import Blocks, HeldOut, held_out
-from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, Shifts, budget
-from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels, with_own_noise
+from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry, budget
+from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
 from rig.identification.departures.coupled import coupling_rad_s, takes_enough
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
@@ -444,7 +444,7 @@ def motor_law(
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
         choice = behind_a_gear(choice, begun.chooser, whole, begun.cycle_s)
         if not further and len(set(names)) > 1:
-            level = levels(with_own_noise(choice.fit), names)
+            level = levels(choice.fit.with_own_noise, names)
             for each, drift in (
                 (begun.whole.each(names), DRIFT_EACH),
                 (begun.whole.with_levels(level, names), level_each(len(level))),
@@ -468,9 +468,9 @@ def motor_law(
         further = kept if left > 1 else ()
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     of_windows = [*names, *(names[number] for _, number in further)]
-    parts = with_own_noise(choice.fit)
+    parts = choice.fit.with_own_noise
     fit = joined(parts, of_windows) if was_known else parts
-    normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+    normal = Normal.of(fit.rows, fit.problem.cut)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
@@ -494,7 +494,7 @@ def motor_law(
     for sag in (one for one in choice.laws if one.name in INSTEAD_OF):
         instead += instead_of_sag(parts, sag, choice.laws, begun.chooser, bare[sag.name])
     by_size = profiles(parts, choice.laws, begun.chooser, of_model.effect)
-    scatter = Shifts.of(nuisances).scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
+    scatter = nuisances.scatter if fit is parts else np.diag(covariance)[nuisances.at] * nuisances.size**2
     scales = ScaleErrors.of(stated, *begun.travel_rad)
     is_plain = not choice.laws and not further and not coupled
     at_rests = of_rests(parts, plain if is_plain else None)
@@ -624,7 +624,7 @@ def _slow(series: TimeSeries) -> TimeSeries:
 def _alone(fit: Fit, of: Sequence[str]) -> tuple[RecordingEstimate, ...]:
     """What each recording alone says of the plain numbers, by the normal equations of the fit."""
     problem = fit.problem
-    matrix, gradient = sums_of_pieces(problem.rows(fit.motor, fit.starts), problem.cut.begins)
+    matrix, gradient = sums_of_pieces(fit.rows, problem.cut.begins)
     owner = np.repeat(of, [rows.size for rows in problem.cut.rows])
     core = [problem.free.index(name) for name in CORE_OF if name in problem.free]
     here = np.array([math.log(fit.motor.tau_s), math.log(fit.motor.K_rad_s_V), fit.motor.fc_V])

@@ -25,7 +25,7 @@ SHARED = 5  # number of parameters that all windows share: tau, K, fc, asym, del
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be separated
 NAMES = (*CORE, DELAY)  # of these five
 ITERATIONS = 100
-ENOUGH = Enough(0.0, 1e-13)
+ENOUGH = Enough(0.0, 1e-8)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Solution:
         """Whether the iterations ended, or the next Gauss-Newton step is small against the standard errors."""
         if self.fit.arrived:
             return True
-        normal = Normal.of(self.fit.problem.rows(self.fit.motor, self.fit.starts), self.fit.problem.cut)
+        normal = Normal.of(self.fit.rows, self.fit.problem.cut)
         if not normal.is_finite:
             return False
         step, _ = normal.step(self.fit.problem.held(self.fit.motor, normal.gradient), 0.0)

@@ -22,6 +22,7 @@ from rig.identification.estimator import Estimator
 from rig.identification.in_pieces import MOST_ROWS, fit_in_pieces, of_pieces
 from rig.identification.measurements import Measurements
 from rig.identification.output_error import (
+    ENOUGH,
     SHARED,
     OutputErrorProblem,
     Solution,
@@ -36,7 +37,7 @@ from rig.identification.side_by_side import side_by_side
 from rig.identification.starts import Start, grid_starts, ridge_starts
 from rig.identification.thinning import of_one_step, thinned
 from rig.identification.verdict import spread_rad as test_spread_rad
-from rig.model.real_motor import RealMotor
+from rig.model.real_motor import Frame, RealMotor, readings_of, windows_of
 from rig.model.sensitivity import Theta, position
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.series import TimeSeries, Window, joined_times_s, spread_rad
@@ -54,6 +55,10 @@ BETTER = 0.9  # error of what the pieces' motor predicts of blocks over that of 
 ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
 ROWS_OF_STEPS = 8000  # of a coarse sensor, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
+FAR_FROM_NOISE, FAR = 8.0, Enough(0.0, 1e-4)  # residual over noise of a fit whose last digits mean nothing
+SAME = 1e-6  # difference of squares of two fits that ended in the same place
+ROUNDS_OF_GAIN = 3
+SCORED_ROWS = 600  # of all tests: by so many starts are compared
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
 
@@ -116,6 +121,7 @@ class _WhiteFit:
     """A fit of these tests that takes the noise for white.
 
     rows   first and last row of the recordings, where the fit has several as one; None: those of the problem
+    thin   the solution of fewer rows that it comes from; None: it comes from none
     """
 
     problem: OutputErrorProblem
@@ -123,6 +129,7 @@ class _WhiteFit:
     tests: Sequence[TimeSeries]
     periods_s: Sequence[float | None]
     rows: tuple[int, int] | None = None
+    thin: Solution | None = None
 
     @property
     def rms_rad(self) -> float:
@@ -141,18 +148,19 @@ def _white_fit(
     *,
     free_delay: bool | None = None,
     periods_s: Sequence[float | None] | None = None,
+    earlier: _WhiteFit | None = None,
 ) -> _WhiteFit:
-    """As ``fit``, with white noise."""
+    """As ``fit``, with white noise; ``earlier``: from other starts, which is taken where fewer rows lead there, too."""
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
     given = periods_s or [None] * len(tests)
     periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
     of_step = min(sum(map(len, tests)) // ROWS_OF_STEPS, *map(of_one_step, tests))
     if of_step > 1:  # a coarse sensor
-        found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free))
+        found = _fitted([thinned(test, of_step) for test in tests], starts, periods, _delays_s(tests, free), earlier)
         if math.exp(found.best.x[0]) >= ROWS_OF_TAU * of_step * max(test.period_s for test in tests):
             first, last = min(test.first_row for test in tests), max(test.first_row + len(test) for test in tests)
             return replace(found, rows=(first, last - 1))
-    return _fitted(tests, starts, periods, _delays_s(tests, free))
+    return _fitted(tests, starts, periods, _delays_s(tests, free), earlier)
 
 
 def _fitted(
@@ -160,15 +168,22 @@ def _fitted(
     starts: Sequence[Start] | None,
     periods_s: Sequence[float | None],
     delay_s: tuple[float, float] | None,
+    earlier: _WhiteFit | None = None,
 ) -> _WhiteFit:
     """``_white_fit`` to these rows; ``delay_s``: bounds of the delay, s; None: it is known."""
     problem = _problem(tests, delay_s)
     guesses = list(starts) if starts else grid_starts(problem.windows)
     cycles_s = [period for period in periods_s if period is not None]
-    best = _of_fewer_rows(problem, tests, guesses, cycles_s)
-    if best is None:
-        best = _extended(problem, _candidates(problem, guesses), cycles_s)
-    return _WhiteFit(problem, best, tests, periods_s)
+    thin = _of_fewer_rows(problem, tests, guesses, cycles_s)
+    if thin is None:
+        return _WhiteFit(problem, _extended(problem, _candidates(problem, guesses), cycles_s), tests, periods_s)
+    if earlier is not None and earlier.thin is not None and math.isclose(earlier.thin.cost, thin.cost, rel_tol=SAME):
+        return earlier
+    states = [value for window in problem.windows for value in initial_state(window)]
+    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    enough = ENOUGH if thin.rms_rad < FAR_FROM_NOISE * noise_rad else FAR
+    best = problem.solve(np.concatenate((thin.x[:SHARED], states)), enough).after(thin)
+    return _WhiteFit(problem, best, tests, periods_s, thin=thin)
 
 
 def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, float] | None:
@@ -181,7 +196,7 @@ def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, flo
 def _of_fewer_rows(
     problem: OutputErrorProblem, tests: Sequence[TimeSeries], starts: Sequence[Start], periods_s: Sequence[float]
 ) -> Solution | None:
-    """The solution for long tests from that of fewer rows; None where the tests are short, or tau is for those rows."""
+    """The solution of fewer rows of long tests; None where the tests are short, or tau is for those rows."""
     rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
     if rows < 2:
         return None
@@ -192,8 +207,7 @@ def _of_fewer_rows(
     first = _extended(thin, _candidates(thin, starts), periods_s)
     if math.exp(first.x[0]) < ROWS_OF_TAU * max(window.period_s for window in thin.windows):
         return None
-    states = [value for window in problem.windows for value in initial_state(window)]
-    return problem.solve(np.concatenate((first.x[:SHARED], states))).after(first)
+    return first
 
 
 def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods_s: Sequence[float | None]) -> Estimate:
@@ -219,7 +233,7 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
         return white.estimate()  # too short for pieces
     motor = pieces.motor
     start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
-    again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s)
+    again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s, earlier=white)
     if again.best.converged and (not white.best.converged or again.rms_rad < white.rms_rad):
         white = again
     found = white.estimate()
@@ -253,12 +267,15 @@ def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Ar
     """The full vectors of the starts that promise most, the best first."""
     windows = problem.windows
     states = [initial_state(window) for window in windows]
-    target = np.concatenate([_without_line(window.t_s, window.y_rad) for window in windows])
+    shapes = _Shapes(windows, np.array([v0 for v0, _y0 in states]))
     scored = []
-    for delay_s in _first_delays(problem):
-        for one in starts:
-            cost, gain = _score(windows, states, target, one, delay_s)
-            scored.append((cost, one._replace(K_rad_s_V=gain), delay_s))
+    for one in starts:
+        gain, rounds = one.K_rad_s_V, 1 if math.isfinite(one.K_rad_s_V) else ROUNDS_OF_GAIN
+        for delay_s in _first_delays(problem):
+            cost, found = shapes.score(one._replace(K_rad_s_V=gain), delay_s, rounds)
+            scored.append((cost, one._replace(K_rad_s_V=found), delay_s))
+            if not math.isfinite(one.K_rad_s_V) and math.isfinite(cost):  # at the next delay it is nearly the same
+                gain, rounds = found, 1
     best = sorted(scored, key=lambda candidate: candidate[0])[:POLISHED]
     return [_full_vector(windows, states, one, delay_s, free_asym=problem.free[3]) for _, one, delay_s in best]
 
@@ -316,28 +333,52 @@ def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
     return solution.rms_rad < EXACT * spread_rad(windows)
 
 
-def _score(
-    windows: Sequence[Window], states: Sequence[tuple[float, float]], target: Array, start: Start, delay_s: float
-) -> tuple[float, float]:
-    """Sum of squares of a start whose linear part (gain, offset, drift) is solved, and its gain.
+class _Shapes:
+    """Positions of windows without their lines, for starts to be compared by; of long windows some rows are enough.
 
-    states  speed and position that each window begins with; target: its positions without their line
+    v0_rad_s   speed that each window begins with
     """
-    gain, cost = start.K_rad_s_V, math.inf
-    for _ in range(1 if math.isfinite(gain) else 3):
-        shapes = []
-        for window, (v0, _y0) in zip(windows, states, strict=True):
-            w0 = v0 / gain if math.isfinite(gain) else 0.0
-            shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), *window.steps, window.t_s)
-            shapes.append(_without_line(window.t_s, shape))
-        shape = np.concatenate(shapes)
-        power = float(shape @ shape)
-        if power <= 0.0 or (fitted := float(shape @ target) / power) <= 0.0:
-            break
-        gain = fitted
-        residual = target - gain * shape
-        cost = float(residual @ residual)
-    return cost, gain if math.isfinite(gain) else 1.0
+
+    def __init__(self, windows: Sequence[Window], v0_rad_s: Array) -> None:
+        every = max(1, sum(window.t_s.size for window in windows) // SCORED_ROWS)
+        t_s = [window.t_s[::every] for window in windows]
+        one = np.zeros(1, dtype=np.int64)
+        self._records = windows_of(
+            [(Frame(), window.steps, rows, one) for window, rows in zip(windows, t_s, strict=True)]
+        )
+        self._v0_rad_s = v0_rad_s
+        self._first = np.cumsum([0, *(rows.size for rows in t_s[:-1])])
+        self._count = np.array([rows.size for rows in t_s])
+        self._window = np.repeat(np.arange(len(t_s)), self._count)
+        since_s = np.concatenate([rows - rows.mean() for rows in t_s])
+        self._slope = since_s / np.add.reduceat(since_s**2, self._first)[self._window]
+        self._since_s = since_s
+        self._target = self._without_line(np.concatenate([window.y_rad[::every] for window in windows]))
+
+    def score(self, start: Start, delay_s: float, rounds: int) -> tuple[float, float]:
+        """Sum of squares of a start whose linear part (gain, offset, drift) is solved in so many rounds, and its gain.
+
+        The gain says what drive stands for the speed at the begin. Where it is not known, that is none in the first
+        round.
+        """
+        gain, cost = start.K_rad_s_V, math.inf
+        motor = RealMotor(start.tau_s, 1.0, start.fc_V, 0.0, delay_s)
+        begins = np.zeros((self._count.size, 4))
+        for _ in range(rounds):
+            begins[:, 0] = self._v0_rad_s / gain if math.isfinite(gain) else 0.0
+            shape = self._without_line(readings_of(motor, self._records, begins).y_rad)
+            power = float(shape @ shape)
+            if power <= 0.0 or (fitted := float(shape @ self._target) / power) <= 0.0:
+                break
+            gain = fitted
+            residual = self._target - gain * shape
+            cost = float(residual @ residual)
+        return cost, gain if math.isfinite(gain) else 1.0
+
+    def _without_line(self, y_rad: Array) -> Array:
+        slopes = np.add.reduceat(self._slope * y_rad, self._first)
+        means = np.add.reduceat(y_rad, self._first) / self._count
+        return np.asarray(y_rad - means[self._window] - slopes[self._window] * self._since_s)
 
 
 def _full_vector(
@@ -354,11 +395,6 @@ def _full_vector(
         asym = float(np.mean(drifts)) / gain
     shared = [math.log(tau), math.log(gain), fc, asym, delay_s]
     return np.array(shared + [value for state in states for value in state])
-
-
-def _without_line(t_s: Array, y: Array) -> Array:
-    x = t_s - t_s.mean()
-    return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
 
 
 def _estimate(

@@ -126,6 +126,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "windows_plain": (None, [_P, _P, _I, _P, POINTER(RealColumns), _P, _P]),
     "windows_filter": (None, [_P, _P, _P, _I, _I, _I, _P]),
     "bordered_sums": (None, [POINTER(BorderedRows), _P, _P]),
+    "normal_step": (_D, [_P, _P, _P, _I, _P, _P]),
     "bordered_reduce": (None, [_P, _P, _I, _I, _D, _P, _P, _P]),
     # records.h
     "plain_states": (None, [_P, _P, POINTER(PlainDrive), _P, _I, _P]),

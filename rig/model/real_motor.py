@@ -29,7 +29,13 @@ Array = NDArray[np.float64]
 CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
 TRACE = 1e-12
-TRACED = tuple(name for name, number in NUMBERS.items() if number.steers)
+_PLACE = {name: place for place, name in enumerate(RealMotor._fields)}
+_TRACED = {_PLACE[name] for name, number in NUMBERS.items() if number.steers}
+_PLAIN = frozenset(real_motion.PLAIN)
+_PARTS_AT = np.array([place for place in _PLACE.values() if place not in _PLAIN])
+_LEAST, _ABOVE, _BELOW = (
+    np.array([getattr(NUMBERS[name], bound) for name in RealMotor._fields]) for bound in ("least", "above", "below")
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +132,10 @@ class Readings(NamedTuple):
 
 def index(name: str) -> int:
     """Place of a number in the vector, and in a Jacobian of all numbers. Raises ValueError on an unknown name."""
-    return RealMotor._fields.index(name)
+    place = _PLACE.get(name)
+    if place is None:
+        raise ValueError(f"a motor has no number {name!r}")
+    return place
 
 
 def plain(motor: Motor) -> RealMotor:
@@ -244,16 +253,16 @@ def readings_of(
     A motor without parts, none of which is free, is followed by its closed form, which is ten times faster.
     Raises ValueError as ``response_and_jacobian``, and on starts of another number of pieces.
     """
-    plain = not waves_per_rad and is_plain(motor) and set(free or ()) <= set(real_motion.PLAIN)
+    vector = _checked_vector(motor)
+    plain = not waves_per_rad and not vector[_PARTS_AT].any() and (free is None or _PLAIN.issuperset(free))
     if free is not None and not plain:
-        traced = {name: TRACE for name in TRACED if index(name) in free and getattr(motor, name) == 0.0}
+        for place in _TRACED.intersection(free):
+            vector[place] = vector[place] or TRACE
         if waves_per_rad:
             if motor.cogging_sin_V != 0.0 or motor.cogging_cos_V != 0.0:
                 raise ValueError("waves of the force are of a motor without cogging")
-            traced |= {"cogging_sin_V": TRACE, "cogging_per_rad": 0.25 * max(waves_per_rad)}
-        motor = motor._replace(**traced)
-    orders = np.array(waves_per_rad, dtype=float)
-    y_rad, jacobian = windows.read(_checked_motor(motor), starts, free, orders, plain=plain)
+            vector[index("cogging_sin_V")], vector[index("cogging_per_rad")] = TRACE, 0.25 * max(waves_per_rad)
+    y_rad, jacobian = windows.read(vector, starts, free, np.array(waves_per_rad, dtype=float), plain=plain)
     last = max(jacobian.shape[1] - 2, 0)
     return Readings(y_rad, jacobian[:, :last], jacobian[:, last:])
 
@@ -261,6 +270,14 @@ def readings_of(
 def is_plain(motor: RealMotor) -> bool:
     """Whether the motor has no law beyond Coulomb friction and a bias."""
     return not any(value for k, value in enumerate(motor) if k not in real_motion.PLAIN)
+
+
+def _checked_vector(motor: RealMotor) -> Array:
+    """Its numbers in a row. Raises ValueError on numbers out of range."""
+    vector = np.array(motor, dtype=np.float64)
+    if not ((vector >= _LEAST) & (vector > _ABOVE) & (vector < _BELOW)).all():
+        _checked_motor(motor)  # says what is wrong
+    return vector
 
 
 def _checked_frame(frame: Frame) -> Numbers:

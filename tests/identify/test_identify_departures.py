@@ -214,7 +214,7 @@ def test_the_normal_equations_without_the_starts_are_those_of_the_whole_jacobian
 def test_the_gain_of_a_column_is_the_fall_of_the_squares_with_it() -> None:
     problem, motor, cut = _fit()
     fit = solve(start(problem, motor))
-    columns = Columns(fit, problem.rows(fit.motor, fit.starts))
+    columns = Columns(fit)
     law = next(law for law in DEPARTURES if law.name == "gain_by_sign")
     gain, size = columns.gain(columns.of(law, {})[0])
     richer = Problem(cut, (*CORE, "gain_by_sign"), problem.limits, problem.sigma_rad)
@@ -229,7 +229,7 @@ def test_what_is_known_from_beside_the_tests_is_a_row_of_the_fit() -> None:
     problem = replace(plain, known=Known.of_sum(("fc_V", "static_V"), level_V, 0.02))
     fit = solve(start(problem, motor))
     assert fit.motor.fc_V == pytest.approx(solve(start(plain, motor)).motor.fc_V, rel=0.005)
-    columns = Columns(fit, problem.rows(fit.motor, fit.starts))
+    columns = Columns(fit)
     law = next(law for law in DEPARTURES if law.name == "static")
     gain, size = columns.gain(columns.of(law, {})[0])
     assert gain == pytest.approx(problem.surprise(fit.motor), rel=0.02)

@@ -664,7 +664,7 @@ def test_blocks_are_predicted_from_their_first_rows_and_the_others_numbers() -> 
 def test_a_law_that_the_motor_cannot_be_followed_with_gains_nothing_and_ends_no_search() -> None:
     _, problem, motor = _whole_fit(recorded(MOTOR, (3.0, 5.0, 7.0), rows=400))
     fit = solve(start(problem, motor))
-    columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts))
+    columns = Columns(fit)
     gain, sizes = columns.gain(np.full((fit.residual_rad.size, 2), math.nan))
     assert math.isnan(gain) and sizes.tolist() == [0.0, 0.0]
 

@@ -45,7 +45,7 @@ def fitted(test: TimeSeries, y_rad: np.ndarray) -> Fit:
 
 def variances(fit: Fit) -> np.ndarray:
     """Of the three numbers, for noise that is new in each row."""
-    rows = fit.problem.rows(fit.motor, fit.starts)
+    rows = fit.rows
     left = rows.by_number.copy()
     begins = fit.problem.cut.begins.tolist()
     for first, stop in zip(begins, [*begins[1:], len(left)], strict=True):

@@ -205,7 +205,7 @@ def test_arrays_that_do_not_fit_together_are_refused() -> None:
         lambda: real_motion.Windows([real_motion.Record(one, one, two, rows + 2, tuple(Frame()))]),
         lambda: real_motion.Windows([real_motion.Record(two, one, two, rows, tuple(Frame()))]),
         lambda: real_motion.Windows([real_motion.Record(one, one, two, rows, tuple(Frame()))]).read(
-            tuple(RealMotor(0.2, 5.0, 0.4)), np.zeros((2, 4)), None, np.empty(0), plain=False
+            np.array(RealMotor(0.2, 5.0, 0.4)), np.zeros((2, 4)), None, np.empty(0), plain=False
         ),
     ]  # fmt: skip
     for call in calls:

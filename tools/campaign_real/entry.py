@@ -21,7 +21,7 @@ from campaign_real.kinds import KINDS, case
 from rig.config.campaign import Campaign
 from rig.core.estimators import LEADING
 from rig.identification import identify
-from rig.identification.departures.choice import Asked, loss, with_own_noise
+from rig.identification.departures.choice import Asked, loss
 from rig.identification.departures.fit import Normal, unit
 from rig.identification.measurements import measurements
 from rig.identification.motor_law import Beginning
@@ -38,8 +38,8 @@ def largest_gain(campaign: Campaign, number: int) -> float:
     begun = Beginning.of(data.tests, plain, data.periods_s)
     chooser = replace(begun.chooser, asked=Asked(0.0, 0.0, -math.inf))
     choice = chooser.choose(begun.whole, begun.motor, begun.cycle_s)
-    fit = with_own_noise(choice.fit)
-    normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+    fit = choice.fit.with_own_noise
+    normal = Normal.of(fit.rows, fit.problem.cut)
     gains = [loss(normal, fit, law) / unit(fit) - chooser.price(law, fit, 0.0) for law in choice.laws]
     return max(gains, default=-math.inf)
 

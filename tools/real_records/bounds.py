@@ -16,7 +16,6 @@ import numpy as np
 from real_records.known import NUMBERS, PUBLISHED
 from real_records.scores import Seen, by_published
 from rig.identification.departures.blocks import Blocks
-from rig.identification.departures.choice import with_own_noise
 from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, Problem, limits_of, solve, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.pieces import Cut
@@ -45,7 +44,7 @@ def bounds(found: Identification, known: Mapping[str, float]) -> dict[str, tuple
     motor = RealMotor(known["tau_s"], known["K_rad_s_V"], known["fc_V"], 0.0, 0.0)
     load = solve(begin(Problem(cut, rest, limits_of(rest, cut, delay_s), sigma), motor))
     problem = Problem(cut, free, limits_of(free, cut, delay_s), sigma)
-    at = with_own_noise(replace(load, problem=problem))
+    at = replace(load, problem=problem).with_own_noise
     sensor = replace(at, problem=problem)
     return {name: (_half(sensor, name, 1.0) / known[name], _half(at, name, unit(at)) / known[name]) for name in NUMBERS}
 
@@ -81,7 +80,7 @@ def tellable(records: Sequence[Seen]) -> list[str]:
 
 def _half(fit: Fit, name: str, variance: float) -> float:
     """Half width at 95 % of a number, in its unit, where white rows have this variance."""
-    normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+    normal = Normal.of(fit.rows, fit.problem.cut)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal.matrix), 1e-300))
     inverse = np.linalg.pinv(normal.matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True)
     k = fit.problem.free.index(name)

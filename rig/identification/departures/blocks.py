@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identification.departures.fit import Fit, Problem, solve
+from rig.identification.departures.fit import Enough, Fit, Problem, solve
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.pieces import Cut
 from rig.identification.noise import WHITE
@@ -31,7 +31,8 @@ SHOWN_S, SHOWN_ROWS, SHOWN_SHARE = 0.1, 5, 0.34  # of a block: what shows its st
 FOLDS = 4
 FEWEST_RECORDINGS = 3  # of two, one alone would say all
 TURNS = 0.05  # of the whole travel: a recording that moves so far one way turns that way
-FOLD_ITERATIONS = 6
+FOLD_ITERATIONS, START_ITERATIONS = 6, 8
+FOLD_ENOUGH = Enough(0.01, 1e-4)  # its share is by how much an error in blocks may be off
 SURE = 1.64  # standard errors: one side of 95 %
 MOST_ERROR = 0.5  # of a motor that predicts
 THAN_LINEAR, ALIKE = 1.1, 0.02  # times the linear model's error, at most; so much more is no difference
@@ -77,7 +78,9 @@ class Blocks:
                        error of the motor
         """
         weight = None if starts_known else self.shown.astype(float)
-        starts = solve(begin(_of_starts(problem, replace(self.cut, weight=weight)), motor), 8).starts
+        starts = solve(
+            begin(_of_starts(problem, replace(self.cut, weight=weight)), motor), START_ITERATIONS, FOLD_ENOUGH
+        ).starts
         off = self.cut.readings(motor, starts) - self.cut.y_rad
         off = np.where(np.isfinite(off), off, np.inf)
         return off if starts_known else np.where(self.shown, 0.0, off)
@@ -125,7 +128,7 @@ class Blocks:
             trained = motor
             if not held.all():
                 given = replace(problem, cut=self.cut.only(~held), robust_rad=math.inf, noise=WHITE)
-                trained = solve(begin(given, motor), FOLD_ITERATIONS).motor
+                trained = solve(begin(given, motor), FOLD_ITERATIONS, FOLD_ENOUGH).motor
             unseen = Blocks(self.cut.only(held), self.shown[held[self.cut.piece]])
             return unseen.squares(unseen.off_rad(trained, problem, starts_known=starts_known))
 
@@ -202,7 +205,7 @@ def linear(blocks: Blocks, problem: Problem, motor: RealMotor) -> Fit:
     given = replace(problem, cut=blocks.cut, free=free, robust_rad=math.inf, noise=WHITE)
     plain = RealMotor(motor.tau_s, 0.8 * motor.K_rad_s_V, 0.0, motor.bias_V, motor.delay_s)
     starts = (plain, plain._replace(tau_s=3.0 * motor.tau_s), plain._replace(tau_s=motor.tau_s / 3.0))
-    tried = [solve(begin(given, one), 12) for one in starts]
+    tried = [solve(begin(given, one), 12, FOLD_ENOUGH) for one in starts]
     return solve(min(tried, key=lambda fit: fit.cost))
 
 

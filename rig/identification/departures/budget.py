@@ -34,7 +34,6 @@ PRESENT = 0.1  # probability of a law before the record is looked at
 MOST_TOGETHER = 3  # laws that are looked at together,
 MOST_SETS = 2000  # but where they have more starts than that together
 BY_ROUNDING = 1e-3  # of 1, which each nuisance has beforehand
-SINGULAR, UNTOLD = 1e-13, 1e-3  # of the largest eigenvalue: none; a number's share of what a record does not tell
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
 TOGETHER = "laws that hide each other"
@@ -143,16 +142,11 @@ class Shifts:
     def of(cls, nuisances: Nuisances) -> Shifts:
         """From the normal equations."""
         matrix, gradient, spread, core = nuisances.matrix, nuisances.gradient, nuisances.spread, nuisances.core
-        own, border = matrix[:core, :core], matrix[core:, :core]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-        own = own * np.outer(scale, scale)
-        inverse = np.linalg.pinv(own, rcond=SINGULAR, hermitian=True) * np.outer(scale, scale)
-        sizes, ways = np.linalg.eigh(own)
-        untold = np.any(np.abs(ways[nuisances.at][:, sizes < SINGULAR * sizes[-1]]) > UNTOLD, axis=1)
+        inverse, border = nuisances.covariance, matrix[core:, :core]
         inside = _no_less_than_nothing((matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread))
         fewer = np.sqrt(nuisances.as_one)
         return cls(
-            np.where(untold, np.inf, np.diag(inverse)[nuisances.at] * nuisances.size**2),
+            nuisances.scatter,
             -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
             inside / np.outer(fewer, fewer),
             (gradient[core:] - border @ inverse @ gradient[:core]) * spread / nuisances.as_one,
@@ -178,8 +172,12 @@ class Shifts:
 
 def _no_less_than_nothing(inside: Array) -> Array:
     """What the record says of nuisances, without what rounding took from it where two of them are nearly alike."""
-    sizes, ways = np.linalg.eigh(inside)
-    return inside if sizes[0] > -BY_ROUNDING else np.asarray((ways * np.maximum(sizes, 0.0)) @ ways.T)
+    try:
+        np.linalg.cholesky(inside + BY_ROUNDING * np.eye(len(inside)))
+    except np.linalg.LinAlgError:
+        sizes, ways = np.linalg.eigh(inside)
+        return np.asarray((ways * np.maximum(sizes, 0.0)) @ ways.T)
+    return inside
 
 
 def _cut_off(odds: Array, mean: Array, covariance: Array, k: NDArray[np.int64], here: NDArray[np.bool_]) -> Array:
@@ -190,16 +188,20 @@ def _cut_off(odds: Array, mean: Array, covariance: Array, k: NDArray[np.int64], 
     Exact for one nuisance; of several each is cut off in turn, and what is left counts as normal (Mendell and Elston,
     Biometrics 30, 1974).
     """
-    row = np.arange(k.size)
+    row = np.flatnonzero(here)
+    k = k[row]
     spread = np.sqrt(np.maximum(covariance[row, k, k], 1e-300))
     above = mean[row, k] / spread
-    hazard = np.where(here, np.exp(-0.5 * (above**2 + math.log(2.0 * math.pi)) - log_normal_below(above)), 0.0)
+    log_below = log_normal_below(above)
+    hazard = np.exp(-0.5 * (above**2 + math.log(2.0 * math.pi)) - log_below)
     along = covariance[row, :, k] / spread[:, None]
-    mean += along * hazard[:, None]
+    mean[row] += along * hazard[:, None]
     # between 0 and 1, however far below 0 it is cut off: there the difference is all rounding
     less = np.clip(hazard * (hazard + above), 0.0, 1.0)
-    covariance -= along[:, :, None] * along[:, None, :] * less[:, None, None]
-    return np.asarray(np.where(here, 2.0 * normal_below(above) * odds, odds))
+    covariance[row] -= along[:, :, None] * along[:, None, :] * less[:, None, None]
+    cut = odds.copy()
+    cut[row] *= 2.0 * np.exp(log_below)
+    return cut
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,11 +232,12 @@ class Hidden:
             means.append(profile.moves)
             variances.append(profile.spread**2)
             names += [(profile.law.name,)] * profile.odds.size
+        columns = {one.first: tuple(one.columns) for one in nuisances}
         for every in _sets(nuisances):
             sets = [chosen for chosen in every if len(chosen) > 1 or chosen[0].law.name not in known]
             if not sets:
                 continue
-            at = np.array([[k for one in chosen for k in one.columns] for chosen in sets])
+            at = np.array([sum((columns[one.first] for one in chosen), ()) for chosen in sets])
             odds, mean, variance = shifts.by(at)
             weights.append(odds * [math.prod(before / one.starts for one in chosen) for chosen in sets])
             means.append(mean)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +30,7 @@ from rig.identification.departures.fit import (
     limits_of,
     refitted,
     solve,
+    solved,
     start,
     unit,
 )
@@ -65,10 +68,12 @@ LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at 
 LEAP_ITERATIONS = 4
 VALLEY = (0.5, 1.0, 2.0)  # sizes that are looked at about that with which a law in a valley begins, over it
 ONE_WAVE_RAD = 0.5  # between two waves at the ends of the travel, up to which they may be one
+ALIKE = 1e-11  # of a singular value of scaled columns: such columns say the same
 CHANCE = 3.84  # chi-squared of one degree, 95 %
 FAINT = 200.0  # twice the log likelihood that a law brings, up to which something else may stand in its place
 
 
+Trial = Mapping[str, float]
 Ends = dict[frozenset[str], tuple[float, tuple["Fit", tuple[Departure, ...]] | None]]  # by names of laws: cost, end
 
 
@@ -150,25 +155,34 @@ class Chooser:
         growth: list[tuple[float, float]] = []
         hidden_rad = HIDDEN * self.sigma_rad if self._within_steps else 0.0
         fit: Fit | None = None
-        for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
+        lengths_s = [*(cycles * cycle_s for cycles in CYCLES), math.inf]
+        while lengths_s:
+            # what leaves noise alone on short pieces may be right; the whole tests say whether it is
+            leaps = len(growth) == 1 and fit is not None and fit.rms_rad < AT_NOISE * self.sigma_rad
+            length_s = math.inf if leaps else lengths_s.pop(0)
             cut = whole if math.isinf(length_s) else whole.every(length_s)
             if fit is not None and len(cut.begins) == len(fit.problem.cut.begins):
+                if leaps:
+                    break
                 continue
+            most_rad = math.inf if fit is None else max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad)
             problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
-            longer = self._at_best_shape(solve(start(problem, motor)), laws)
-            longer, found = self._of_one_turn(*self._settle(longer, laws))
-            if fit is not None and longer.rms_rad > max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad):
-                growth.append((cut.longest_s, longer.rms_rad))
+            longer, found = self._at_best_shape(solve(start(problem, motor)), laws), laws
+            if not leaps or longer.rms_rad <= most_rad:
+                longer, found = self._of_one_turn(*self._settle(longer, laws))
+            growth.append((cut.longest_s, longer.rms_rad))
+            is_borne = not longer.rms_rad > most_rad
+            if is_borne:
+                fit, laws, motor = longer, found, longer.motor
+            if leaps == is_borne:  # the whole is borne, or no longer pieces are
                 break
-            fit, laws, motor = longer, found, longer.motor
-            growth.append((cut.longest_s, fit.rms_rad))
         assert fit is not None
         fit, laws = self._last(fit, laws)
         while (leaner := self._leaner(fit, laws)) is not None:
             fit, laws = self._last(*leaner)
         fit, laws = self._predicting(fit, laws, whole)
         while laws:
-            rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
+            rises = rise_by_law(self._shares(fit, whole, cycle_s).with_own_noise, laws, self.bench)
             # normal equations say nothing of a law that leaps
             least = min((law for law in laws if not law.leaps), key=lambda law: rises[law], default=None)
             if least is None or rises[least] >= self.asked.predicts:
@@ -222,7 +236,7 @@ class Chooser:
                 continue
             others = tuple(one for one in laws if one is not law)
             bare = solve(self.with_laws(fit, others, without(fit.motor, law)), TRIAL_ITERATIONS)
-            for promise in self._starts(law, Columns(bare, bare.problem.rows(bare.motor, bare.starts)))[:RESHAPED]:
+            for promise in self._starts([law], Columns(bare))[:RESHAPED]:
                 trial = solve(self.with_laws(bare, laws, bare.motor._replace(**promise.first)), TRIAL_ITERATIONS)
                 if trial.cost < fit.cost:
                     fit = solve(trial)
@@ -349,7 +363,7 @@ class Chooser:
         """
         if len(ends) < 2:
             return ends
-        finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
+        finest = min((end for end, _ in ends), key=lambda end: end.scatter_rad).with_own_noise
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
             of, found = end
@@ -407,7 +421,7 @@ class Chooser:
 
     def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """Without laws that are not worth their numbers."""
-        while (leaner := self._without_worst(fit, with_own_noise(fit), laws)) is not None:
+        while (leaner := self._without_worst(fit, fit.with_own_noise, laws)) is not None:
             fit, laws = leaner
         return fit, laws
 
@@ -431,7 +445,7 @@ class Chooser:
 
     def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
         """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
-        seen = with_own_noise(fit)
+        seen = fit.with_own_noise
         steps_show = fit.rms_rad < AT_NOISE * self.sigma_rad and seen.problem.noise.ratio > STEPS_SHOW
         if len(laws) >= MOST or steps_show or self.is_rounding(fit):
             return []  # the sensor's own steps are left, which look like anything
@@ -499,21 +513,17 @@ class Chooser:
 
     def promises(self, fit: Fit, laws: Sequence[Departure]) -> list[Promise]:
         """What each absent law would gain, the best first."""
-        rows = fit.problem.rows(fit.motor, fit.starts)
         absent = [law for law in self.candidates if law not in laws]
-        columns = Columns(fit, rows, [law for law in absent if law.trials(self.bench) == (NOTHING,)])
-        found = [
-            replace(starts[0], gain=starts[0].gain / unit(fit))
-            for law in absent
-            if (starts := self._starts(law, columns))
-        ]
+        columns = Columns(fit, [law for law in absent if law.trials(self.bench) == (NOTHING,)])
+        best = {promise.law: promise for promise in reversed(self._starts(absent, columns))}
+        found = [replace(promise, gain=promise.gain / unit(fit)) for promise in best.values()]
         return sorted(found, key=lambda promise: -promise.gain)
 
-    def _starts(self, law: Departure, columns: Columns) -> list[Promise]:
-        """What each start of an absent law would gain, as a fall of the whitened sum of squares, the best first."""
+    def _starts(self, laws: Sequence[Departure], columns: Columns) -> list[Promise]:
+        """What each start of absent laws would gain, as a fall of the whitened sum of squares, the best first."""
         found = []
-        trials = law.trials(self.bench)
-        for trial, (gain, sizes, scale) in zip(trials, columns.gains(law, trials), strict=True):
+        tried = [(law, trial) for law in laws for trial in law.trials(self.bench)]
+        for (law, trial), (gain, sizes, scale) in zip(tried, columns.gains(tried), strict=True):
             if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
                 continue
             most = FIRST_STEP * law.range_of(self.bench)
@@ -526,7 +536,7 @@ class Chooser:
         """What the loss of each law would cost, by the linear model if it has one; the least first."""
         if not laws:
             return []
-        normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+        normal = Normal.of(fit.rows, fit.problem.cut)
 
         def cost(law: Departure) -> float:
             if not law.leaps:
@@ -544,7 +554,7 @@ def levels(fit: Fit, of: Sequence[str]) -> dict[str, float]:
     fit   by least squares, with its noise; ``of``: for each window the name of its recording
     """
     problem, cut = fit.problem, fit.problem.cut
-    rows = problem.rows(fit.motor, fit.starts)
+    rows = fit.rows
     names = list(dict.fromkeys(of))
     beside = rows.residual.size - cut.t_s.size  # what is known from beside the tests is of all of them
     own = np.repeat([names.index(name) for name in of], [window.t_s.size for window in cut.windows])
@@ -571,17 +581,9 @@ def limits_of_laws(laws: Sequence[Departure], bench: Bench) -> dict[str, tuple[f
     return limits
 
 
-def with_own_noise(fit: Fit) -> Fit:
-    """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
-    cut = fit.problem.cut
-    noise = cut.noise_of(fit.residual_rad)
-    problem = replace(fit.problem, robust_rad=math.inf, noise=noise)
-    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad, fit.motor))
-
-
 def _gain(fit: Fit, richer: Fit) -> float:
     """Twice the gain in log likelihood, with the noise of the richer fit's residual."""
-    seen = with_own_noise(richer)
+    seen = richer.with_own_noise
     return (seen.problem.cost(fit.residual_rad, fit.motor) - seen.cost) / unit(seen)
 
 
@@ -648,28 +650,34 @@ class Columns:
     smooth   laws whose columns are taken at once: those without a shape, and with a derivative at 0
     """
 
-    def __init__(self, fit: Fit, rows: Rows, smooth: Sequence[Departure] = ()) -> None:
-        self._fit, self._rows = fit, rows
-        self.base = Normal.of(rows, fit.problem.cut)
+    def __init__(self, fit: Fit, smooth: Sequence[Departure] = ()) -> None:
+        self._fit = fit
         self._smooth: dict[str, Array] = {}
         if smooth:
             names = [name for law in smooth for name in law.numbers]
             found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
             self._smooth = dict(zip(names, self._white(found.by_number, names).T, strict=True))
 
-    def gains(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[float, Array, float]]:
-        """``gain`` for each of the trials, and the second value of ``of``; waves over the angle in one go."""
-        found = list(self.of_all(law, trials))
-        if law.shape != (ORDER,):
-            yield from ((*self.gain(added), scale) for added, scale in found)
-            return
-        added = np.column_stack([column for column, _ in found])
-        normal = self.normal(np.nan_to_num(added, posinf=0.0, neginf=0.0))
-        for k, (column, scale) in enumerate(found):
-            is_number = bool(np.isfinite(column).all())
-            yield *(self._gain(normal, np.array([2 * k, 2 * k + 1])) if is_number else (math.nan, np.zeros(2))), scale
+    @cached_property
+    def base(self) -> Normal:
+        """The normal equations of the fit."""
+        return Normal.of(self._fit.rows, self._fit.problem.cut)
 
-    def of_all(self, law: Departure, trials: Sequence[Mapping[str, float]]) -> Iterator[tuple[Array, float]]:
+    def gains(self, tried: Sequence[tuple[Departure, Trial]]) -> Iterator[tuple[float, Array, float]]:
+        """``gain`` for each law and trial, and the second value of ``of``; all from the same normal equations."""
+        found: list[tuple[Array, float]] = []
+        for law, each in groupby(tried, key=lambda one: one[0]):
+            found += self.of_all(law, [trial for _, trial in each])
+        if not found:
+            return
+        ends = np.cumsum([column.shape[1] for column, _ in found])
+        normal = self.normal(np.nan_to_num(np.column_stack([column for column, _ in found]), posinf=0.0, neginf=0.0))
+        for end, (column, scale) in zip(ends.tolist(), found, strict=True):
+            of = np.arange(end - column.shape[1], end)
+            is_number = bool(np.isfinite(column).all())
+            yield *(self._gain(normal, of) if is_number else (math.nan, np.zeros(of.size))), scale
+
+    def of_all(self, law: Departure, trials: Sequence[Trial]) -> Iterator[tuple[Array, float]]:
         """``of`` for each of the trials; those of a wave over the angle in one go."""
         if law.shape != (ORDER,):
             yield from (self.of(law, trial) for trial in trials)
@@ -679,7 +687,7 @@ class Columns:
         white = self._white(found.by_number, law.numbers * len(trials))
         yield from ((white[:, 2 * k : 2 * k + 2], 1.0) for k in range(len(trials)))
 
-    def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
+    def of(self, law: Departure, trial: Trial) -> tuple[Array, float]:
         """Derivatives by the law's numbers at 0, (n, k), whitened as the residual, and 1.0.
 
         Where the trial gives the numbers themselves, the column is the whole change that they make, and the second
@@ -690,7 +698,7 @@ class Columns:
             return np.column_stack([self._smooth[name] for name in law.numbers]), 1.0
         cut, motor = fit.problem.cut, fit.motor._replace(**trial)
         if any(name in trial for name in law.numbers):
-            change = cut.readings(motor, fit.starts) - cut.readings(fit.motor, fit.starts)
+            change = cut.readings(motor, fit.starts) - cut.y_rad - fit.residual_rad
             known = fit.problem.known
             beside = np.zeros(0) if known is None else known.off(motor) - known.off(fit.motor)
             return np.concatenate((self._weighed(change[:, None]), beside[:, None])), 0.0
@@ -713,17 +721,18 @@ class Columns:
 
     def _gain(self, normal: Normal, of: NDArray[np.int64]) -> tuple[float, Array]:
         """``gain`` of some of the columns behind the fit's own: ``of`` says which."""
-        m = self._rows.by_number.shape[1]
+        m = len(self._fit.problem.free)
         at = np.concatenate((np.arange(m), m + of))
         scale = np.sqrt(np.maximum(np.diag(normal.raw)[at], 1e-300))
         matrix, gradient = normal.matrix[np.ix_(at, at)] / np.outer(scale, scale), normal.gradient[at] / scale
-        with_it = np.linalg.lstsq(matrix, gradient, rcond=1e-11)[0]
-        alone = np.linalg.lstsq(matrix[:m, :m], gradient[:m], rcond=1e-11)[0]
-        return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]
+        nothing = np.zeros(at.size, dtype=bool)
+        with_it = solved(matrix, gradient, nothing, ALIKE)
+        alone = solved(matrix[:m, :m], gradient[:m], nothing[:m], ALIKE)
+        return float(gradient[:m] @ alone - gradient @ with_it), (with_it / scale)[m:]
 
     def normal(self, added: Array) -> Normal:
         """The normal equations with the columns ``added``, 1 per unit of their numbers, behind the fit's own."""
-        rows = self._rows
+        rows = self._fit.rows
         both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
         return Normal.of(both, self._fit.problem.cut)
 
@@ -737,4 +746,4 @@ class Columns:
         problem = self._fit.problem
         if math.isinf(problem.robust_rad):
             return problem.whitened(columns)
-        return problem.robust_weight(self._rows.residual_rad)[:, None] * columns
+        return problem.robust_weight(self._fit.residual_rad)[:, None] * columns

@@ -45,7 +45,7 @@ def coupling_rad_s(choice: Choice, whole: Cut, chooser: Chooser) -> float:
     fastest = 2.0 * math.pi / (ROWS_OF_SWING * max(window.period_s for window in whole.windows))
     tried = [rad_s for rad_s in FREQUENCIES_RAD_S if rad_s < fastest]
     stiff = solve(begin(problem, fit.motor), ITERATIONS)
-    columns = Columns(stiff, problem.rows(stiff.motor, stiff.starts))
+    columns = Columns(stiff)
     gains = [columns.gain(columns.of_change(by_coupling(stiff, rad_s)))[0] for rad_s in tried]
     needed = (1.0 - chooser.asked.cuts) ** 2 * stiff.cost
     if not max(gains, default=0.0) > PROMISING * (stiff.cost - needed):  # false for nan

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from ctypes import byref
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from rig.identification.departures.pieces import Cut
 from rig.identification.descent import descend
 from rig.identification.noise import WHITE, Noise
-from rig.model.library import LIBRARY, BorderedRows, address
-from rig.model.real_motor import RealMotor, index
+from rig.model.library import LIBRARY, BorderedRows, address, given, room
+from rig.model.real_motor import Readings, RealMotor, index
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,8 @@ DELAY = "delay_s"
 POSITIVE = ("tau_s", "K_rad_s_V")  # fitted by their logarithms
 LARGEST_STEP = 1.0  # of a logarithm, in one iteration
 ITERATIONS = 40
-VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
+OF_ALL = 1e-4  # of the squares: more than that is worth a step, however small they are
+NEARLY = 100.0  # times a gain that is not worth a step: a larger one says too little of what is left
 CANCELS = 1e8  # squares of a column over what is left of them without the pieces' starts
 SINGULAR = 1e-12  # of a correlation: no variance is smaller
 
@@ -37,6 +39,9 @@ class Enough(NamedTuple):
 
 
 ENOUGH = Enough(0.01, 2e-6)  # the share is that of a model that leaves far more than noise
+REGULAR = (
+    1e-10  # least pivot of normal equations over their largest number, from which on any way to solve them is good
+)
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -108,6 +113,11 @@ class Problem:
     def whitened(self, rows: Array) -> Array:
         """``rows``, (n,) or (n, k), rad, filtered to unit white noise; each piece has noise of its own."""
         cut = self.cut
+        if self.noise.white:
+            white = rows / self.sigma_rad
+            if cut.weight is not None:
+                white[cut.weight == 0.0] = 0.0
+            return white
         white = self.noise.whiten(cut.counting(rows), cut.counting(cut.t_s), cut.counting_lengths) / self.sigma_rad
         if cut.weight is None:
             return white
@@ -137,15 +147,20 @@ class Problem:
 
         What is known beforehand follows, as further rows of the last piece.
         """
-        found = self.cut.derivatives(motor, starts, [index(name) for name in self.free])
+        return self.rows_of(self.cut.derivatives(motor, starts, [index(name) for name in self.free]), motor)
+
+    def rows_of(self, found: Readings, motor: RealMotor) -> Rows:
+        """``rows`` of readings with their derivatives by the free numbers, as the cut gives them for this motor."""
         residual = found.y_rad - self.cut.y_rad
-        by_number = found.by_number * [getattr(motor, name) if name in POSITIVE else 1.0 for name in self.free]
+        unit = [getattr(motor, name) if name in POSITIVE else 1.0 for name in self.free]
         if math.isinf(self.robust_rad):
-            own = Rows(residual, self.whitened(residual), self.whitened(by_number), self._by_start(found.by_start))
+            own = Rows(
+                residual, self.whitened(residual), self.whitened(found.by_number) * unit, self._by_start(found.by_start)
+            )
         else:
             weight = self.robust_weight(residual)
             by = weight[:, None]
-            own = Rows(residual, weight * residual, by * by_number, by * found.by_start)
+            own = Rows(residual, weight * residual, by * found.by_number * unit, by * found.by_start)
         return self._with_known(own, motor)
 
     def robust_weight(self, residual: Array) -> Array:
@@ -169,6 +184,12 @@ class Problem:
             np.concatenate((rows.by_number, self.known.by(self.free))),
             np.concatenate((rows.by_start, np.zeros((off.size, 2)))),
         )
+
+    def cost_of(self, rows: Rows, motor: RealMotor) -> float:
+        """``cost`` of rows there."""
+        if math.isinf(self.robust_rad):
+            return float(rows.residual @ rows.residual)
+        return self.cost(rows.residual_rad, motor)
 
     def moved(self, motor: RealMotor, change: Array) -> RealMotor:
         """The motor after a step ``change`` of its free numbers, each in its unit, within its limits."""
@@ -223,6 +244,26 @@ class Fit:
     arrived: bool
     iterates: Array = field(default_factory=lambda: np.empty((0, 3)))
 
+    @cached_property
+    def rows(self) -> Rows:
+        """Its whitened residual and Jacobian."""
+        return self.problem.rows_of(self.slopes, self.motor)
+
+    @cached_property
+    def slopes(self) -> Readings:
+        """Its readings with their derivatives by the free numbers."""
+        free = [index(name) for name in self.problem.free]
+        return self.problem.cut.derivatives(self.motor, self.starts, free)
+
+    @cached_property
+    def with_own_noise(self) -> Fit:
+        """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
+        problem = replace(self.problem, robust_rad=math.inf, noise=self.problem.cut.noise_of(self.residual_rad))
+        seen = replace(self, problem=problem, cost=problem.cost(self.residual_rad, self.motor))
+        if "slopes" in self.__dict__:
+            seen.__dict__["slopes"] = self.slopes
+        return seen
+
     @property
     def rms_rad(self) -> float:
         """RMS residual of the rows that count, rad."""
@@ -239,39 +280,81 @@ def start(problem: Problem, motor: RealMotor) -> Fit:
     return begun(problem, motor, problem.cut.guessed())
 
 
-def begun(problem: Problem, motor: RealMotor, starts: Array) -> Fit:
-    """The motor with these starts, (p, 2) velocity, rad/s, and position, rad, of each piece, not yet fitted."""
-    residual = problem.cut.readings(motor, starts) - problem.cut.y_rad
-    return Fit(problem, motor, starts, residual, problem.cost(residual, motor), False)
+def begun(problem: Problem, motor: RealMotor, starts: Array, *, goes_on: bool = True) -> Fit:
+    """The motor with these starts, (p, 2) velocity, rad/s, and position, rad, of each piece, not yet fitted.
+
+    goes_on   whether its derivatives will be asked for: they come with the readings
+    """
+    if not goes_on:
+        residual = problem.cut.readings(motor, starts) - problem.cut.y_rad
+        return Fit(problem, motor, starts, residual, problem.cost(residual, motor), False)
+    slopes = problem.cut.derivatives(motor, starts, [index(name) for name in problem.free])
+    rows = problem.rows_of(slopes, motor)
+    fit = Fit(problem, motor, starts, rows.residual_rad, problem.cost_of(rows, motor), False)
+    fit.__dict__.update(slopes=slopes, rows=rows)
+    return fit
 
 
 def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None = None) -> Fit:
     """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same."""
-    given = replace(fit, problem=problem or fit.problem, motor=motor or fit.motor)
-    residual = given.problem.cut.readings(given.motor, given.starts) - given.problem.cut.y_rad
-    return replace(given, residual_rad=residual, cost=given.problem.cost(residual, given.motor), arrived=False)
+    return replace(begun(problem or fit.problem, motor or fit.motor, fit.starts), iterates=fit.iterates)
 
 
 def solve(fit: Fit, iterations: int = ITERATIONS, enough: Enough = ENOUGH) -> Fit:
-    """The local solution from there."""
+    """The local solution from there.
+
+    It has arrived where a step gains little, or as much as the linear model promised: then what is left to gain is
+    what that model is off.
+    """
     problem, iterates = fit.problem, [fit.iterates]
+    promise = _Promise()
+
+    def least(cost: float) -> float:
+        return max(enough.squares, enough.share * cost)
 
     def linearised(at: Fit) -> Callable[[float], Fit] | None:
-        normal = Normal.of(problem.rows(at.motor, at.starts), problem.cut)
+        normal = Normal.of(at.rows, problem.cut)
+        if not normal.is_finite:
+            return None
         held = problem.held(at.motor, normal.gradient)
+        promise.made(normal.promised(held), min(least(at.cost), OF_ALL * at.cost))
 
         def moved(damping: float) -> Fit:
             change, starts = normal.step(held, damping)
-            return begun(problem, problem.moved(at.motor, change), at.starts + starts)
+            return begun(problem, problem.moved(at.motor, change), at.starts + starts, goes_on=promise.goes_on())
 
-        return moved if normal.is_finite else None
+        return moved
 
     def is_enough(before: Fit, after: Fit) -> bool:
         iterates.append(np.array([[after.motor.tau_s, after.motor.K_rad_s_V, after.motor.fc_V]]))
-        return before.cost - after.cost < max(enough.squares, enough.share * after.cost)
+        gain = before.cost - after.cost
+        return gain < least(after.cost) or promise.is_kept(gain)
 
     found, arrived = descend(fit, linearised, is_enough, iterations)
     return replace(found, arrived=arrived, iterates=np.concatenate(iterates))
+
+
+class _Promise:
+    """What the linear model at a place promises a descent, and how near the last one was."""
+
+    def __init__(self) -> None:
+        self._off = 1.0  # what the last promise was off, of itself
+        self._gain, self._least, self._tries = math.inf, 0.0, 0
+
+    def made(self, gain: float, least: float) -> None:
+        """By the undamped step from the next place on; ``least``: gain that is not worth a step."""
+        self._gain, self._least, self._tries = gain, least, 0
+
+    def goes_on(self) -> bool:
+        """Whether the descent will go on from the next trial, as far as can be told: not after a step in vain."""
+        self._tries += 1
+        return self._tries == 1 and self._gain * self._off > self._least
+
+    def is_kept(self, gain: float) -> bool:
+        """Whether a step gained what was promised, but for a gain that is not worth a step."""
+        left = abs(self._gain - gain)
+        self._off = min(left / max(self._gain, 1e-300), 1.0)
+        return left < self._least and gain < NEARLY * self._least
 
 
 def unit(fit: Fit) -> float:
@@ -292,8 +375,7 @@ class Normal:
     squares: float
     own: Array  # (p, 2, 2)
     border: Array  # (p, 2, m + 1), the last column with the residual
-    raw: Array  # (m, m), before the starts are taken out
-    raw_gradient: Array
+    both: Array  # (m + 1, m + 1), of the numbers and the residual, before the starts are taken out
     scale: Array  # (p, 2): of the starts; damping is measured in it
 
     @classmethod
@@ -305,26 +387,37 @@ class Normal:
         )
         r, begins, m = rows.residual, cut.begins, j.shape[1]
         own, border = np.empty((begins.size, 2, 2)), np.empty((begins.size, 2, m + 1))
-        given = BorderedRows(
+        table = BorderedRows(
             *(address(one) for one in (r, j, b, begins)),
             r.size, m, begins.size, *(one.strides[0] // one.itemsize for one in (j, b)),
         )  # fmt: skip
-        LIBRARY.bordered_sums(byref(given), address(own), address(border))
-        scale = np.einsum("pii->pi", own).copy()
+        LIBRARY.bordered_sums(byref(table), address(own), address(border))
+        scale = own.reshape(-1, 4)[:, ::3].copy()
         # a shaft at rest shows no velocity: without this its start would go anywhere
-        scale[:, 0] = np.maximum(scale[:, 0], scale[:, 1] * (VELOCITY_SHOWN * cut.durations_s) ** 2)
-        raw, raw_gradient = j.T @ j, j.T @ r
-        left, _ = _reduced(own, border, scale, 0.0, _bordered(raw, raw_gradient, float(r @ r)))
+        scale[:, 0] = np.maximum(scale[:, 0], scale[:, 1] * cut.shown_s2)
+        both = np.empty((m + 1, m + 1))
+        both[:-1, :-1], both[-1, -1] = j.T @ j, r @ r
+        both[:-1, -1] = both[-1, :-1] = j.T @ r
+        left, _ = _reduced(own, border, scale, 0.0, both)
         matrix, gradient = left[:-1, :-1], left[:-1, -1]
-        if np.any(np.diag(raw) > CANCELS * np.diag(matrix)):  # what differences of squares leave is rounding
+        if np.any(both.diagonal()[:-1] > CANCELS * matrix.diagonal()):  # what differences of squares leave is rounding
             each, pulled = sums_of_pieces(rows, begins)
             matrix, gradient = each.sum(axis=0), pulled.sum(axis=0)
-        return cls(matrix, gradient, float(left[-1, -1]), own, border, raw, raw_gradient, scale)
+        return cls(matrix, gradient, float(left[-1, -1]), own, border, both, scale)
+
+    @property
+    def raw(self) -> Array:
+        """``matrix`` before the starts are taken out."""
+        return self.both[:-1, :-1]
 
     @property
     def is_finite(self) -> bool:
         """Whether all of the rows are numbers."""
         return bool(math.isfinite(self.squares) and np.isfinite(self.matrix).all() and np.isfinite(self.gradient).all())
+
+    def promised(self, held: NDArray[np.bool_]) -> float:
+        """By how much the squares fall in the linear model, at most, while the numbers ``held`` stay."""
+        return float(self.both[-1, -1]) - self.squares - float(self.gradient @ solved(self.matrix, self.gradient, held))
 
     def step(self, held: NDArray[np.bool_], damping: float) -> tuple[Array, Array]:
         """Change of the numbers and of the starts.
@@ -332,33 +425,44 @@ class Normal:
         held      which numbers stay, True or False each
         damping   share of the diagonal that is added to it, 1
         """
-        diagonal = np.diag(self.raw)
-        damped = self.raw + np.diag(damping * np.where(diagonal > 0.0, diagonal, 1.0))
-        left, solved = _reduced(self.own, self.border, self.scale, damping, _bordered(damped, self.raw_gradient, 0.0))
-        change = np.zeros(diagonal.size + 1)
-        change[-1] = 1.0
-        free = np.flatnonzero(~held)
-        if free.size:
-            change[free] = -np.linalg.lstsq(left[np.ix_(free, free)], left[free, -1], rcond=1e-14)[0]
-        return change[:-1], -(solved @ change)
+        left, of_starts = _reduced(self.own, self.border, self.scale, damping, self.both)
+        diagonal = self.both.diagonal()[:-1]
+        every = np.arange(diagonal.size)
+        left[every, every] += damping * np.where(diagonal > 0.0, diagonal, 1.0)
+        change = np.ones(diagonal.size + 1)
+        change[:-1] = solved(left[:-1, :-1], left[:-1, -1], held)
+        return change[:-1], -(of_starts @ change)
 
 
-def _bordered(matrix: Array, gradient: Array, squares: float) -> Array:
-    """(m + 1, m + 1) sums of products of the numbers' columns and the residual."""
-    both = np.empty((gradient.size + 1, gradient.size + 1))
-    both[:-1, :-1], both[:-1, -1], both[-1, :-1], both[-1, -1] = matrix, gradient, gradient, squares
-    return both
+def solved(matrix: Array, gradient: Array, held: NDArray[np.bool_], singular: float = 1e-14) -> Array:
+    """The step (m,) of normal equations, each number in its unit; what is ``held`` stays.
+
+    matrix, gradient   (m, m), (m,), 1 per unit of each number
+    singular   share of the largest singular value, up to which rows do not show a way: along it the step is as short as
+               can be
+    """
+    m = gradient.size
+    step, work = np.empty(m), room(m * (m + 4))
+    table, pull = given(matrix), given(gradient)  # the library reads them where they are: they live as long as this
+    into = address(held), m, address(work), address(step)
+    if LIBRARY.normal_step(address(table), address(pull), *into) > max(REGULAR, singular):
+        return step
+    step[:] = 0.0
+    free = np.flatnonzero(~held)
+    if free.size:
+        step[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=singular)[0]
+    return step
 
 
 def _reduced(own: Array, border: Array, scale: Array, damping: float, both: Array) -> tuple[Array, Array]:
-    """``both``, which is filled anew, without the starts, and what each start is for one of each column (p, 2, m + 1).
+    """``both`` without the starts, and what each start is for one of each column (p, 2, m + 1).
 
     damping   share of ``scale`` that is added to the starts' own sums
     """
-    solved = np.empty_like(border)
-    into = address(both), address(solved)
+    left, of_starts = both.copy(), np.empty_like(border)
+    into = address(left), address(of_starts)
     LIBRARY.bordered_reduce(address(own), address(border), len(own), both.shape[0] - 1, damping, address(scale), *into)
-    return both, solved
+    return left, of_starts
 
 
 def sums_of_pieces(rows: Rows, begins: NDArray[np.int64]) -> tuple[Array, Array]:

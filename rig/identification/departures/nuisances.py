@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identification.departures.choice import Columns, with_own_noise
+from rig.identification.departures.choice import Columns
 from rig.identification.departures.departure import NOTHING, Bench, Departure
 from rig.identification.departures.fit import POSITIVE, Fit, Rows, unit
 
@@ -21,6 +22,7 @@ OF = ("tau_s", "K_rad_s_V", "fc_V")
 FEWEST_PIECES = 6  # that say by how much a law's evidence differs between them
 SHOWN = 1e-9  # of the squares of a law's columns: what is left beside the fit's own numbers, if it is no rounding
 LARGEST = 1e100  # of a column, in units of the noise: its squares are finite
+SINGULAR, UNTOLD = 1e-13, 1e-3  # of the largest eigenvalue: none; a number's share of what a record does not tell
 UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 
 
@@ -74,11 +76,11 @@ class Nuisances:
                   sizes, and how many starts the law has
         longest_s   of a piece between which evidence may differ, s: longer ones of the fit are cut
         """
-        fit = with_own_noise(fit)
+        fit = fit.with_own_noise
         absent = [law for law in candidates if law not in laws]
         smooth = [law for law in absent if law.trials(bench) == (NOTHING,)]
-        rows = fit.problem.rows(fit.motor, fit.starts)
-        columns = Columns(fit, rows, smooth)
+        rows = fit.rows
+        columns = Columns(fit, smooth)
         added: list[Array] = []
         each: list[Nuisance] = []
         spreads: list[float] = []
@@ -117,6 +119,27 @@ class Nuisances:
     def core(self) -> int:
         """How many numbers are the fit's own; the nuisances follow."""
         return len(self.fit.problem.free)
+
+    @cached_property
+    def _own(self) -> tuple[Array, Array]:
+        """The normal equations of the fit's own numbers, scaled to a diagonal of 1, and by what: their product."""
+        own = self.matrix[: self.core, : self.core]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        both = np.outer(scale, scale)
+        return own * both, both
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the fit's own numbers, by the noise alone."""
+        own, both = self._own
+        return np.asarray(np.linalg.pinv(own, rcond=SINGULAR, hermitian=True) * both)
+
+    @property
+    def scatter(self) -> Array:
+        """(3,) variances of tau, K and friction by the noise alone; inf where the record does not tell it at all."""
+        sizes, ways = np.linalg.eigh(self._own[0])
+        untold = np.any(np.abs(ways[self.at][:, sizes < SINGULAR * sizes[-1]]) > UNTOLD, axis=1)
+        return np.where(untold, np.inf, np.diag(self.covariance)[self.at] * self.size**2)
 
     @property
     def at(self) -> list[int]:

@@ -31,6 +31,7 @@ Rows = NDArray[np.int64]
 FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
 SMALL_DRIVE, SAME_DRIVE, MOST_DRIVES = 0.1, 1e-3, 6  # of the largest drive; and how many of the small ones
+VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
 STILL = 1e6  # times the longest window: in so long a course a window is an instant
 TURNED_BACK = 0.01  # of the whole motion: so little is noise of the sensor
@@ -227,6 +228,11 @@ class Cut:
         return np.asarray(self.t_s[last] - self.t_s[self.begins])
 
     @cached_property
+    def shown_s2(self) -> Array:
+        """Square of the time in which the velocity of a piece's start is taken to show at least, s^2."""
+        return np.asarray((VELOCITY_SHOWN * self.durations_s) ** 2)
+
+    @cached_property
     def freedom(self) -> int:
         """Rows that count, less the fitted numbers of the starts of pieces that have any."""
         if self.weight is None:
@@ -286,7 +292,7 @@ class Cut:
     def guessed(self) -> Array:
         """(p, 2) velocity, rad/s, and position, rad, at each start, by a parabola through the rows around it."""
         starts = np.concatenate(
-            [_parabolas(window.t_s, window.y_rad, rows) for window, rows in zip(self.windows, self.rows, strict=True)]
+            [_near(window.t_s, window.y_rad, rows) for window, rows in zip(self.windows, self.rows, strict=True)]
         )
         if self.resting is not None:
             starts[self.resting, 0] = 0.0
@@ -345,24 +351,38 @@ class Cut:
     @staticmethod
     def _begins(starts: Array) -> Array:
         """(p, 4) the starts, with the play on the side of the motion, and bristles bent where it is fast."""
+        begins = np.empty((starts.shape[0], 4))
         v0 = starts[:, 0]
-        side, top = np.sign(v0), max(float(np.abs(v0).max()), 1e-9)
-        return np.column_stack((starts, side, np.where(np.abs(v0) > BENT_WITHIN * top, side, 0.0)))
+        speed = np.abs(v0)
+        begins[:, :2], begins[:, 2] = starts, np.sign(v0)
+        begins[:, 3] = begins[:, 2] * (speed > BENT_WITHIN * max(float(speed.max()), 1e-9))
+        return begins
 
 
-def _parabolas(t_s: Array, y_rad: Array, rows: Rows) -> Array:
+def _near(t_s: Array, y_rad: Array, rows: Rows) -> Array:
     """(p, 2) slope and value at each of the ``rows``, of the parabola through the rows around it that there are."""
     near = rows[:, None] + np.arange(-NEAR_ROWS, NEAR_ROWS + 1)
     here = (near >= 0) & (near < t_s.size)
     near = np.clip(near, 0, t_s.size - 1)
     since = np.where(here, t_s[near] - t_s[rows][:, None], 0.0)
-    span = np.abs(since).max(axis=1)
-    x = since / span[:, None]
-    columns = np.stack((np.ones_like(x), x, x * x), axis=2) * here[:, :, None]
-    middle = np.where(here, y_rad[near] - y_rad[rows][:, None], 0.0)
-    matrix = np.einsum("pki,pkj->pij", columns, columns)
-    found = np.linalg.solve(matrix, np.einsum("pki,pk->pi", columns, middle)[:, :, None])[:, :, 0]
-    return np.column_stack((found[:, 1] / span, found[:, 0] + y_rad[rows]))
+    value, slope, _ = parabolas(since, y_rad[near] - y_rad[rows][:, None], here)
+    return np.column_stack((slope, value + y_rad[rows]))
+
+
+def parabolas(t_s: Array, y: Array, counts: NDArray[np.bool_] | None = None) -> tuple[Array, Array, Array]:
+    """(p,) value, slope and curve, y = value + slope t + curve t^2, of the parabola through each of p rows of points.
+
+    t_s, y   (p, k); y of any unit
+    counts   (p, k) which points there are; None: all
+    """
+    span = np.abs(t_s).max(axis=1)
+    x = t_s / span[:, None]
+    columns = np.stack((np.ones_like(x), x, x * x), axis=2)
+    if counts is not None:
+        columns *= counts[:, :, None]
+    ways = columns.transpose(0, 2, 1)
+    value, slope, curve = np.linalg.solve(ways @ columns, ways @ y[:, :, None])[:, :, 0].T
+    return value, slope / span, curve / span**2
 
 
 def _centred(windows: Sequence[Window], frames: Sequence[Frame]) -> tuple[Frame, ...]:

@@ -70,7 +70,7 @@ class Evidence:
         """The plain numbers are hardly known before, those of laws by their range."""
         free = fit.problem.free
         sizes = np.array([getattr(fit.motor, name) for name in free])
-        matrix, gradient = sums_of_pieces(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut.begins)
+        matrix, gradient = sums_of_pieces(fit.rows, fit.problem.cut.begins)
         wide = dict.fromkeys(POSITIVE, 1.0) | {"fc_V": bench.largest_V, "bias_V": bench.largest_V, DELAY: LONG_DELAY_S}
         for law in laws:
             wide |= {name: max(abs(getattr(fit.motor, name)), SMALLEST_SHAPE) for name in law.shape}

@@ -69,7 +69,7 @@ def _found(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser
     others = [one for one in laws if one is not law]
     problem = replace(chooser.problem(fit.problem.cut, others, math.inf), noise=fit.problem.noise)
     bare = refitted(fit, problem, without(fit.motor, law))
-    normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+    normal = Normal.of(fit.rows, fit.problem.cut)
     covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit)
     at = fit.problem.free.index(name)
     sigma = max(math.sqrt(max(float(covariance[at, at]), 0.0)), 1e-12)

@@ -40,7 +40,7 @@ def by_rounding(fit: Fit, step_rad: float) -> Array:
     waves = np.column_stack(
         [size * wave(k * turned) for k, size in enumerate(sizes, 1) for wave in (np.sin, np.cos)]
     ) * math.sqrt(0.5)  # of a sine of unknown phase
-    rows, count = problem.rows(fit.motor, fit.starts), cut.y_rad.size
+    rows, count = fit.rows, cut.y_rad.size
     both = np.column_stack((rows.by_number[:count], problem.whitened(waves)))
     for first, stop in zip(cut.begins, np.append(cut.begins[1:], count), strict=True):
         start = np.linalg.qr(rows.by_start[first:stop])[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from ctypes import byref
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +17,7 @@ from rig.model.library import (
     RealRecord,
     RealWindow,
     address,
-    filled,
     given,
-    numbers,
     require_size,
     room,
 )
@@ -73,11 +72,11 @@ class Windows:
         self._longest = longest
 
     def read(
-        self, motor: Numbers, starts: Array, free: Sequence[int] | None, orders: Array, *, plain: bool
+        self, motor: Array, starts: Array, free: Sequence[int] | None, orders: Array, *, plain: bool
     ) -> tuple[Array, Array]:
         """The readings (n,), rad, and their Jacobian (n, c): by c - 2 numbers, and by the own piece's start.
 
-        motor    its numbers
+        motor    its numbers, in a row
         starts   (p, 4): v0, rad/s, y0, rad, side of the play, -1 to 1, and how far the bristles are bent, -1 to 1; 0:
                  they balance the drive
         free     numbers (m,); None: no Jacobian, which has no columns then
@@ -87,20 +86,27 @@ class Windows:
         All are nan in a window in which the motor runs away, or is so stiff that it takes too many steps.
         Raises ValueError on starts of another number of pieces, and on numbers that no motor has.
         """
-        places = [] if free is None else [*free, *range(WAVES, WAVES + 2 * orders.size), V0, Y0]
-        if free and not 0 <= min(free) <= max(free) < NUMBERS:
-            raise ValueError("a number that no motor has")
-        if plain and places:
-            places = [PLAIN.index(k) for k in free or ()] + [len(PLAIN), len(PLAIN) + 1]
-        columns = len(places)
-        which, begin = np.array(places, dtype=np.int64), given(starts)
+        which = _places(None if free is None else tuple(free), orders.size, plain)
+        begin, vector, waves = given(starts), given(motor), given(orders)
         require_size(begin, 4 * self.pieces, "starts of the pieces")
+        require_size(vector, NUMBERS, "numbers of a motor")
+        columns = which.size
         size = 7 * self._longest if plain else _COLUMN_ROWS * columns + _STAGE_ROWS * (WAVES + 2 * orders.size)
         work, y_rad, jacobian = room(size), np.empty(self.rows), np.empty((self.rows, columns))
-        wanted = RealColumns(address(which), address(orders), address(work), columns, orders.size)
+        wanted = RealColumns(address(which), address(waves), address(work), columns, orders.size)
         read = LIBRARY.windows_plain if plain else LIBRARY.windows_readings
-        read(
-            numbers(*motor), self._table, len(self._table), address(begin), byref(wanted),
-            filled(y_rad, self.rows), filled(jacobian, self.rows, columns),
-        )  # fmt: skip
+        into = address(y_rad), address(jacobian)
+        read(address(vector), self._table, len(self._table), address(begin), byref(wanted), *into)
         return y_rad, jacobian
+
+
+@lru_cache(maxsize=512)
+def _places(free: tuple[int, ...] | None, orders: int, plain: bool) -> Rows:
+    """Columns of the Jacobian, as the library has them. Raises ValueError on numbers that no motor has."""
+    if free is None:
+        return np.zeros(0, dtype=np.int64)
+    if free and not 0 <= min(free) <= max(free) < NUMBERS:
+        raise ValueError("a number that no motor has")
+    if plain:
+        return np.array([*(PLAIN.index(k) for k in free), len(PLAIN), len(PLAIN) + 1], dtype=np.int64)
+    return np.array([*free, *range(WAVES, WAVES + 2 * orders), V0, Y0], dtype=np.int64)
