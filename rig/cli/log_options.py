@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 from rig.cli.options import Positive
 from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, parse_period
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
@@ -44,7 +44,7 @@ def _servo_law(
     """The law of --servo, --gain and --p-scale; None without them. Counts of its position are the servo's own."""
     if model is None:
         if gain is not None or scale is not None:
-            fail(EXIT_BAD_INPUT, "--gain and --p-scale are for the log of a servo's own loop", "add --servo MODEL")
+            fail("--gain and --p-scale are for the log of a servo's own loop", "add --servo MODEL")
         return None
     from rig.backends.servo.first_config import model_named
 
@@ -58,7 +58,6 @@ def _servo_law(
     P, *others = gain or (None,)
     if any(others):
         fail(
-            EXIT_BAD_INPUT,
             f"--gain: the law that rig knows is duty = P x error, and I is {others[0]:g}, D {others[1]:g}",
             "write 0 into both registers, and record again",
         )

@@ -32,7 +32,7 @@ from rig.output.report.style import Picture, colour
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.stage import Stage
 from rig.run_folder.results import TrackingResult, known
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from shared.table import Cell, Table, fixed, number, share, significant
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"

@@ -19,7 +19,6 @@ from rig.run_folder.results import known
 from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResult, TrendResult
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
-LONGEST_LAG = 60
 FEWEST = 20  # residuals to draw
 MOST_LAID_OVER = 7  # runs: so many colours can be told apart
 SMOOTH = 9  # samples, of the tracking errors
@@ -179,7 +178,7 @@ def residuals(runs: Sequence[LaidOver], backend: str) -> Picture:
         r = 1e3 * found.residual_rad
         label = f"{plain(one.name)}: RMS {float(np.sqrt(np.mean(r**2))):.3g} mrad"
         left.plot(np.sort(r), (np.arange(r.size) + 0.5) / r.size, color=one.colour, ls=one.line, label=label)
-        lags, shares = autocorrelation([r], LONGEST_LAG)
+        lags, shares = autocorrelation([r])
         right.plot(lags, shares, color=one.colour, ls=one.line, lw=0.9)
         drawn, fewest = drawn + 1, min(fewest, r.size)
     if not drawn:

@@ -128,7 +128,7 @@ def _lacking(outside: float, of_motion: float) -> str:
 
 def outside_band(t: Array, residual_rad: Array) -> tuple[Array, Array, float]:
     """Lags, autocorrelation, and the share of lags outside the 95 % band of white noise. t: times, s."""
-    lags, values = autocorrelation([residual_rad[piece] for piece in _pieces(t)], LONGEST_LAG)
+    lags, values = autocorrelation([residual_rad[piece] for piece in _pieces(t)])
     return lags, values, float(np.mean(np.abs(values) > BAND / math.sqrt(residual_rad.size))) if values.size else 0.0
 
 
@@ -178,11 +178,11 @@ def _pieces(t: Array) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(cuts)]
 
 
-def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
-    """Autocorrelation at lags 1 to ``longest``, without products across pieces. Returns lags and values."""
+def autocorrelation(pieces: list[Array]) -> tuple[Array, Array]:
+    """Autocorrelation at lags 1 to ``LONGEST_LAG``, without products across pieces. Returns lags and values."""
     mean = float(np.mean(np.concatenate(pieces)))
     power = sum(float(np.sum((p - mean) ** 2)) for p in pieces)
-    longest = min(longest, max(p.size for p in pieces) - 1)
+    longest = min(LONGEST_LAG, max(p.size for p in pieces) - 1)
     lags = np.arange(1, longest + 1)
     if power == 0.0:
         return lags.astype(float), np.zeros(lags.size)

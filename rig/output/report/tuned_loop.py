@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from rig.output.report import style
 from rig.output.report.source import ReportedRun
 from rig.output.report.style import INK, LIMIT, MUTED, AbsentError, Picture, new_figure, render
+from rig.output.report.tables import Cell, Row
 from rig.run_folder.results import known
 from rig.run_folder.results.tuned import TunedCurve, TunedMargins, TunedResult
 
@@ -41,19 +42,19 @@ def loop(run: ReportedRun) -> Picture:
     )  # fmt: skip
 
 
-def rows(run: ReportedRun) -> list[dict[str, object]]:
+def rows(run: ReportedRun) -> list[Row]:
     """Rows of the report's table: measure, prediction, interval, bench."""
     found = run.result.tuned
-    made: list[dict[str, object]] = []
+    made: list[Row] = []
     for one in () if found is None else found.prediction.values():
         low, high = one.interval95
-        cells = (
+        cells: list[Cell] = [
             (one.median, _text(one.median)),
             (None, f"{_text(low)} to {_text(high)}"),
             (one.bench, _text(one.bench)),
             (None, "" if one.inside else "outside"),
-        )
-        made.append({"name": f"{one.meaning}, {one.unit}", "cells": cells})
+        ]
+        made.append((f"{one.meaning}, {one.unit}", cells))
     return made
 
 

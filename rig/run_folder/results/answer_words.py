@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from rig.run_folder.results.answer import Answer, HoldsResult
-from rig.run_folder.results.estimates import FoundLawResult, known
+from rig.run_folder.results.estimates import FittedRecord, FoundLawResult, known
 from rig.run_folder.results.meta import TrueMotor
 
 PARAMETERS = (("tau_s", "tau", "s"), ("K_rad_s_V", "K", "(rad/s)/V"), ("fc_V", "f_c", "V"))
@@ -46,6 +46,11 @@ def percent(ratio: float) -> str:
     value = 100.0 * ratio
     digits = 0 if abs(value) >= 9.95 else (1 if abs(value) >= 0.995 else 2)
     return f"{value:+.{digits}f} %" if round(value, digits) else "0 %"
+
+
+def records_in_words(records: Sequence[FittedRecord] | None) -> str:
+    """What the answer was fitted to, as in ``relay-1 (13.7 s), search (18.2 s)``."""
+    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in records or ())
 
 
 def answer_lines(
