@@ -215,6 +215,26 @@ def _made_up_for(outcome: TrackingResult) -> str:
     return ", ".join(word for word in words if word)
 
 
+def tuned(run: ReportedRun) -> list[Row]:
+    """The measures of a tuned loop: prediction, interval, this bench."""
+    found = run.result.tuned
+    made: list[Row] = []
+    for one in () if found is None else found.prediction.values():
+        low, high = one.interval95
+        cells: list[Cell] = [
+            (one.median, _or_never(one.median)),
+            (None, f"{_or_never(low)} to {_or_never(high)}"),
+            (one.bench, _or_never(one.bench)),
+            (None, "" if one.inside else "outside"),
+        ]
+        made.append((f"{one.meaning}, {one.unit}", cells))
+    return made
+
+
+def _or_never(value: float | None) -> str:
+    return "never" if value is None else f"{value:.3g}"
+
+
 def loop(run: ReportedRun) -> list[tuple[str, Cell]]:
     """Heading and cell of each column of the loop's table; empty if the result has no loop."""
     timing = run.result.loop

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from rig.output.report import style
 from rig.output.report.source import ReportedRun
 from rig.output.report.style import INK, LIMIT, MUTED, AbsentError, Picture, new_figure, render
-from rig.output.report.tables import Cell, Row
 from rig.run_folder.results import known
 from rig.run_folder.results.tuned import TunedCurve, TunedMargins, TunedResult
 
@@ -40,26 +39,6 @@ def loop(run: ReportedRun) -> Picture:
         f"The {found.loop} loop that `rig tune` made for the motor of {found.run}. Blue: 95 % of {found.draws} motors "
         "that the tests of that run allow, simulated. Orange: this bench.",
     )  # fmt: skip
-
-
-def rows(run: ReportedRun) -> list[Row]:
-    """Rows of the report's table: measure, prediction, interval, bench."""
-    found = run.result.tuned
-    made: list[Row] = []
-    for one in () if found is None else found.prediction.values():
-        low, high = one.interval95
-        cells: list[Cell] = [
-            (one.median, _text(one.median)),
-            (None, f"{_text(low)} to {_text(high)}"),
-            (one.bench, _text(one.bench)),
-            (None, "" if one.inside else "outside"),
-        ]
-        made.append((f"{one.meaning}, {one.unit}", cells))
-    return made
-
-
-def _text(value: float | None) -> str:
-    return "never" if value is None else f"{value:.3g}"
 
 
 def _draw(figure: Figure, found: TunedResult) -> None:
