@@ -36,7 +36,8 @@ from rig.run_folder.recording.given import recordings_of
 from rig.run_folder.recording.path_kind import require_distinct
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.results import JsonObject
-from rig.running import experiment, preflight
+from rig.running import preflight
+from rig.running.experiment import script as experiment
 from rig.running.replay import Replay
 from rig.running.replay import replay as replay_folder
 from rig.running.session import Outcome

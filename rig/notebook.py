@@ -301,15 +301,7 @@ class Found(Identification):
             shown = predicted_record(self.answer, recordings[0])
         except AbsentError as error:
             raise ValueError(str(error)) from error
-        return Prediction(
-            shown.name,
-            shown.t_s,
-            shown.measured_rad,
-            shown.y_rad,
-            shown.parts,
-            beyond(self.answer, recordings[0]),
-            self.answer.method,
-        )
+        return Prediction(**vars(shown), beyond=beyond(self.answer, recordings[0]), method=self.answer.method)
 
     def plot_methods(self) -> Figure:
         """The answer and each method side by side with their 95 % intervals; a figure of matplotlib, not shown.

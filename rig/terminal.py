@@ -25,7 +25,7 @@ from rig.run_folder.results import (
     TrueMotor,
     known,
 )
-from rig.run_folder.results.answer_words import answer_lines
+from rig.run_folder.results.answer_words import answer_lines, records_in_words
 from rig.run_folder.results.budget_lines import budget_lines, that_matter
 from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResult
 from rig.run_folder.results.design import DesignResult
@@ -486,7 +486,7 @@ def show_motor_law(result: IdentificationResult) -> None:
     rows = motor_law_rows(result)
     if rows:
         show_table("what the motor has beyond tau, K and friction", MOTOR_LAW_HEADINGS, rows)
-    if words := records_in_words(result):
+    if words := records_in_words(result.law_records):
         click.echo(f"the answer is fitted to {words}")
     rows = budget_rows(result)
     if rows:
@@ -515,11 +515,6 @@ def map_rows(found: FrictionMapResult) -> list[list[str]]:
         stuck = "sticks and slips" if one.sticks else ""
         rows.append([f"{known(one.speed_rad_s):+.3f}", drive, f"{known(one.law_V):+.4f}", stuck])
     return rows
-
-
-def records_in_words(result: IdentificationResult) -> str:
-    """What the answer was fitted to, as in ``relay-1 (13.7 s), search (18.2 s)``."""
-    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in result.law_records or ())
 
 
 def motor_law_rows(result: IdentificationResult) -> list[list[str]]:

@@ -89,7 +89,7 @@ def _no_figures() -> Iterator[None]:
     ]
     with _no_drawing(), pytest.MonkeyPatch.context() as patch:
         for page in pages:  # loaded now, or one that is loaded in the block keeps this for later tests
-            patch.setattr(page, "drawn", lambda make: pages[0].Figure(None, "not in this test"))
+            patch.setattr(page, "drawn", lambda *_: pages[0].Figure(None, "not in this test"))
         yield
 
 

@@ -83,13 +83,7 @@ def simulated_bench(
 ) -> BenchModel:
     """A bench with ``changes`` made to its parameters."""
     clock = VirtualClock()
-    driver = SimulatedDriver(
-        clock,
-        replace(parameters, **changes),
-        SCALING,
-        latency,
-        seed,
-    )
+    driver = SimulatedDriver(clock, replace(parameters, **changes), SCALING, latency, seed)
     watching, record, stop = Guard(guard), ListSink(), StopRequest()
     loop = Loop(driver, clock, watching, record, PERIOD_S, stop)
     return BenchModel(driver, clock, watching, loop, record, stop)

@@ -92,8 +92,7 @@ def limit_cycle_figure() -> Picture:
         axes.set_ylabel(name)
         zero(axes)
         shade_stages(axes, cycle, 1.0)
-    rows[-1].set_xlabel("time, s")
-    rows[-1].set_xlim(0.0, cycle.period_s)
+    rows[-1].set(xlabel="time, s", xlim=(0.0, cycle.period_s))
     for relay, when in zip(("RA", "RB", "RC"), np.cumsum(cycle.durations_s), strict=True):
         rows[0].annotate(relay, (float(when), 0.0), (3, -4), textcoords="offset points", fontsize=8, va="top")
     words = f"tau = {tau} s, K = {K} (rad/s)/V, f_c = {fc} V, h1 = {h1} V, h2 = {h2} V"
@@ -121,8 +120,7 @@ def describing_function_figure() -> Picture:
         right.semilogx(x, amplitude, dash, color=FIRST, label=f"f_c = {share:g} h2")
     for axes, name in ((left, "period, over the exact one"), (right, "amplitude, over the exact one")):
         axes.axhline(1.0, color=MUTED, lw=0.6)
-        axes.set_xlabel("h1 / (h2 - f_c)")
-        axes.set_ylabel(name)
+        axes.set(xlabel="h1 / (h2 - f_c)", ylabel=name)
         axes.set_xticks([0.2, 0.5, 1.0, 2.0, 5.0], ["0.2", "0.5", "1", "2", "5"])
         axes.minorticks_off()
     left.legend()

@@ -28,7 +28,7 @@ from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.results import JsonObject
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from rig.running.replay import replay
 from rig.running.session import Outcome
 

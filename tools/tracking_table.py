@@ -22,7 +22,7 @@ from rig.core.estimators import LEADING
 from rig.identification import Identification, identify
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.results import TrackingResult, known
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from shared import page
 
 ROOT = Path(__file__).resolve().parent.parent

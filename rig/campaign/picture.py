@@ -138,13 +138,11 @@ def _map(axes: Axes, edges: tuple[Array, Array], values: Array, shades: _Shades)
             )  # fmt: skip
     axes.set_xscale("log")
     axes.grid(visible=False)
-    axes.set_xlim(tau[0], tau[-1])
-    axes.set_ylim(fc[0], fc[-1])
+    axes.set(xlim=(tau[0], tau[-1]), ylim=(fc[0], fc[-1]))
     axes.set_xticks([t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if tau[0] <= t <= tau[-1]])
     axes.xaxis.set_major_formatter(ScalarFormatter())
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel(r"$\tau$, s")
-    axes.set_ylabel("f_c, V")
+    axes.set(xlabel=r"$\tau$, s", ylabel="f_c, V")
 
 
 def _standardised(axes: Axes, table: Table, name: str) -> None:
@@ -164,8 +162,7 @@ def _standardised(axes: Axes, table: Table, name: str) -> None:
     axes.set_yticks([])
     axes.grid(visible=False)
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel("error / its standard error")
-    axes.set_title(f"{SYMBOLS[name]}: standardised errors, normal as line")
+    axes.set(xlabel="error / its standard error", title=f"{SYMBOLS[name]}: standardised errors, normal as line")
 
 
 def _against_bound(axes: Axes, table: Table, name: str) -> None:
@@ -173,9 +170,7 @@ def _against_bound(axes: Axes, table: Table, name: str) -> None:
     with np.errstate(divide="ignore"):
         bounds = 100.0 * table[f"bound_{name}"] / table[f"true_{name}"]
     usable = np.isfinite(bounds) & (bounds > 0.0) & np.isfinite(sizes) & (sizes > 0.0)
-    axes.set_title(f"{SYMBOLS[name]}: error against bound, %")
-    axes.set_xlabel("Cramér-Rao bound, %")
-    axes.set_ylabel("error, %")
+    axes.set(title=f"{SYMBOLS[name]}: error against bound, %", xlabel="Cramér-Rao bound, %", ylabel="error, %")
     if not usable.any():
         note(axes, "no bound: there is no noise")
         return
@@ -191,9 +186,7 @@ def _against_bound(axes: Axes, table: Table, name: str) -> None:
                 label=f"{verdict} ({int(some.sum())})", zorder=2 if verdict == "ok" else 2.5,
             )  # fmt: skip
     axes.axhline(5.0, color=LIMIT, linewidth=0.8, linestyle=":", label="5 %")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xlim(ends[0], ends[1])
+    axes.set(xscale="log", yscale="log", xlim=(ends[0], ends[1]))
     axes.set_ylim(bottom=0.02 * float(np.median(sizes[usable])))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if axis is axes.xaxis else (1.0,), numticks=12))

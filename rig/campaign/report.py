@@ -10,13 +10,11 @@ from rig.campaign import picture
 from rig.campaign.results import Table
 from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
-from rig.core.package import VERSION
-from rig.output.report.style import templates
+from rig.output.report.style import rendered
 from rig.run_folder.recording.folder import write_whole
 
 PICTURE = "campaign.png"
 REPORT = "report.html"
-TEMPLATE = "report.html.j2"
 
 NAMES = {
     "tau_s": ("tau", "s"),
@@ -32,23 +30,20 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
     """Write campaign.png and report.html into the campaign's folder. Raises CannotWriteError."""
     image = picture.draw(campaign, table)
     write_whole(folder / PICTURE, image)
-    page = (
-        templates("rig.campaign")
-        .get_template(TEMPLATE)
-        .render(
-            campaign=campaign,
-            found=found,
-            headings=HEADINGS,
-            tables=[
-                (f"{found['ok']['number']} experiments called ok", table_rows(found["ok"])),
-                (f"all {found['estimated']['number']} that have an estimate", table_rows(found["estimated"])),
-            ],
-            sentences=sentences(found),
-            fewest_in_cell=picture.FEWEST_IN_CELL,
-            picture=base64.b64encode(image).decode("ascii"),
-            config=dump(campaign),
-            version=VERSION,
-        )
+    page = rendered(
+        "rig.campaign",
+        "report.html.j2",
+        campaign=campaign,
+        found=found,
+        headings=HEADINGS,
+        tables=[
+            (f"{found['ok']['number']} experiments called ok", table_rows(found["ok"])),
+            (f"all {found['estimated']['number']} that have an estimate", table_rows(found["estimated"])),
+        ],
+        sentences=sentences(found),
+        fewest_in_cell=picture.FEWEST_IN_CELL,
+        picture=base64.b64encode(image).decode("ascii"),
+        config=dump(campaign),
     )
     write_whole(folder / REPORT, page.encode("utf-8"))
 

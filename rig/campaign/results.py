@@ -42,7 +42,7 @@ Table = Mapping[str, NDArray[Any]]
 
 def config_hash(campaign: Campaign) -> str:
     """Hash of all config keys that a row depends on."""
-    return _sha256(json.dumps(_keys(campaign), sort_keys=True).encode())
+    return hashlib.sha256(json.dumps(_keys(campaign), sort_keys=True).encode()).hexdigest()
 
 
 def program_hash() -> str:
@@ -50,12 +50,12 @@ def program_hash() -> str:
     room = FOLDER
     files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identification").rglob("*.py"))]
     files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
-    return _sha256(b"\0".join(file.read_bytes() for file in files))
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def folder_for(parent: Path, campaign: Campaign) -> Path:
     """The folder of this campaign under this version of the program. It is always the same one."""
-    identity = _sha256((config_hash(campaign) + program_hash()).encode())
+    identity = hashlib.sha256((config_hash(campaign) + program_hash()).encode()).hexdigest()
     return parent / f"campaign-{campaign.name}-{identity[:8]}"
 
 
@@ -241,7 +241,3 @@ def _flat(section: JsonObject, above: str = "") -> Iterator[tuple[str, JsonValue
             yield from _flat(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()

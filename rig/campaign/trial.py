@@ -51,6 +51,8 @@ COLUMNS: dict[str, type] = {
     "reasons": str,
     "seconds": float,
 }
+_EMPTY: dict[type, int | float | str] = {int: 0, float: math.nan, str: ""}
+_BLANK: Row = {name: _EMPTY[kind] for name, kind in COLUMNS.items()}
 
 
 def row_of(campaign: Campaign, number: int) -> Row:
@@ -64,10 +66,8 @@ def row_of(campaign: Campaign, number: int) -> Row:
     except CampaignError:
         raise
     except Exception as error:  # noqa: BLE001 - no error of one experiment may end the thousands of others
-        empty: dict[type, int | float | str] = {int: 0, float: math.nan, str: ""}
-        blank: Row = {name: empty[kind] for name, kind in COLUMNS.items()}
         seconds = time.perf_counter() - began
-        return blank | {"number": number, "verdict": FAILED, "reasons": _in_words(error), "seconds": seconds}
+        return _BLANK | {"number": number, "verdict": FAILED, "reasons": _in_words(error), "seconds": seconds}
 
 
 def _in_words(error: Exception) -> str:
@@ -81,7 +81,7 @@ def run_trial(campaign: Campaign, number: int) -> Row:
     began = time.perf_counter()
     one = draw(campaign, number)
     test, rows = simulate(campaign, one)
-    row: Row = {"number": number}
+    row: Row = _BLANK | {"number": number}
     row |= {f"true_{name}": float(getattr(one, name)) for name in (*PARAMETERS, *TRUTHS)}
     bound = _bound(campaign, one, test, rows)
     row |= {f"bound_{name}": bound[name] for name in PARAMETERS}
@@ -90,12 +90,12 @@ def run_trial(campaign: Campaign, number: int) -> Row:
         recording = _recording(campaign, one, test, rows)
         estimate = identify([recording], (sampled_data.METHOD,), choose_law=False).estimates[sampled_data.METHOD]
     except (IdentifyError, RecordingError) as error:
-        row |= _no_estimate(error.cause)
+        row |= {"verdict": "refused", "reasons": error.cause}
     else:
         row |= _columns(estimate)
         row |= _second(campaign, one, estimate)
     row["seconds"] = time.perf_counter() - began
-    return {name: row[name] for name in COLUMNS}
+    return row
 
 
 def _recording(campaign: Campaign, one: Draw, test: SimulatedRelayTest, rows: slice) -> Recording:
@@ -167,24 +167,10 @@ def _columns(estimate: Estimate) -> Row:
     }
 
 
-def _no_estimate(reason: str) -> Row:
-    kinds = ("", "se_", "low_", "high_")
-    row: Row = {f"{kind}{name}": math.nan for kind in kinds for name in PARAMETERS}
-    return row | {
-        "repeated": math.nan,
-        "iterations": 0,
-        "rms_rad": math.nan,
-        "second_rms_rad": math.nan,
-        "second_own_rms_rad": math.nan,
-        "verdict": "refused",
-        "reasons": reason,
-    }
-
-
 def _second(campaign: Campaign, one: Draw, estimate: Estimate) -> Row:
     """Residuals of the second test, predicted by the estimate and by the true motor."""
     if campaign.relay.second is None:
-        return {"second_rms_rad": math.nan, "second_own_rms_rad": math.nan}
+        return {}
     test, rows = simulate(campaign, one, second=True)
     known = campaign.sampling.times_known
     series = TimeSeries(test.t_s[rows], test.y_rad[rows], test.t_u_s[rows] if known else None, test.u_V[rows])

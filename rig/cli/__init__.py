@@ -66,7 +66,7 @@ def _in_words(does: Callable[..., Any]) -> Callable[..., Any]:
         try:
             return does(*given, **named)
         except RigError as error:
-            from rig.cli.failure import fail_with
+            from rig.cli.ending import fail_with
 
             fail_with(error)
 
@@ -83,7 +83,7 @@ def _first_sentence(name: str) -> str:
 
 
 def _interrupted() -> NoReturn:
-    from rig.cli.failure import EXIT_FAILED
+    from rig.cli.ending import EXIT_FAILED
 
     click.echo("rig: interrupted; no drive is on", err=True)
     raise click.exceptions.Exit(EXIT_FAILED)

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 from rig.config.problems import key_of
 from rig.core.signals import plain
 from rig.run_folder.live.unrecorded import told
-from rig.run_folder.recording.folder import json_text
 from rig.running.calibrate.dialogue import Ask, Motion, Say, Skipped
 from rig.running.calibrate.wiring import text as drawn
 
@@ -49,7 +48,7 @@ def calibrate(
     known = steps_for(opened.draft.original)
     if unknown := [name for name in steps if name not in known]:
         words = ", ".join(f"{name} ({what})" for name, (what, _) in known.items())
-        fail(EXIT_BAD_INPUT, f"this bench has no step {unknown[0]!r}", f"its steps: {words}")
+        fail(f"this bench has no step {unknown[0]!r}", f"its steps: {words}")
     terminal = _Terminal(
         config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=as_json
     )
@@ -61,16 +60,13 @@ def calibrate(
             Say(f"{config_path}: written; as it was: {done.backup}\nnext: rig check {shlex.quote(str(config_path))}")
         )
     if as_json:
-        click.echo(
-            json_text(
-                {
-                    "ok": not done.problems,
-                    "changes": {key_of(path): value for path, value in done.draft.changes.items()},
-                    "backup": None if done.backup is None else str(done.backup),
-                    "problems": list(done.problems),
-                }
-            ),
-            nl=False,
+        say_json(
+            {
+                "ok": not done.problems,
+                "changes": {key_of(path): value for path, value in done.draft.changes.items()},
+                "backup": None if done.backup is None else str(done.backup),
+                "problems": list(done.problems),
+            }
         )
     sys.exit(EXIT_FAILED if done.problems else 0)
 
@@ -82,9 +78,9 @@ def _lines(answers: Path | None) -> Iterator[str]:
     try:
         lines = answers.read_text(encoding="utf-8").splitlines()
     except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{answers}: cannot be read: {error.strerror}", "name a text file with an answer a line")
+        fail(f"{answers}: cannot be read: {error.strerror}", "name a text file with an answer a line")
     except UnicodeDecodeError:
-        fail(EXIT_BAD_INPUT, f"{answers} is no text in UTF-8", "name a text file with an answer a line")
+        fail(f"{answers} is no text in UTF-8", "name a text file with an answer a line")
     return (line for line in lines if not line.startswith("#"))
 
 
@@ -123,7 +119,7 @@ class _Terminal:
         try:
             line = next(self._answers, None)
         except UnicodeDecodeError:
-            fail(EXIT_BAD_INPUT, "an answer is no text in UTF-8", "nothing is written: start again")
+            fail("an answer is no text in UTF-8", "nothing is written: start again")
         if line is None:
             self._echo("")
             because = f"; before: {self._refused}" if self._refused else ""

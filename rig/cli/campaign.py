@@ -10,9 +10,8 @@ from typing import Literal
 import click
 
 from rig import config
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.options import CONFIG, JSON
-from rig.run_folder.recording.folder import json_text
 from rig.terminal import progress, show_campaign
 
 
@@ -59,22 +58,21 @@ def campaign(
     """
     asked = config.load_campaign(config_path)
     if scheduler is not None and backend != "dask":
-        fail(EXIT_BAD_INPUT, "--scheduler needs Dask", "add --backend dask")
+        fail("--scheduler needs Dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
     if only is not None and only >= asked.experiments:
-        fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
+        fail(f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
     folder = resume or out
     try:
         if only is not None:
             from rig.campaign.trial import run_trial
 
-            click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
+            say_json(run_trial(asked, only))  # a defect ends here in its traceback
             return
         try:
             from rig.campaign import results, session
         except ModuleNotFoundError as error:
             fail(
-                EXIT_BAD_INPUT,
                 f"many experiments at once need the package {error.name}, which is not installed",
                 "python3 -m pip install 'motor-rig[campaign]', or in rig's clone: python3 -m pip install '.[campaign]'",
             )
@@ -83,17 +81,21 @@ def campaign(
         with progress(f"campaign {asked.name}", as_json) as on_progress:
             done = session.run(asked, folder, jobs=jobs, backend=backend, scheduler=scheduler, on_progress=on_progress)
     except OSError as error:
-        fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are kept: the same command goes on there")
+        fail(
+            f"{folder}: {error.strerror}",
+            "the rows so far are kept: the same command goes on there",
+            status=EXIT_FAILED,
+        )
     except KeyboardInterrupt:
-        fail(EXIT_FAILED, "interrupted; no experiment was going on", "the same command goes on")
+        fail("interrupted; no experiment was going on", "the same command goes on", status=EXIT_FAILED)
     if done.summary is None:
         fail(
-            EXIT_FAILED,
             f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
             "the same command goes on from there",
+            status=EXIT_FAILED,
         )
     if as_json:
-        click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
+        say_json(done.summary | {"folder": str(folder)})
     else:
         show_campaign(done.summary, folder)
     sys.exit(EXIT_FAILED if done.summary["failed"] else 0)

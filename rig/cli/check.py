@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.cli.failure import fail_config
+from rig.cli.ending import fail_config
 from rig.cli.options import CONFIG, JSON
 from rig.running import preflight
 

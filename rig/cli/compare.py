@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
+from rig.cli.ending import say_json
 from rig.cli.options import JSON, require_new
-from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_comparison
 
 
@@ -81,7 +81,7 @@ def compare(
             write_page(found, file)
     if as_json:
         report = None if file is None else str(file)
-        click.echo(json_text({"ok": True, **found.result.as_json(), "report": report}), nl=False)
+        say_json({"ok": True, **found.result.as_json(), "report": report})
         return
     show_comparison(found.result)
     if file is not None:

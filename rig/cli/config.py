@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import written
+from rig.cli.ending import written
 
 
 @click.group("config")

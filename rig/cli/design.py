@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.options import CONFIG, JSON, PICTURES, FiniteRange, require_new
-from rig.run_folder.recording.folder import json_text
 from rig.terminal import patience, show_design
 
 NO_TEST = (
@@ -57,7 +56,7 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
         result, _ = read_result(model_run.parent if model_run.is_file() else model_run)
         task = task_of_run(experiment, motor, result, doubt, percent)
     except ValueError as error:
-        fail(EXIT_BAD_INPUT, f"{model_run}: {error}", "give another run")
+        fail(f"{model_run}: {error}", "give another run")
     with patience("simulating tests"):
         found = design_map(task, doubt)
     if file is not None:
@@ -65,12 +64,7 @@ def design(config_path: Path, model_run: Path, percent: float, doubt: float, fil
     ok = bool(found.strokes or found.gains)
     made_up = result is not None and bool(result.rehearsal)
     if as_json:
-        click.echo(
-            json_text(
-                {"ok": ok, "model": str(model_run), **({"rehearsal": True} if made_up else {}), **found.as_json()}
-            ),
-            nl=False,
-        )
+        say_json({"ok": ok, "model": str(model_run), **({"rehearsal": True} if made_up else {}), **found.as_json()})
     else:
         if made_up:
             click.echo(f"{model_run}: {REHEARSAL}")

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked, say_chip_starts
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail
 from rig.cli.options import JSON, OUT, FiniteRange
 from rig.terminal import show_finding
 
@@ -17,11 +17,7 @@ from rig.terminal import show_finding
 @click.command()
 @click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
 @click.option(
-    "--seconds",
-    type=FiniteRange(0.2, 3600.0),
-    default=3.0,
-    show_default=True,
-    help="How long to measure ticks, s.",
+    "--seconds", type=FiniteRange(0.2, 3600.0), default=3.0, show_default=True, help="How long to measure ticks, s."
 )
 @click.option(
     "--loopback", metavar="PORT", default=None,
@@ -47,7 +43,7 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
 
     if loopback is not None:
         if config_path is not None:
-            fail(EXIT_BAD_INPUT, "--loopback is for a bare board, which no config describes", "leave CONFIG out")
+            fail("--loopback is for a bare board, which no config describes", "leave CONFIG out")
         _loop_back(loopback, int(baud), out, as_json=as_json)
         return
 

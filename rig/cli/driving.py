@@ -12,9 +12,8 @@ import click
 from rich.console import Console
 
 from rig.backends.serial.ports import CHIP_PORTS
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.config import Experiment, read
-from rig.run_folder.recording.folder import json_text
 from rig.running import preflight
 from rig.terminal import show_run
 
@@ -31,7 +30,7 @@ def checked(path: Path, pace: float | None = None, *, drives: bool = True, as_ch
     """
     document = read(path, takes_pipe=True)
     if as_checked not in (None, document.digest):
-        fail(EXIT_BAD_INPUT, f"{path} has changed since it was checked", "check it again")
+        fail(f"{path} has changed since it was checked", "check it again")
     experiment, _ = preflight.check(document, () if drives else ("drive.bridge",), pace)
     return experiment
 
@@ -79,5 +78,5 @@ def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool
 def finish(outcome: Outcome, as_json: bool) -> NoReturn:
     """End the command with the run: its result as JSON if that is asked for, and the exit status."""
     if as_json:
-        click.echo(json_text(outcome.as_json()), nl=False)
+        say_json(outcome.as_json())
     sys.exit(EXIT_FAILED if outcome.failure else 0)

@@ -9,7 +9,7 @@ from shlex import quote
 import click
 
 from rig.cli.driving import checked, say_chip_starts
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 from rig.cli.options import CONFIG
 
 
@@ -33,14 +33,13 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
     d = experiment.device
     if d.emulated is None:
         fail(
-            EXIT_BAD_INPUT,
             f"{config_path} has no section `emulated`",
             f"try the whole experiment on a motor made up for it: `rig rehearse {quote(str(config_path))}`; or add the "
             "section, as in config/demo.yaml",
         )
     backend = backend_of(d)
     if chip and not backend.has_chip:
-        fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
+        fail("--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
     from rig.control.loop.stop_request import stop_on_signals
 
     if chip:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 from rig.cli.options import JSON, ROWS, Positive
 
 
@@ -52,15 +52,14 @@ def export(
 
     if to in TOOLS:
         if stage is not None or rows is not None:
-            fail(EXIT_BAD_INPUT, f"--to {to} takes the model of the whole run", "leave out --stage and --rows")
+            fail(f"--to {to} takes the model of the whole run", "leave out --stage and --rows")
         _model(run_folder, to, into or Path(), (torque_N_m_V, R_ohm), force, as_json)
     elif torque_N_m_V is not None or R_ohm is not None:
-        fail(EXIT_BAD_INPUT, f"--N-m-per-V and --R-ohm are for a tool, and {to!r} is none", "leave them out")
+        fail(f"--N-m-per-V and --R-ohm are for a tool, and {to!r} is none", "leave them out")
     elif into is not None:
-        fail(EXIT_BAD_INPUT, f"--into is for a tool, and {to!r} is none", f"--to one of {', '.join(TOOLS)}")
+        fail(f"--into is for a tool, and {to!r} is none", f"--to one of {', '.join(TOOLS)}")
     elif not Path(to).suffix:
         fail(
-            EXIT_BAD_INPUT,
             f"{to}: ends in none of {', '.join(FORMATS)}, and is no tool",
             f"give a file with one of these suffixes, or one of {', '.join(TOOLS)}",
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.serial.emulated.firmware_build import Variant
@@ -129,7 +129,6 @@ def flash(
     _refuse_the_other_boards(board, hex_file, uf2, drive)
     if given is not None and (bridge or tachometer or supply or end_switches or encoder):
         fail(
-            EXIT_BAD_INPUT,
             f"with {name} only --baud has an effect: the file is built already",
             f"leave out the other options, or {name}",
         )
@@ -156,9 +155,7 @@ def _told(config_path: Path, asked: _Options) -> _Options:
             raise ValueError(f"its device, `driver: {experiment.daq.driver}`, runs no firmware of rig")
         told = of_config(experiment.device)
     except ValueError as error:
-        fail(
-            EXIT_BAD_INPUT, f"{config_path}: {error}", "without a config: rig flash --board ... --bridge ... --baud ..."
-        )
+        fail(f"{config_path}: {error}", "without a config: rig flash --board ... --bridge ... --baud ...")
     for name, (key, value) in told.items():
         wanted = asked[name]
         if value is None or wanted is None or wanted == value:
@@ -171,11 +168,10 @@ def _told(config_path: Path, asked: _Options) -> _Options:
             if value is False
             else f"{key} of {config_path} is {'that of the ' if name == 'board' else ''}{value}"
         )
-        fail(EXIT_BAD_INPUT, f"{option}, but {says}", f"leave {option} out, or correct the config")
+        fail(f"{option}, but {says}", f"leave {option} out, or correct the config")
     merged = {name: told[name][1] if told[name][1] is not None else asked[name] for name in asked}
     if merged["bridge"] is None:
         fail(
-            EXIT_BAD_INPUT,
             f"{config_path} does not name the bridge, and {WRONG_BRIDGE}",
             "add drive.bridge, pwm-dir or in1-in2 (docs/real-bench.md, Which bridge); or give --bridge",
         )
@@ -198,9 +194,9 @@ def _port_of(port: str | None, usb_serial: str | None) -> str | None:
 def _refuse_the_other_boards(board: str, hex_file: Path | None, uf2: Path | None, drive: Path | None) -> None:
     """What is given for another board than the one named was meant for something."""
     if board == "pico" and hex_file is not None:
-        fail(EXIT_BAD_INPUT, "--hex is for the Uno", "give the Pico a .uf2: --uf2 FILE")
+        fail("--hex is for the Uno", "give the Pico a .uf2: --uf2 FILE")
     if board == "uno" and (uf2 is not None or drive is not None):
-        fail(EXIT_BAD_INPUT, f"--{'drive' if uf2 is None else 'uf2'} is for the Pico", "say so: --board pico")
+        fail(f"--{'drive' if uf2 is None else 'uf2'} is for the Pico", "say so: --board pico")
 
 
 def _flash_uno(options: Variant, port: str | None, hex_file: Path | None, *, dry_run: bool) -> None:

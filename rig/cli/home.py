@@ -7,9 +7,8 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail, say_json
 from rig.cli.options import CONFIG, JSON, OUT, PACE
-from rig.run_folder.recording.folder import json_text
 
 
 @click.command()
@@ -32,30 +31,26 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
 
     encoder = experiment.sensor.encoder
     if encoder is None:
-        fail(EXIT_BAD_INPUT, "`rig home` is for an encoder, and this config has a potentiometer", "nothing to set")
+        fail("`rig home` is for an encoder, and this config has a potentiometer", "nothing to set")
     if experiment.sensor.servo is not None:
         fail(
-            EXIT_BAD_INPUT,
             "a servo knows where it stands",
             "set sensor.servo.zero_counts to its reading at the centre of travel: `rig servo show`",
         )
     if experiment.limits.is_endless:
         fail(
-            EXIT_BAD_INPUT,
             "without travel limits zero is where a command finds the shaft",
             "nothing to set: press the e-stop and release it, then `rig run`",
         )
     by_switch = encoder.home is not None
     if by_switch and (here or at_rad):
         fail(
-            EXIT_BAD_INPUT,
             "--here and --at-rad set zero by hand, and sensor.encoder.home names an end switch",
             "leave them out, or the section `home`",
         )
     soft_low, soft_high = experiment.limits.soft_rad
     if not soft_low <= at_rad <= soft_high:
         fail(
-            EXIT_BAD_INPUT,
             f"--at-rad {at_rad:g} is outside limits.soft_rad",
             f"turn the shaft to a position within {soft_low:g} to {soft_high:g} rad",
         )
@@ -70,9 +65,7 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
         )
     found = zero.by_switch(experiment, out) if by_switch else zero.by_hand(experiment, at_rad)
     if as_json:
-        click.echo(
-            json_text({"y_rad": found.y_rad, "y_counts": found.y_counts, "from_counts": found.from_counts}), nl=False
-        )
+        say_json({"y_rad": found.y_rad, "y_counts": found.y_counts, "from_counts": found.from_counts})
         return
     click.echo(
         f"zero is set: the shaft stands at {found.y_rad:+.4f} rad, {found.y_counts} counts ({found.from_counts} before)"

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS, Positive, require_new
 from rig.core.estimators import ESTIMATORS
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
-from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.meta import REHEARSAL
 from rig.terminal import MOST_NOTES, patience, show_answer, show_details
@@ -94,12 +93,12 @@ def identify(
     from rig.run_folder.recording.reader import read_all
 
     if rows is not None and len(paths) > 1:
-        fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
+        fail(f"--rows takes one recording, not {len(paths)}", "identify one at a time")
     require_distinct(paths)
     with patience("reading and identifying"):
         recordings = [recording for path in paths for recording in read_all(path, log)]
         if rows is not None and len(recordings) > 1:
-            fail(EXIT_BAD_INPUT, f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
+            fail(f"{paths[0]} holds {len(recordings)} runs, and --rows takes one", "cut the file")
         if rows is not None:
             recordings = [recording.only_rows(*rows) for recording in recordings]
         if slew_V_s is not None:
@@ -124,7 +123,7 @@ def identify(
     ok = result.answer is not None and not result.answer.is_refused and not unsaved
     if as_json:
         files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
-        click.echo(json_text({"ok": ok, "records": records, **files, **result.as_json()}), nl=False)
+        say_json({"ok": ok, "records": records, **files, **result.as_json()})
         sys.exit(0 if ok else EXIT_FAILED)
     if found.rehearsal:
         click.echo(REHEARSAL)
@@ -152,9 +151,7 @@ def _require_commanded(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         if recording.config_text is not None or recording.own_loop is not None:
             what = "a run says when its drives acted" if recording.own_loop is None else "a servo's law has its ramp"
-            fail(
-                EXIT_BAD_INPUT, f"--slew is given, and {recording.source} has the ramp already: {what}", "leave it out"
-            )
+            fail(f"--slew is given, and {recording.source} has the ramp already: {what}", "leave it out")
 
 
 def _keep(path: Path, recording: Recording, found: Identification) -> None:

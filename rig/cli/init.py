@@ -12,7 +12,7 @@ from typing import Any, Final, NoReturn
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, written
+from rig.cli.ending import EXIT_FAILED, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 from rig.config.bridges import BRIDGES, RUNS_FREE
 
@@ -107,14 +107,13 @@ def init(
         wanted += [limits, gear]
     if asks and not sys.stdin.isatty() and None in wanted:
         needs = " ".join(["--yes", *(f"{option} {VALUES[option]}" for option in missing)])
-        fail(EXIT_BAD_INPUT, "there is nobody to ask", f"give {needs}; `rig init --help`")
+        fail("there is nobody to ask", f"give {needs}; `rig init --help`")
     asks = asks and sys.stdin.isatty()
     if file.exists():
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
+        fail(f"{file} is there already", "name another file: rig init FILE")
     if yes and missing:
         have = "has" if len(missing) == 1 else "have"
         fail(
-            EXIT_BAD_INPUT,
             f"{', '.join(missing)} {have} no default: a wrong one is dangerous",
             f"give {'it' if len(missing) == 1 else 'them'}; `rig init --help`",
         )
@@ -177,7 +176,7 @@ def init(
             if asks and told
             else ""
         )
-        fail(EXIT_BAD_INPUT, error.cause, error.cure + again)
+        fail(error.cause, error.cure + again)
     try:
         with written(file):
             with file.open("x", encoding="utf-8") as new:
@@ -223,13 +222,13 @@ def _without_number(port: str) -> str:
 
 
 def _ask_which_servo() -> NoReturn:
-    fail(EXIT_BAD_INPUT, "a servo's config needs its model", "type --servo MODEL, such as: rig init --servo xl330-m288")
+    fail("a servo's config needs its model", "type --servo MODEL, such as: rig init --servo xl330-m288")
 
 
 def _refuse_beside_servo(given: dict[str, object]) -> None:
     named = [option for option, value in given.items() if value is not None]
     if named:
-        fail(EXIT_BAD_INPUT, f"{' and '.join(named)} mean nothing with --servo", "leave them out")
+        fail(f"{' and '.join(named)} mean nothing with --servo", "leave them out")
 
 
 def _init_servo(
@@ -243,7 +242,7 @@ def _init_servo(
     from rig.running import preflight
 
     if file.exists():
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: rig init FILE")
+        fail(f"{file} is there already", "name another file: rig init FILE")
     try:
         answers = first_config.ServoAnswers(
             first_config.model_named(name, is_read=port is not None),
@@ -256,10 +255,12 @@ def _init_servo(
             seen = next(scan(lambda baud: opened(port, baud), USUAL_BAUDS, (id,)), None)
             if seen is None or seen.model is None:
                 fail(
-                    EXIT_FAILED, f"no servo {id} that rig knows answers at {port}", "`rig servo scan` looks for all ids"
+                    f"no servo {id} that rig knows answers at {port}",
+                    "`rig servo scan` looks for all ids",
+                    status=EXIT_FAILED,
                 )
             if not seen.model.name.startswith(name):
-                fail(EXIT_BAD_INPUT, f"servo {id} is {seen.model.name}, not {name}", f"--servo {seen.model.name}")
+                fail(f"servo {id} is {seen.model.name}, not {name}", f"--servo {seen.model.name}")
             for words in seen.objections:
                 click.echo(f"a run would be refused: {words}")
             adapter = usb_port(port).adapter if is_usb_name(port) else "none"

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE, FiniteRange
 from rig.config import Experiment
 from rig.run_folder.results import known
@@ -48,13 +48,13 @@ def jog(
     long as somebody holds the button (docs/panel.md). If that program ends or hangs, the drive is 0.
     """
     if leased == (u_V is not None):
-        fail(EXIT_BAD_INPUT, "a jog has either --u-V or --leased", "give --u-V and the drive in V, as `--u-V 0.5`")
+        fail("a jog has either --u-V or --leased", "give --u-V and the drive in V, as `--u-V 0.5`")
     longest_s = LONGEST_LEASED_S if leased else LONGEST_S
     duration_s = seconds if seconds is not None else USUAL_LEASED_S if leased else USUAL_S
     if duration_s > longest_s:
-        fail(EXIT_BAD_INPUT, f"--seconds {duration_s:g} is too long", f"ask for at most {longest_s:g}")
+        fail(f"--seconds {duration_s:g} is too long", f"ask for at most {longest_s:g}")
     experiment = checked_bench(config_path, pace, as_checked)
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     if u_V is None:
         outcome = perform(lambda on_start: script.jog_leased(experiment, duration_s, out, on_start), as_json)
@@ -73,7 +73,6 @@ def _within(experiment: Experiment, u_V: float) -> float:
     """The drive, if the config allows it; else the command ends."""
     if not abs(u_V) <= experiment.drive.max_V:
         fail(
-            EXIT_BAD_INPUT,
             f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}",
             f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
         )

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from rig.cli.ending import say_json
 from rig.cli.options import JSON
-from rig.run_folder.recording.folder import json_text
 from rig.terminal import show_runs
 
 
@@ -37,7 +37,7 @@ def list_runs(folder: Path, where: Sequence[str], sort: Sequence[str], as_json: 
     runs = selected(found.runs, where, sort)
     if as_json:
         told = {"ok": True, "folder": str(folder), "of": len(found.runs), "runs": [run.as_json() for run in runs]}
-        click.echo(json_text({**told, "notes": list(found.notes)}), nl=False)
+        say_json({**told, "notes": list(found.notes)})
         return
     show_runs(runs, len(found.runs))
     for note in found.notes:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 from rig.cli.options import Positive
 from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, parse_period
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
@@ -50,8 +50,7 @@ def _servo_law(
     """The law of --servo and the options of its loop; None without them. Counts of its position are the servo's own."""
     if model is None:
         if (gain, scale, age) != (None, None, None):
-            words = "--gain, --p-scale and --position-age are for the log of a servo's own loop"
-            fail(EXIT_BAD_INPUT, words, "add --servo MODEL")
+            fail("--gain, --p-scale and --position-age are for the log of a servo's own loop", "add --servo MODEL")
         return None
     from rig.backends.servo.first_config import model_named
 
@@ -65,13 +64,12 @@ def _servo_law(
     P, *others = gain or (None,)
     if any(others):
         fail(
-            EXIT_BAD_INPUT,
             f"--gain: the law that rig knows is duty = P x error, and I is {others[0]:g}, D {others[1]:g}",
             "write 0 into both registers, and record again",
         )
     age_s = 0.0 if age is None else parse_period(age, "--position-age")
     if age_s > _OLDEST_S:
-        fail(EXIT_BAD_INPUT, f"--position-age {age}: no link makes a position so old", f"give at most {_OLDEST_S:g}s")
+        fail(f"--position-age {age}: no link makes a position so old", f"give at most {_OLDEST_S:g}s")
     shipped = [servo[f"position_{one}_gain"].shipped for one in "id"]
     return ServoLaw(
         P,

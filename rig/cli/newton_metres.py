@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.options import JSON, FiniteRange
 from rig.output.newton_metres import Load, NewtonMetres, Quantity, newton_metres
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.folder import CONFIG, json_text
+from rig.run_folder.recording.folder import CONFIG
 
 _PERCENT, _ARM_M, _R_PERCENT = 1.0, 0.001, 2.0  # half widths at 95 % where nobody says better
 
@@ -86,9 +86,9 @@ def newton_metres_command(
         load = Load(mass_kg, arm_m, rod_kg)
         found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), R_ohm)
     except ValueError as error:
-        fail(EXIT_BAD_INPUT, str(error), "correct the numbers of the load")
+        fail(str(error), "correct the numbers of the load")
     if as_json:
-        click.echo(json_text(found.as_json()), nl=False)
+        say_json(found.as_json())
     else:
         for line in _lines(found):
             click.echo(line)

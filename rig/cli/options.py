@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 
 
 class Rows(click.ParamType):  # type: ignore[type-arg]
@@ -87,11 +87,11 @@ def require_new(path: Path | None, endings: Sequence[str], *, force: bool | None
     if path is None:
         return
     if path.suffix.lower() not in endings:
-        fail(EXIT_BAD_INPUT, f"{path}: this file is of another kind", f"give a name that ends in {', '.join(endings)}")
+        fail(f"{path}: this file is of another kind", f"give a name that ends in {', '.join(endings)}")
     if not path.parent.is_dir():
-        fail(EXIT_BAD_INPUT, f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
+        fail(f"{path.parent} is no folder", f"make it: `mkdir -p {quote(str(path.parent))}`")
     if not os.access(path.parent, os.W_OK):
-        fail(EXIT_BAD_INPUT, f"{path.parent} takes no file of yours", "name a file in another folder")
+        fail(f"{path.parent} takes no file of yours", "name a file in another folder")
     if path.exists() and not force:
         other = "give another name, or " + ("remove it" if force is None else "--force")
-        fail(EXIT_BAD_INPUT, f"{path} is there already", other)
+        fail(f"{path} is there already", other)

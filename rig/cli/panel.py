@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail
 from rig.cli.options import OUT
 
 if TYPE_CHECKING:  # the server's packages may be missing
@@ -53,12 +53,12 @@ def panel(
         from rig.panel.serve import Certificate, address_of, listen, require_certificate, serve
     except ModuleNotFoundError as error:
         fail(
-            EXIT_FAILED,
             f"the panel needs the package {error.name}, which is not installed",
             "in rig's clone: make setup; elsewhere: python3 -m pip install starlette uvicorn websockets",
+            status=EXIT_FAILED,
         )
     if (tls_cert is None) != (tls_key is None):
-        fail(EXIT_BAD_INPUT, "--tls-cert and --tls-key belong together", "give both")
+        fail("--tls-cert and --tls-key belong together", "give both")
     certificate = None if tls_cert is None or tls_key is None else Certificate(tls_cert, tls_key)
     password = None if password_file is None else _password(password_file)
     if certificate is not None:
@@ -83,10 +83,10 @@ def _sort_out(path: Path | None) -> tuple[Path | None, Path | None]:
         return None, None
     if path.is_dir():
         if not is_run(path):
-            fail(EXIT_BAD_INPUT, f"{path} is no run folder", "give a config, a run folder, or --out FOLDER of runs")
+            fail(f"{path} is no run folder", "give a config, a run folder, or --out FOLDER of runs")
         return None, path
     if not path.is_file():
-        fail(EXIT_BAD_INPUT, f"{path} is not there", "give a config or a run folder; `rig config list` shows configs")
+        fail(f"{path} is not there", "give a config or a run folder; `rig config list` shows configs")
     return path, None
 
 

@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail
 from rig.cli.options import JSON
 from rig.terminal import show_prediction
 
@@ -30,7 +30,7 @@ def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: fl
     try:
         prediction = predict_cycle(tau, K, fc, fc if fs is None else fs, h1, h2)
     except ValueError as error:
-        fail(EXIT_BAD_INPUT, str(error), "--tau and --K must be > 0, friction and gains >= 0, --fs at least --fc")
+        fail(str(error), "--tau and --K must be > 0, friction and gains >= 0, --fs at least --fc")
     if as_json:
         click.echo(json.dumps(prediction.as_json()))
     else:

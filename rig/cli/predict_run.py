@@ -7,10 +7,9 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail, say_json
 from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS, require_new
-from rig.run_folder.recording.folder import json_text
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.answer_words import of_all
 from rig.terminal import patience
@@ -66,28 +65,25 @@ def predict_run(
             if picture is not None:
                 write_drawn(shown, answer.method, picture)
     except AbsentError as absent:
-        fail(EXIT_BAD_INPUT, f"{model}: {absent}", "see why: `rig identify` of what it comes from; or give another")
+        fail(f"{model}: {absent}", "see why: `rig identify` of what it comes from; or give another")
     remarks = [beyond(answer, recording) for recording in recordings]
     if as_json:
         found = [
             {
                 "record": str(recording.source),
                 "fit_percent": one.fit_percent,
-                "rms_rad": float((one.residual_rad**2).mean() ** 0.5),
+                "rms_rad": one.rms_rad,
                 "beyond": remark or None,
             }
             for recording, one, remark in zip(recordings, shown, remarks, strict=True)
         ]
-        click.echo(
-            json_text({"model": str(model), "picture": picture and str(picture), "predictions": found}), nl=False
-        )
+        say_json({"model": str(model), "picture": picture and str(picture), "predictions": found})
         sys.exit(0)
     for recording, one, remark in zip(recordings, shown, remarks, strict=True):
         for note in recording.notes:
             click.echo(f"{one.name}: {note}")
-        rms_rad = float((one.residual_rad**2).mean() ** 0.5)
         in_parts = f", in {one.parts} parts between its gaps, each from a start of its own" if one.parts > 1 else ""
-        click.echo(f"{one.name}: fit {of_all(one.fit_percent)}, {rms_rad:.3g} rad off (RMS){in_parts}")
+        click.echo(f"{one.name}: fit {of_all(one.fit_percent)}, {one.rms_rad:.3g} rad off (RMS){in_parts}")
         if remark:
             click.echo(f"{one.name}: {remark}")
     if picture is not None:

@@ -57,7 +57,7 @@ def rehearse(
     experiment = preflight.rehearsed(document, sheet, pace)
     if not as_json:
         _show_motor(experiment)
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)
 

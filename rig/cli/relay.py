@@ -22,6 +22,6 @@ def relay(config_path: Path, out: Path, pace: float | None, as_json: bool) -> No
     No tracking check follows.
     """
     experiment = checked_bench(config_path, pace)
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     finish(perform(partial(script.run_relay, experiment, out), as_json), as_json)

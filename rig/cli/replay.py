@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_FAILED
+from rig.cli.ending import EXIT_FAILED, say_json
 from rig.cli.options import JSON
-from rig.run_folder.recording.folder import json_text
 from rig.terminal import progress, show_replay
 
 
@@ -27,7 +26,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     with progress(f"replaying {run_folder.name}", as_json) as on_progress:
         done = replay_run(run_folder, on_progress)
     if as_json:
-        click.echo(json_text(done.as_json()), nl=False)
+        say_json(done.as_json())
     else:
         show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)

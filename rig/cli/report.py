@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.failure import EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail
 from rig.terminal import patience
 
 
@@ -22,5 +22,7 @@ def report(run_folder: Path) -> None:
         with patience("drawing the report"):
             path = write_report(run_folder)
     except OSError as error:
-        fail(EXIT_FAILED, f"{run_folder}: cannot be read: {error.strerror}", "check the disk and its permissions")
+        fail(
+            f"{run_folder}: cannot be read: {error.strerror}", "check the disk and its permissions", status=EXIT_FAILED
+        )
     click.echo(path)

@@ -10,9 +10,8 @@ import click
 from rich.console import Console
 
 from rig.cli.driving import checked_bench, perform
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
-from rig.run_folder.recording.folder import json_text
 from rig.terminal import show_scatter
 
 
@@ -54,7 +53,6 @@ def run(
     if model_run is not None:
         if experiment.relay.until is None or experiment.law is not None:
             fail(
-                EXIT_BAD_INPUT,
                 f"--model needs relay.until in {config_path}: only there the tests depend on what is known",
                 "set relay.until (docs/until.md), or leave --model out",
             )
@@ -63,14 +61,14 @@ def run(
         known = known_model(model_run, experiment.drive.max_V)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     shown = partial(perform, as_json=as_json, verbose=verbose)
     outcomes = script.repeated(experiment, repeat, out, shown, known)
     if as_json:
         results = [outcome.as_json() for outcome in outcomes]
         ok = all(result["ok"] for result in results)
-        click.echo(json_text(results[0] if repeat == 1 else {"ok": ok, "runs": results}), nl=False)
+        say_json(results[0] if repeat == 1 else {"ok": ok, "runs": results})
     elif repeat > 1:
         show_scatter([outcome.result for outcome in outcomes])
     sys.exit(EXIT_FAILED if any(outcome.failure for outcome in outcomes) else 0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.cli.failure import EXIT_BAD_INPUT, fail, written
+from rig.cli.ending import fail, written
 from rig.run_folder.results import RunMeta, RunResult
 
 
@@ -25,7 +25,7 @@ from rig.run_folder.results import RunMeta, RunResult
 def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
     """Write a JSON Schema of a config, or of a run's files."""
     if of_campaign and of not in ("config", "campaign"):
-        fail(EXIT_BAD_INPUT, f"--campaign and --of {of} name two schemas", "leave one of them out")
+        fail(f"--campaign and --of {of} name two schemas", "leave one of them out")
     if of in ("meta", "result"):
         from rig.run_folder.results.json_schema import schema_text
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.failure import EXIT_BAD_INPUT, fail, written
+from rig.cli.ending import fail, say_json, written
 from rig.cli.options import JSON, OUT, require_new
 from rig.core.faults import Fault
 from rig.run_folder.recording.folder import json_text
@@ -53,7 +53,7 @@ def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
             if not as_json:
                 _say(name, seen)
     if as_json:
-        click.echo(json_text({"servos": found}), nl=False)
+        say_json({"servos": found})
     elif not found:
         click.echo("no servo answers: check its supply, the wires and the port, or name another --baud")
 
@@ -71,9 +71,7 @@ def show(port: str, id: int, baud: int, as_json: bool) -> None:
         link = known_servo(line, id, baud)
         rows = list(all_registers(link))
     if as_json:
-        click.echo(
-            json_text({"model": link.model.name, "registers": {name: value for name, _, value, _ in rows}}), nl=False
-        )
+        say_json({"model": link.model.name, "registers": {name: value for name, _, value, _ in rows}})
         return
     click.echo(f"{link.model.name}, id {id}")
     for name, address, value, words in rows:
@@ -204,14 +202,13 @@ class _Stoppable:
         return self._keeper.has_acted
 
     def beat(self) -> None:
-        if by := self._flag.asked_by():
-            raise Fault("INTERRUPTED", f"Stop by {by}")
+        self._flag.check()
         self._keeper.beat()
 
 
 def _ask(question: str, *, yes: bool) -> None:
     if not yes and not click.confirm(question):
-        fail(EXIT_BAD_INPUT, "nothing was changed")
+        fail("nothing was changed")
 
 
 @contextmanager
@@ -239,7 +236,7 @@ def _ports() -> list[str]:
 
     ports = [one.device for one in serial_ports() if one.vid is not None]
     if not ports:
-        fail(EXIT_BAD_INPUT, "there is no serial port on USB", "plug the adapter in, or name its PORT")
+        fail("there is no serial port on USB", "plug the adapter in, or name its PORT")
     return ports
 
 

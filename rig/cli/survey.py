@@ -23,6 +23,6 @@ def survey(config_path: Path, out: Path, pace: float | None, as_json: bool) -> N
     position.
     """
     experiment = checked_bench(config_path, pace)
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     finish(perform(partial(script.run_survey, experiment, out), as_json), as_json)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.cli.ending import fail
 from rig.cli.options import CONFIG, JSON, OUT, PACE
 
 
@@ -30,9 +30,9 @@ def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_
     from rig.identification import identify
     from rig.identification.known_model import kept_models
     from rig.run_folder.recording.reader import read_run
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     if experiment.tracking is None:
-        fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
+        fail(f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
     models = kept_models(model_run) or identify([read_run(model_run)]).as_result()
     finish(perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)

@@ -11,9 +11,8 @@ import click
 from click.core import ParameterSource
 
 from rig.cli.driving import checked_bench, perform
-from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail
+from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.options import JSON, OUT, PACE, PICTURES, FiniteRange, Positive, require_new
-from rig.run_folder.recording.folder import json_text
 
 if TYPE_CHECKING:
     from rig.config import Experiment
@@ -98,7 +97,7 @@ def tune(
         return
     for option, value in (("--p-scale", p_scale), ("--supply-V", supply_V)):
         if value is not None:
-            fail(EXIT_BAD_INPUT, f"{option} is for the loop of a servo", "add --servo MODEL")
+            fail(f"{option} is for the loop of a servo", "add --servo MODEL")
     require_new(file, PICTURES)
     bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.terminal import patience, progress, show_tuned
@@ -136,7 +135,7 @@ def tune(
     if as_json:
         tried = {} if outcome is None else {"bench_run": str(outcome.folder), "bench_failure": failure}
         made_up = {"rehearsal": True} if found.made_up else {}
-        click.echo(json_text({"ok": not (failure or unsaved), **made_up, **result.as_json(), **tried}), nl=False)
+        say_json({"ok": not (failure or unsaved), **made_up, **result.as_json(), **tried})
     else:
         if found.made_up:
             click.echo(f"{run_folder.name}: {REHEARSAL}")
@@ -163,9 +162,7 @@ def _of_servo(
     for name in _ONLY_OF_RIGS_LOOP:
         if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
             option = next(one.opts[0] for one in context.command.params if one.name == name)
-            fail(
-                EXIT_BAD_INPUT, f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out"
-            )
+            fail(f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out")
     from rig.backends.servo.first_config import model_named
     from rig.design.tune.margins import Margins
     from rig.running.run_tuning import servo_loop_of
@@ -175,13 +172,13 @@ def _of_servo(
     phase_deg, gain_dB = least
     found = servo_loop_of(run_folder, servo, Margins(gain_dB, phase_deg, 0.0), p_scale, supply_V)
     if as_json:
-        click.echo(json_text({"ok": True, "run": run_folder.resolve().name, **found.as_json()}), nl=False)
+        say_json({"ok": True, "run": run_folder.resolve().name, **found.as_json()})
     else:
         show_servo_loop(found)
 
 
 def _tried(experiment: Experiment, out: Path, as_json: bool) -> Outcome:
     """The run on the bench."""
-    from rig.running import experiment as script
+    from rig.running.experiment import script
 
     return perform(partial(script.run, experiment, out), as_json)

@@ -24,6 +24,7 @@ _COMPARISONS = {
     "less_than": ("less than", "lt"),
     "less_than_equal": ("at most", "le"),
 }
+_NAME = "lower-case letters, digits, - and _, beginning with a letter or digit"
 
 
 def explain(errors: Iterable[ErrorDetails], document: Document, schema: type[BaseModel] = Experiment) -> list[Problem]:
@@ -94,16 +95,6 @@ def _invalid(path: Path, error: ErrorDetails, schema: type[BaseModel]) -> Proble
     if kind in _COMPARISONS:
         words, bound = _COMPARISONS[kind]
         return Problem(path, f"must be {words} {context[bound]:g}{f' {unit}' if unit else ''}, {got}")
-    if kind == "float_type":
-        return Problem(path, f"must be a number{in_unit}, {got}", _number_hint(value, unit))
-    if kind == "int_type":
-        return Problem(path, f"must be a whole number{in_unit}, {got}", _number_hint(value, unit))
-    if kind == "bool_type":
-        return Problem(path, f"must be true or false, {got}", "`yes` and `on` are plain text: write true or false")
-    if kind == "string_type":
-        return Problem(
-            path, f"must be text, {got}", "put it in quotes" if isinstance(value, bool | int | float) else ""
-        )
     if kind == "literal_error":
         choices = re.findall(r"'([^']*)'", context["expected"])
         close = difflib.get_close_matches(str(value), choices, n=1)
@@ -111,26 +102,26 @@ def _invalid(path: Path, error: ErrorDetails, schema: type[BaseModel]) -> Proble
         if choices == list(get_args(Bridge)):
             hint = of_module(str(value)) or hint
         return Problem(path, f"must be one of {', '.join(choices)}, {got}", hint)
-    if kind == "model_type":
-        return Problem(path, f"must be a section with keys of its own, {got}", _keys_hint(path, schema))
-    if kind == "tuple_type":
-        return Problem(path, f"must be a list, {got}", "write [a, b]")
     if kind == "missing":  # an element of a pair
         return Problem(path[:-1], f"must be two values, [low, high], {got}")
-    if kind == "too_short":
-        if len(value) >= context["min_length"]:
-            return None  # its elements are wrong, which is said
-        return Problem(path, f"must hold at least {context['min_length']} items, {got}")
-    if kind == "too_long":
-        return Problem(path, f"must hold at most {context['max_length']} items, {got}")
-    if kind == "string_pattern_mismatch":
-        rule = "lower-case letters, digits, - and _, beginning with a letter or digit"
-        return Problem(path, f"must be made of {rule}, {got}")
-    if kind == "string_too_long":
-        return Problem(path, f"must be at most {context['max_length']} characters, {got}")
+    if kind == "too_short" and len(value) >= context["min_length"]:
+        return None  # its elements are wrong, which is said
     if kind == "value_error":
         return Problem(path, str(context["error"]))
-    return Problem(path, f"{error['msg'].replace('Input should be', 'must be')}, {got}")
+    known = {
+        "float_type": (f"must be a number{in_unit}", _number_hint(value, unit)),
+        "int_type": (f"must be a whole number{in_unit}", _number_hint(value, unit)),
+        "bool_type": ("must be true or false", "`yes` and `on` are plain text: write true or false"),
+        "string_type": ("must be text", "put it in quotes" if isinstance(value, bool | int | float) else ""),
+        "model_type": ("must be a section with keys of its own", _keys_hint(path, schema)),
+        "tuple_type": ("must be a list", "write [a, b]"),
+        "too_short": (f"must hold at least {context.get('min_length')} items", ""),
+        "too_long": (f"must hold at most {context.get('max_length')} items", ""),
+        "string_pattern_mismatch": (f"must be made of {_NAME}", ""),
+        "string_too_long": (f"must be at most {context.get('max_length')} characters", ""),
+    }
+    words, hint = known.get(kind, (error["msg"].replace("Input should be", "must be"), ""))
+    return Problem(path, f"{words}, {got}", hint)
 
 
 def _number_hint(value: object, unit: str) -> str:

@@ -59,10 +59,7 @@ BOARDS: Final = {
     "uno": Board("Arduino Uno or Nano", "uno", 1023, 39_000.0, "D2 and D3"),
     "pico": Board("Raspberry Pi Pico", "pico", 4095, 1_900_000.0, "GP2 and GP3, at most 3.3 V", flash=" --board pico"),
 }
-SENSORS: Final = {
-    "potentiometer": "potentiometer on the shaft",
-    "encoder": "quadrature encoder, counts in the board",
-}
+SENSORS: Final = {"potentiometer": "potentiometer on the shaft", "encoder": "quadrature encoder, counts in the board"}
 LIMITS: Final = {
     "stops": "the shaft meets a stop on each side, or must not turn farther",
     "turns": "it turns without end, but no farther than some turns either way",

@@ -36,6 +36,13 @@ class BreakawayFound:
     noise_rad: float
 
 
+def turns(y_rad: list[float], least_rad: float, noise_rad: float) -> bool:
+    """Whether readings at 0 V drift by more than ``least_rad``, and more than their noise explains."""
+    half = len(y_rad) // 2
+    drift = abs(fmean(y_rad[half:]) - fmean(y_rad[:half]))
+    return drift > max(least_rad, 4.0 * noise_rad * math.sqrt(2.0 / half))
+
+
 class RestingCheck:
     """The part at 0 V of every breakaway check: it waits until the shaft stands, and measures the sensor's noise.
 
@@ -86,18 +93,13 @@ class RestingCheck:
                 f"standard deviation {self.noise_rad * 1e3:.1f} mrad at rest; "
                 f"breakaway.motion_rad is {self.motion_rad * 1e3:.0f} mrad",
             )
-        if self._turns(still):
+        if turns(still, 0.25 * self.motion_rad, self.noise_rad):
             if elapsed_s > 10.0 * self.rest_s:
                 raise Fault("DRIVE_STUCK_ON", f"the shaft still turns {elapsed_s:.1f} s after the drive was set to 0 V")
             self._rest_y = self._rest_y[-2 * len(still) :]
             return None
         self._rest_y = []
         return fmean(still)
-
-    def _turns(self, y_rad: list[float]) -> bool:
-        half = len(y_rad) // 2
-        drift = abs(fmean(y_rad[half:]) - fmean(y_rad[:half]))
-        return drift > max(0.25 * self.motion_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
 
 
 class _Stroke(NamedTuple):
@@ -356,7 +358,7 @@ class BreakawayCheck(RestingCheck):
         still = [y_rad for t_s, y_rad in self._pause_y[len(self._pause_y) // 3 :] if t_s >= coasted_s]
         if len(still) < _FEWEST_STILL:
             return 0.0
-        if self._turns(still):
+        if turns(still, 0.25 * self.motion_rad, self.noise_rad):
             if elapsed_s > 10.0 * self.rest_s:
                 raise Fault("DRIVE_STUCK_ON", f"the shaft still turns {elapsed_s:.1f} s after the drive was set to 0 V")
             return 0.0

@@ -384,12 +384,7 @@ class RelayTest(RelayLaw[Relay]):
     unshown: UnshownMotion | None = None
 
     def __init__(
-        self,
-        relay: Relay,
-        detector: CycleDetector,
-        gains_V: tuple[float, float],
-        cycles: int,
-        timeout_s: float,
+        self, relay: Relay, detector: CycleDetector, gains_V: tuple[float, float], cycles: int, timeout_s: float
     ) -> None:
         super().__init__(relay, detector)
         self.cycles = cycles

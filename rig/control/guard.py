@@ -203,14 +203,12 @@ class Guard:
             allowed = fastest_rad_s * since_s + 12.0 * self.settings.noise_rad
             if step > allowed:
                 raise Fault(
-                    "SENSOR_JUMP",
-                    f"{step:.3f} rad in {since_s * 1e3:.1f} ms; at most {allowed:.3f} rad is possible",
+                    "SENSOR_JUMP", f"{step:.3f} rad in {since_s * 1e3:.1f} ms; at most {allowed:.3f} rad is possible"
                 )
         self.velocity_rad_s = self._velocity.step(sample.t_s, sample.y_rad)
         if self._stays_too_fast(sample.t_s):
             raise Fault(
-                "OVERSPEED",
-                f"{abs(self.velocity_rad_s):.1f} rad/s; limit {self.settings.max_speed_rad_s:.1f} rad/s",
+                "OVERSPEED", f"{abs(self.velocity_rad_s):.1f} rad/s; limit {self.settings.max_speed_rad_s:.1f} rad/s"
             )
 
     @property

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from statistics import fmean
 
-from rig.control.breakaway import BreakawayFound
+from rig.control.breakaway import BreakawayFound, turns
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 
@@ -37,12 +37,7 @@ class Homing:
     yd_rad = math.nan
 
     def __init__(
-        self,
-        found: BreakawayFound,
-        max_V: float,
-        tolerance_rad: float,
-        period_s: float,
-        timeout_s: float,
+        self, found: BreakawayFound, max_V: float, tolerance_rad: float, period_s: float, timeout_s: float
     ) -> None:
         if not (found.plus_V > 0.0 and found.minus_V > 0.0 and tolerance_rad > 0.0):
             raise ValueError("homing needs breakaway levels > 0 V and a tolerance > 0 rad")
@@ -86,7 +81,9 @@ class Homing:
 
     def _look(self, y_rad: float) -> None:
         self._window.append(y_rad)
-        if len(self._window) < (self._window.maxlen or 0) or self._turns():
+        if len(self._window) < (self._window.maxlen or 0) or turns(
+            list(self._window), 0.5 * self.tolerance_rad, self.noise_rad
+        ):
             return
         before_rad, self.rest_rad = self.rest_rad, fmean(self._window)
         if abs(self.rest_rad) <= self.tolerance_rad:
@@ -98,12 +95,6 @@ class Homing:
         self._gone = 0
         self._direction = way
         self.strokes += 1
-
-    def _turns(self) -> bool:
-        y = list(self._window)
-        half = len(y) // 2
-        drift = abs(fmean(y[half:]) - fmean(y[:half]))
-        return drift > max(0.5 * self.tolerance_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
 
     def _learn(self, before_rad: float) -> None:
         """Learn from the last stroke: how far a stroke of one tick would go, and whether its drive was right."""

@@ -59,12 +59,7 @@ class StateFeedback:
     z_rad_s = math.nan
 
     def __init__(
-        self,
-        motor: Motor | FramedMotor,
-        observer: MotorObserver,
-        gains: Gains,
-        program: Program,
-        limits: DriveLimits,
+        self, motor: Motor | FramedMotor, observer: MotorObserver, gains: Gains, program: Program, limits: DriveLimits
     ) -> None:
         self.motor = known(motor)
         self.observer = observer

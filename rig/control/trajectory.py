@@ -48,11 +48,7 @@ class SumOfSines:
         w, dw, ddw = _smooth_step(t_s / self.fade_s)
         dw, ddw = dw / self.fade_s, ddw / self.fade_s**2
         gap = y - self.start_rad
-        return Reference(
-            self.start_rad + w * gap,
-            w * v + dw * gap,
-            w * a + 2.0 * dw * v + ddw * gap,
-        )
+        return Reference(self.start_rad + w * gap, w * v + dw * gap, w * a + 2.0 * dw * v + ddw * gap)
 
 
 def _smooth_step(s: float) -> tuple[float, float, float]:

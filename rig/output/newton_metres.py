@@ -35,10 +35,6 @@ class Quantity(NamedTuple):
         """Its half width, % of it; inf where it is 0."""
         return 100.0 * self.u95 / abs(self.value) if self.value else math.inf
 
-    def as_json(self) -> JsonObject:
-        """Both."""
-        return {"value": self.value, "u95": self.u95}
-
 
 @dataclass(frozen=True)
 class Load:
@@ -95,7 +91,7 @@ class NewtonMetres:
         found: JsonObject = {"ok": self.verdict == "ok", "verdict": self.verdict, "reasons": list(self.reasons)}
         for name in list(self.__dataclass_fields__)[2:]:
             value = getattr(self, name)
-            found[name] = value.as_json() if isinstance(value, Quantity) else value
+            found[name] = value._asdict() if isinstance(value, Quantity) else value
         return found
 
 
@@ -220,7 +216,8 @@ def inertia_V_s2_rad(answer: Answer) -> Quantity:
         scatter = min(0.5 * (high - low), one.u95)
         halves.append(scatter / one.value)
         share += (one.u95**2 - scatter**2) / one.value**2
-    share += halves[0] ** 2 + halves[1] ** 2 - 2.0 * _correlation(answer) * halves[0] * halves[1]
+    correlation = answer.correlation_of("tau_s", "K_rad_s_V") or 0.0
+    share += halves[0] ** 2 + halves[1] ** 2 - 2.0 * correlation * halves[0] * halves[1]
     ratio = tau.value / gain.value
     return Quantity(ratio, ratio * math.sqrt(max(share, 0.0)))
 
@@ -229,15 +226,6 @@ def _number(answer: Answer, name: str) -> Quantity:
     value = known(answer.value(name))
     low, high = answer.at_95(name) or (value, value)
     return Quantity(value, 0.5 * (high - low))
-
-
-def _correlation(answer: Answer) -> float:
-    names = answer.covariance_of
-    if answer.correlation is None or "tau_s" not in names or "K_rad_s_V" not in names:
-        return 0.0
-    row = answer.correlation[names.index("tau_s") :][:1]
-    found = known(next(iter(row[0][names.index("K_rad_s_V") :]), None)) if row else math.nan
-    return min(max(found, -1.0), 1.0) if math.isfinite(found) else 0.0
 
 
 def _supply_error(answer: Answer) -> float:

@@ -57,7 +57,8 @@ from rig.run_folder.results import (
     ScriptCall,
 )
 from rig.run_folder.results.reading import DamagedError, parsed
-from rig.running.experiment import BREAKAWAY_LAW, SEARCH_LAW, configured_law, stages
+from rig.running.experiment import stages
+from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW, configured_law
 from rig.running.experiment.survey import survey, sweep
 from rig.running.experiment.thorough import test_once_more
 from rig.running.experiment.until import drive_until
@@ -254,11 +255,7 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     drive: Script
     match what.name:
         case "run" | "relay" | "survey" if e.relay.until is not None:
-            drive = partial(
-                drive_until,
-                known=_known(recording),
-                advisers=RecordedAdvice(_decisions(recording)),
-            )
+            drive = partial(drive_until, known=_known(recording), advisers=RecordedAdvice(_decisions(recording)))
         case "run" | "relay":
             drive = stages.drive_tests
         case "survey":

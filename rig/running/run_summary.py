@@ -89,6 +89,13 @@ class Findings:
     stopped: StoppedResult | None = None
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def checked(self) -> BreakawayCheck:
+        """The breakaway check. Raises ValueError if there was none."""
+        if self.breakaway is None:
+            raise ValueError("no test begins before the breakaway check")
+        return self.breakaway
+
 
 def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: datetime) -> RunMeta:
     """meta.json of a run that begins on an open bench."""
@@ -274,9 +281,7 @@ def _loop(statistics: LoopStatistics, real_time: RealTimeReport | None) -> LoopR
 
 
 def _faults(fault: Fault | None) -> tuple[FaultReport, ...]:
-    if fault is None:
-        return ()
-    return (FaultReport(code=fault.code, cause=fault.cause, cure=fault.cure, detail=fault.detail),)
+    return () if fault is None else (FaultReport(**fault.as_dict()),)
 
 
 def _link_counts(told: Mapping[str, object]) -> tuple[dict[str, int], list[str]]:

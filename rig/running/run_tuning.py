@@ -17,14 +17,13 @@ from rig.config import ConfigError, Experiment
 from rig.config.schema import LawSection
 from rig.control.laws import TUNED
 from rig.control.state_feedback import Loop
-from rig.design.tune.known import motor_of
 from rig.design.tune.margins import Margins
 from rig.design.tune.prediction import Prediction, predict
 from rig.design.tune.program import Room, Trial, whole_trial
 from rig.design.tune.result import result_of
 from rig.design.tune.servo_loop import PositionMode, ServoLoop, servo_loop
 from rig.design.tune.trial import Record, Sensing
-from rig.design.tune.tuning import Tuned, TuneError, Wish, tune
+from rig.design.tune.tuning import Tuned, TuneError, Wish, motor_of, tune
 from rig.design.tune.uncertain import UncertainMotor
 from rig.identification.known_model import is_printed, printed
 from rig.output.report import write_report
@@ -92,11 +91,7 @@ class TunedRun:
                 "latency_s": self.latency_s,
                 "further_s": motor.delay_s - self.latency_s,
             },
-            "gains": {
-                "speed_1_s": gains.speed_1_s,
-                "place_1_s2": gains.place_1_s2,
-                "integral": gains.integral,
-            },
+            "gains": {"speed_1_s": gains.speed_1_s, "place_1_s2": gains.place_1_s2, "integral": gains.integral},
             "limits": {"largest_V": sensing.largest_V, "shown_rad": sensing.shown_rad},
             "program": [dict(part) for part in self.trial.parts],
         }

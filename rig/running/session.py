@@ -201,12 +201,7 @@ def _came_late(reason: str) -> str:
 
 
 def _begin(
-    experiment: Experiment,
-    parent: Path,
-    what: ScriptCall,
-    bench: Bench,
-    stop: StopRequest,
-    started: datetime,
+    experiment: Experiment, parent: Path, what: ScriptCall, bench: Bench, stop: StopRequest, started: datetime
 ) -> tuple[Session, Recorder]:
     """Make the run folder, its recorder and the loop."""
     command = "rehearsal" if is_rehearsal(bench, experiment) else what.name
@@ -220,11 +215,7 @@ def _begin(
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
     _tell_time(stop, loop, bench.clock)
     tried = bench.info.emulated and experiment.limits.is_endless
-    first_notes = [
-        *no_flag,
-        *bench.info.remarks,
-        *(_latched(code, tried) for code in bench.info.acknowledged),
-    ]
+    first_notes = [*no_flag, *bench.info.remarks, *(_latched(code, tried) for code in bench.info.acknowledged)]
     supply = _supply(experiment, bench).objection
     first_notes += [] if supply is None else [supply]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
@@ -395,18 +386,13 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         )
     except Exception as error:  # noqa: BLE001 - a result that says why is better than none
         outcome.failures.append(f"the result is incomplete: {_defect(error)}")
-        outcome.result = _least_result(session, outcome)
+        notes = [*session.found.notes, *outcome.failures]
+        outcome.result = least_result(session.bench, session.experiment, session.loop.statistics, notes, outcome.fault)
     try:
         session.require_own_folder()
         write_result(session.folder, outcome.result, follows_links=False)
     except RecordingError as error:
         outcome.fail(error)
-
-
-def _least_result(session: Session, outcome: Outcome) -> RunResult:
-    """The result that needs nothing but the notes."""
-    notes = [*session.found.notes, *outcome.failures]
-    return least_result(session.bench, session.experiment, session.loop.statistics, notes, outcome.fault)
 
 
 def _measure_tracking(session: Session, outcome: Outcome) -> None:
@@ -421,23 +407,16 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
             real = session.found.real_motors.get(method)
             measured_rad = recording.y_rad[rows] if real is None else real.positions(recording.y_rad[rows])
             rms_rad, max_rad = tracking_error(t_s, measured_rad, yd_rad, after_s=FADE_S)
-            true = (
-                None if (y_rad := _true_position(session, t_s)) is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
-            )
+            y_rad = _true_position(session, t_s)
+            true_rms_rad, true_max_rad = (None, None) if y_rad is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
         except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
             words = error.cause if isinstance(error, RecordingError) else _defect(error)
             tracking[method] = TrackingResult(not_run=f"it ran, but its recording cannot be read: {words}")
             outcome.failures.append(f"no tracking error of {method}: {words}")
         else:
-            true_rms_rad, true_max_rad = (None, None) if true is None else true
-            tracking[method] = tracking[method].model_copy(
-                update={
-                    "rms_rad": rms_rad,
-                    "max_rad": max_rad,
-                    "true_rms_rad": true_rms_rad,
-                    "true_max_rad": true_max_rad,
-                }
-            )
+            errors: dict[str, float | None] = {"rms_rad": rms_rad, "max_rad": max_rad}
+            errors |= {"true_rms_rad": true_rms_rad, "true_max_rad": true_max_rad}
+            tracking[method] = tracking[method].model_copy(update=errors)
 
 
 def _true_position(session: Session, t_s: Array) -> Array | None:

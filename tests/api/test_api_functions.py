@@ -237,7 +237,7 @@ def test_importing_rig_loads_nothing_that_is_slow_and_what_drives_no_matplotlib(
     code = """
 import sys, rig
 print([m for m in ("numpy", "scipy", "matplotlib", "pydantic") if m in sys.modules])
-import rig.running.experiment
+import rig.running.experiment.script
 print([m for m in ("numpy", "scipy.optimize", "matplotlib") if m in sys.modules])
 """
     said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

@@ -16,7 +16,7 @@ from rig.backends.driver import DriverSettings
 from rig.backends.registry import connect
 from rig.config import Experiment
 from rig.core.faults import Fault
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from rig.running.preflight import check
 from rig.testing import conformance
 

@@ -157,10 +157,7 @@ def test_every_board_sensor_and_limits_run_on_their_emulated_chip(
         ((), "give --yes --bridge NAME --no-load-rpm RPM;"),
         (("--sensor", "encoder", *ANSWERED[1:]), "give --yes --counts-per-turn COUNTS;"),
         (("--yes", "--sensor", "encoder"), "--bridge, --no-load-rpm, --counts-per-turn have no default"),
-        (
-            (*ANSWERED, "--counts-per-turn", 64),
-            "--counts-per-turn belongs to --sensor encoder, not to potentiometer",
-        ),
+        ((*ANSWERED, "--counts-per-turn", 64), "--counts-per-turn belongs to --sensor encoder, not to potentiometer"),
         ((*ANSWERED, "--turns", 5), "--turns belongs to --limits turns, not to stops"),
         (("--yes", "--bridge", "l298n"), "--no-load-rpm has no default"),
         (("--servo", "xl430"), "its speed without load is missing"),

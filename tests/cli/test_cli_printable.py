@@ -16,7 +16,7 @@ from rig.backends.driver import DeviceInfo
 from rig.backends.modbus.requests import identity_of
 from rig.cli import main
 from rig.core.faults import Fault
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 CLEAR = "\x1b[2J\x1b]0;owned\x07"

@@ -20,10 +20,7 @@ from rig.running.preflight import check
 
 pytestmark = pytest.mark.realtime
 
-SERVOS = [
-    ServoOptions(model="xl330-m288", id=1),
-    ServoOptions(model="xl330-m077", id=7, registers={"drive_mode": 8}),
-]
+SERVOS = [ServoOptions(model="xl330-m288", id=1), ServoOptions(model="xl330-m077", id=7, registers={"drive_mode": 8})]
 
 
 @pytest.fixture

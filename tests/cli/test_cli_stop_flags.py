@@ -194,11 +194,7 @@ def test_a_command_that_records_nothing_begins_beside_nothing_and_not_while_a_pa
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.run_folder.live.unrecorded._WAIT_S", 0.05)
-    with (
-        processes.one_at_a_time(tmp_path),
-        pytest.raises(BusyError, match="starts something"),
-        told(tmp_path, "home"),
-    ):
+    with processes.one_at_a_time(tmp_path), pytest.raises(BusyError, match="starts something"), told(tmp_path, "home"):
         pass
     (folder := tmp_path / "20260101T000000Z-run-bench").mkdir()
     with StopFlag() as flag:

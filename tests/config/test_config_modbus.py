@@ -346,10 +346,7 @@ def test_a_relay_in_the_device_is_not_for_modbus() -> None:
         ("/dev/ttyUSB0", "a REAL MOTOR behind /dev/ttyUSB0, Modbus RTU, unit 1, 115200 baud"),
         ("tcp://10.0.0.7", "a REAL MOTOR behind tcp://10.0.0.7, Modbus TCP, unit 1"),
         ("emulated", "an emulated I/O block, Modbus RTU, unit 1, 115200 baud, virtual time, nothing moves"),
-        (
-            "emulated-realtime",
-            "behind a pseudo-terminal, Modbus RTU, unit 1, 115200 baud, real time, nothing moves",
-        ),
+        ("emulated-realtime", "behind a pseudo-terminal, Modbus RTU, unit 1, 115200 baud, real time, nothing moves"),
         ("emulated-tcp", "an emulated I/O block, Modbus TCP, unit 1, virtual time, nothing moves"),
         ("emulated-tcp-realtime", "on a port of this machine, Modbus TCP, unit 1, real time, nothing moves"),
     ],

@@ -24,7 +24,7 @@ from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import plain
 from rig.run_folder.recording.reader import read_run
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from rig.running.experiment.stages import breakaway_check as check_of
 from rig.running.preflight.breakaway_strokes import UNSEEN_RAD, _sheet, _unseen_rad, breakaway_strokes, has_strokes
 from unseen_travel import check, suited, trials, with_late_tick

@@ -137,9 +137,7 @@ def test_the_step_s_own_time_counts_where_it_is_longer() -> None:
 
 
 @pytest.mark.parametrize(
-    "search",
-    [replace(SEARCH, h_max_V=1.6), replace(SEARCH, sum_max_V=2.2)],
-    ids=["largest gain", "largest sum"],
+    "search", [replace(SEARCH, h_max_V=1.6), replace(SEARCH, sum_max_V=2.2)], ids=["largest gain", "largest sum"]
 )
 def test_where_the_largest_gains_do_nothing_it_gives_up(search: SearchRange) -> None:
     looking = new_search(search)

@@ -180,9 +180,7 @@ def test_the_same_seed_gives_the_same_samples_byte_for_byte(tmp_path: Path) -> N
     ],
 )
 def test_each_bad_bench_ends_in_its_fault_with_a_cure_and_a_readable_folder(
-    tmp_path: Path,
-    changes: dict[str, object],
-    code: str,
+    tmp_path: Path, changes: dict[str, object], code: str
 ) -> None:
     result = rig("run", written(tmp_path, **changes), "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1, result.output

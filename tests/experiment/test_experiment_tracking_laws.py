@@ -19,7 +19,7 @@ from rig.identification.motor_law import FoundLaw
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.results import HoldsResult, known
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from rig.running.replay import replay
 from tracking_table import BENCHES, SEEDS, bench, compare
 
@@ -59,7 +59,7 @@ def sagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Ident
     ("name", "law", "seeds"),
     [
         # of one seed: test_track_drives_with_the_laws_of_another_run_and_without_them_if_told
-        *evidence((SAG, "sag", SEEDS), (STRIBECK, "stribeck", SEEDS), (UNBALANCED, "force_over_position", SEEDS)),
+        *evidence((SAG, "sag", SEEDS), (STRIBECK, "stribeck", SEEDS), (UNBALANCED, "force_over_position", SEEDS))
     ],
 )
 def test_with_the_laws_the_error_is_at_most_half_at_each_seed(

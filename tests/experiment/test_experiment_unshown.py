@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from evidence import evidence
 
-import rig.running.experiment
 import rig.running.session
 from campaign_real.departing_bench import DepartingShaft, config_of, open_bench
 from campaign_real.departing_motor import Bench
@@ -36,7 +35,7 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
 from rig.run_folder.recording.reader import read_run
-from rig.running.experiment import stages, until
+from rig.running.experiment import script, stages, until
 from rig.running.experiment.stages import armed_check, prepared
 from rig.running.session import Session
 from stopping.in_memory import driven
@@ -286,12 +285,12 @@ def test_a_relay_test_whose_first_cycle_never_comes_ends_with_a_stuck_sensor(
     e = config.load(ROOT / "config/device-relay.yaml")
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.15, h2_V=0.5),), cycles=5)
     e = e.model_copy(update={"relay": relay})
-    check = read_run(rig.running.experiment.run_breakaway(e, tmp_path).folder)
+    check = read_run(script.run_breakaway(e, tmp_path).folder)
     fails_s = float(check.t_s[-1])
     assert e.emulated is not None
     wires = e.emulated.wiring.model_copy(update={"sensor": "stuck", "fault_after_s": fails_s})
     e = e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wires})})
-    outcome = rig.running.experiment.run_relay(e, tmp_path)
+    outcome = script.run_relay(e, tmp_path)
     run = read_run(outcome.folder)
     assert outcome.failure.startswith("SENSOR_STUCK"), outcome.failure
     rows = run.stage_rows("relay-1")

@@ -150,10 +150,7 @@ def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
 @pytest.mark.usefixtures("plain_motor")
 @pytest.mark.parametrize(
     ("bounds", "words"),
-    [
-        ({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"),
-        ({"most_cycles": 3}, "most_cycles, 3, are driven"),
-    ],
+    [({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"), ({"most_cycles": 3}, "most_cycles, 3, are driven")],
 )
 def test_what_is_not_known_in_time_ends_at_its_bound_and_is_identified(
     bounds: dict[str, Any], words: str, tmp_path: Path

@@ -52,13 +52,7 @@ def checked(
     ],
 )
 def test_swapped_wires_are_not_taken_for_a_delay_nor_a_delay_for_swapped_wires(
-    tmp_path: Path,
-    motor: dict[str, float],
-    max_V: float,
-    no_load_rad_s: float,
-    seed: int,
-    reversed_: bool,
-    code: str,
+    tmp_path: Path, motor: dict[str, float], max_V: float, no_load_rad_s: float, seed: int, reversed_: bool, code: str
 ) -> None:
     wiring = {"wiring": {"drive": "reversed"}} if reversed_ else {}
     outcome = checked(tmp_path, motor, max_V, no_load_rad_s, seed, **wiring)

@@ -32,8 +32,6 @@ from raised import fault_of
 from simulated_bench import CALIBRATION, GUARD, LIMITS
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
 
-import rig.running.experiment
-import rig.running.session
 from rig.backends.driver import RelayDriver, RelayRow, StrokeDriver
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -56,6 +54,7 @@ from rig.model.bench import SensorWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.run_folder.recording.reader import read_run
+from rig.running.experiment import script
 
 LAWS = pytest.mark.parametrize("law", [RELAY, STROKES], ids=["relay", "strokes"])
 START = pytest.mark.parametrize("start", [start_relay, start_strokes], ids=["relay", "strokes"])
@@ -507,7 +506,7 @@ def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
 def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
     relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.4, h2_V=0.85),), cycles=5)
-    outcome = rig.running.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
+    outcome = script.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""
     recording = read_run(outcome.folder)
     rows = recording.stage_rows("relay-1")

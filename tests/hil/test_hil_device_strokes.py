@@ -15,7 +15,6 @@ from raised import fault_of
 from simulated_bench import GUARD, LIMITS
 from virtual_host import BENCH, HELD, VirtualHost
 
-import rig.running.experiment
 from rig.backends.driver import StrokeTimes
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.firmware_laws import FirmwareStrokes
@@ -35,6 +34,7 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.results import ScriptCall
+from rig.running.experiment import script
 from rig.running.experiment.script import BREAKAWAY_LAW
 from rig.running.experiment.until import drive_until
 from rig.running.replay import replay
@@ -244,6 +244,6 @@ def test_old_firmware_is_refused_before_anything_is_driven(tmp_path: Path, monke
     unpack = Hello.unpack
     monkeypatch.setattr(Hello, "unpack", lambda body: unpack(body)._replace(features=0))
     with pytest.raises(Fault) as caught:
-        rig.running.experiment.run_relay(config.model_copy(update={"relay": relay}), tmp_path)
+        script.run_relay(config.model_copy(update={"relay": relay}), tmp_path)
     assert caught.value.code == "CONFIG_MISMATCH" and "rig flash" in str(caught.value)
     assert not list(tmp_path.iterdir())

@@ -25,9 +25,8 @@ from rig.run_folder.live.stop_flag import NAME, StopError, StopFlag, Unrecorded,
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recorder import Recorder
 from rig.run_folder.recording.recording import Recording
-from rig.running import experiment as script
 from rig.running import session
-from rig.running.experiment import stages
+from rig.running.experiment import script, stages
 from rig.running.replay import replay
 from rig.running.session import Outcome
 

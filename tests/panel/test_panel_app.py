@@ -206,10 +206,7 @@ def test_what_others_wrote_into_the_folder_of_runs_hides_none_of_the_rest(tmp_pa
         rows = client.get("/api/runs").json()["runs"]
         assert [row["name"] for row in rows] == odd[::-1]
         assert "larger than" in rows[0]["notes"][0]
-        for name in (
-            *unseen,
-            "20260112T000000Z-" + "\u0416" * 180,
-        ):
+        for name in (*unseen, "20260112T000000Z-" + "\u0416" * 180):
             error(client.get(f"/api/runs/{quote(os.fsencode(name))}"), 404)
         wait_until(lambda: client.get("/api/state").json()["run"] == unseen[0])
 

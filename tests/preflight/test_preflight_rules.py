@@ -378,12 +378,7 @@ def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Pa
     assert f"sensor [{low:.4g}, {high:.4g}] rad" in text
 
 
-@given(
-    tau_s=st.floats(0.05, 0.2),
-    fc_V=st.floats(0.0, 0.6),
-    speed=st.floats(0.5, 5.5),
-    latency_s=st.floats(0.0, 0.03),
-)
+@given(tau_s=st.floats(0.05, 0.2), fc_V=st.floats(0.0, 0.6), speed=st.floats(0.5, 5.5), latency_s=st.floats(0.0, 0.03))
 @settings(max_examples=examples(100), deadline=None)
 def test_the_stopping_sum_bounds_what_the_exact_motor_travels(
     tau_s: float, fc_V: float, speed: float, latency_s: float

@@ -205,10 +205,7 @@ def test_a_run_without_meta_and_with_a_torn_event_is_read(tmp_path: Path) -> Non
     (tmp_path / "events.jsonl").write_text('{"t_s": 0.0, "kind": "stage"}\n{"t_s": 0.')
     run = read_run(tmp_path)
     assert len(run.events) == 1
-    assert run.notes == (
-        "meta.json is missing",
-        "events.jsonl: line 2, the last, is torn and was left out (10 bytes)",
-    )
+    assert run.notes == ("meta.json is missing", "events.jsonl: line 2, the last, is torn and was left out (10 bytes)")
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
@@ -248,11 +245,7 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
             "such as --time t:UNIT --drive u:UNIT --position deg, with the column's own unit for UNIT: of time s,"
             " ms or us, of drive V, mV, .* or percent$",
         ),
-        (
-            "time_ms,voltage_mV,angle_deg\n" + ROWS,
-            1,
-            "--time ms --drive mV --position deg$",
-        ),
+        ("time_ms,voltage_mV,angle_deg\n" + ROWS, 1, "--time ms --drive mV --position deg$"),
         (
             "millis,pwm,count\n" + ROWS,
             1,

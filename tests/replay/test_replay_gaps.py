@@ -14,7 +14,7 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.config import Experiment
 from rig.core.signals import FLAG_SKIPPED
 from rig.run_folder.recording.reader import read_run
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from rig.running.replay import replay
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "demo.yaml"

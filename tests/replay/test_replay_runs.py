@@ -19,7 +19,7 @@ from rig.core.faults import Fault
 from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Sample
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.reader import read_run
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from rig.running.replay import replay
 
 ROOT = Path(__file__).resolve().parents[2]

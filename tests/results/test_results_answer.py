@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rig as api
-from rig.design.tune.known import motor_of
+from rig.design.tune.tuning import motor_of
 from rig.identification.known_model import known_model
 from rig.output.compare.compared_run import read_run as read_compared
 from rig.output.export.motor import identified_motor

@@ -18,7 +18,7 @@ from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.results import Part, RunMeta, RunResult
 from rig.run_folder.results.json_schema import schema_text
 from rig.run_folder.results.reading import parsed, unknown_keys
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = sorted(path.parent for path in (ROOT / "tests/golden").glob("*/meta.json"))

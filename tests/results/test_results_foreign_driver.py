@@ -10,7 +10,7 @@ import pytest
 from rig import config as configs
 from rig.backends.driver import DeviceInfo
 from rig.backends.simulated.driver import SimulatedDriver
-from rig.running.experiment import run_breakaway
+from rig.running.experiment.script import run_breakaway
 
 ROOT = Path(__file__).resolve().parents[2]
 

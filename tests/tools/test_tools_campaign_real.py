@@ -132,7 +132,7 @@ def test_a_small_drag_that_two_relay_tests_hide_shows_in_a_whole_run() -> None:
             (17, 131, True, {"drift", "cogging"}, "ok"),
             (19, 107, True, {"drift", "bristle"}, "ok"),
             (19, 383, False, {"viscous_by_direction"}, "ok"),  # of its motion the law leaves 2 %, so it is the bench's
-        ),
+        )
     ],
     ids=[
         "9,413 rows: a mean of the relay's levels is no drive",

@@ -14,13 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from paper.ideal_relay import (
-    Relay,
-    RelayRun,
-    half_periods,
-    ideal_relay,
-    settled_cycle,
-)
+from paper.ideal_relay import Relay, RelayRun, half_periods, ideal_relay, settled_cycle
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State

@@ -45,7 +45,7 @@ def test_a_plain_motor_is_known_within_seconds_and_its_intervals_hold() -> None:
             (40, 12.0),  # fast: breakaway strokes show its friction at 1.7 times what it is; 25 s with that level
             (186, 20.0),  # slow: noise looked like a first motion at 0.75 of its friction; the guard said SENSOR_STUCK
             (307, 10.0),  # its noise at rest comes out at 0.84 of what it is; without another look 41.5 s, not known
-        ),
+        )
     ],
 )
 def test_healthy_motors_that_are_hard_to_see_are_known_in_time(number: int, most_s: float) -> None:

@@ -151,12 +151,7 @@ def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp
 
     def rig(*words: str) -> str:
         done = subprocess.run(
-            [home / "bin" / "rig", *words],
-            cwd=tmp_path,
-            env=clean,
-            check=True,
-            capture_output=True,
-            text=True,
+            [home / "bin" / "rig", *words], cwd=tmp_path, env=clean, check=True, capture_output=True, text=True
         )
         return done.stdout
 

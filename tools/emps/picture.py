@@ -36,8 +36,7 @@ def picture(one: Found) -> bytes:
             part = slice(first, stop, EVERY)
             rows[2].plot(series.t_s[part], 1e3 * pieces[part], color=COLOURS[k % 2])
         _shade(rows, [(series.t_s[a], series.t_s[b - 1]) for a, b in spans[1::2]])
-        rows[2].set_ylabel("pieces of 2 s less\nrecorded, mm")
-        rows[2].set_xlabel("time, s (shaded: held out from the fit)")
+        rows[2].set(ylabel="pieces of 2 s less\nrecorded, mm", xlabel="time, s (shaded: held out from the fit)")
         for row in rows[1:]:
             row.axhline(0.0, color=MUTED, lw=0.7)
         rows[0].set_xlim(float(series.t_s[0]), float(series.t_s[-1]))

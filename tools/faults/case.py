@@ -45,8 +45,7 @@ from rig.identification import Identification, IdentifyError, identify
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.stage import StageKind, kind_of
-from rig.running import experiment as script
-from rig.running.experiment import zero
+from rig.running.experiment import script, zero
 from rig.running.preflight import check
 from rig.testing.line import lines_opened_by
 

@@ -415,8 +415,7 @@ def _courses(result: Result) -> Picture:
         for axes in panels[:, column]:
             shade_stages(axes, f.cycle, 2.0)
         panels[0, column].set_title(f"h1 = {f.gains.h1_V:g} V,  h2 = {f.gains.h2_V:g} V")
-        panels[4, column].set_xlabel("time since the drive stepped up, s")
-        panels[4, column].set_xlim(0.0, 2.0 * f.cycle.period_s)
+        panels[4, column].set(xlabel="time since the drive stepped up, s", xlim=(0.0, 2.0 * f.cycle.period_s))
     names = ("y, rad", "v, rad/s", "z, rad s", "u, V\n(RB, RC)", "−f_c sgn v, V\n(RA)")
     for axes, text in zip(panels[:, 0], names, strict=True):
         axes.set_ylabel(text)
@@ -490,13 +489,10 @@ def _convergence(result: Result) -> Picture:
             right.semilogy(halves, run.distance[5] * size ** (halves - 6.0), "k--", lw=1.2, label=f"{size:.4f} each")
     left.plot(curve["y"], curve["v"], color=EXACT, lw=2.0, label="limit cycle")
     zero(left)
-    left.set_xlabel("position y, rad")
-    left.set_ylabel("velocity v, rad/s")
+    left.set(xlabel="position y, rad", ylabel="velocity v, rad/s")
     left.set_ylim(top=15.5)
     left.legend(loc="upper right", title="from", fontsize=7.5)
-    right.set_xlabel("switching of RC")
-    right.set_ylabel("distance from the cycle")
-    right.set_xlim(0.0, 20.0)
+    right.set(xlabel="switching of RC", ylabel="distance from the cycle", xlim=(0.0, 20.0))
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
     right.legend(loc="upper right")
     return finish(
@@ -514,8 +510,7 @@ def _decays(result: Result) -> Picture:
     for axes, run in zip(panels, result.decays, strict=True):
         axes.plot(run.t_s, run.y_rad, color=INK)
         zero(axes)
-        axes.set_title(f"h2 = {run.h2_V:g} V: {'comes to rest' if run.at_rest else 'a cycle'}")
-        axes.set_xlabel("time, s")
+        axes.set(title=f"h2 = {run.h2_V:g} V: {'comes to rest' if run.at_rest else 'a cycle'}", xlabel="time, s")
     panels[0].set_ylabel("position y, rad")
     return finish(
         figure,
@@ -579,8 +574,7 @@ def _properties(result: Result) -> Picture:
         axes.axvspan(0.3, surviving.FC_V, color="#f3e3e3", lw=0)
     note(panels[1, 0], "no cycle:\nh2 ≤ fc", loc="upper left", colour="#9a1b1b")
     for row, text in enumerate(("amplitude, rad", "frequency, Hz")):
-        panels[row, 0].set_ylabel(text)
-        panels[row, 0].set_yscale("log")
+        panels[row, 0].set(ylabel=text, yscale="log")
     return finish(
         figure,
         "Amplitude and frequency of the cycle over both gains.",

@@ -353,11 +353,9 @@ def _recursion_figure(result: Result) -> Picture:
         for axes in panels:
             axes.plot(np.arange(1, trace.size + 1), trace, color=ink, label=name)
     whole, end = panels
-    whole.set_ylabel("estimate of f_c, V")
-    whole.set_ylim(0.0, 0.56)
+    whole.set(ylabel="estimate of f_c, V", ylim=(0.0, 0.56))
     whole.legend(loc="lower right")
-    end.set_xlim(0.7 * surviving.LEAST_SQUARES_SAMPLES, surviving.LEAST_SQUARES_SAMPLES)
-    end.set_ylim(0.475, 0.505)
+    end.set(xlim=(0.7 * surviving.LEAST_SQUARES_SAMPLES, surviving.LEAST_SQUARES_SAMPLES), ylim=(0.475, 0.505))
     end.set_title("the end of it")
     return finish(
         figure,
@@ -375,9 +373,7 @@ def _starts_figure(result: Result) -> Picture:
     for (starts, trace), ink in zip(result.by_start.items(), inks, strict=True):
         name = f"from ({1e3 * starts[0]:g}, {1e3 * starts[1]:g}) mrad"
         axes.plot(np.arange(1, trace.size + 1), trace, color=ink, label=name)
-    axes.set_xlabel("sample")
-    axes.set_ylabel("estimate of f_c, V")
-    axes.set_ylim(-1.0, 1.6)
+    axes.set(xlabel="sample", ylabel="estimate of f_c, V", ylim=(-1.0, 1.6))
     axes.legend(loc="lower right")
     return finish(
         figure,

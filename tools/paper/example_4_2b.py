@@ -108,8 +108,7 @@ def _errors_figure(result: Result) -> Picture:
     for k, (name, ink, mark) in enumerate(PARAMETERS):
         axes.plot(result.second_V, 100.0 * result.relative_errors[:, k], mark, ms=3.5, color=ink, label=name)
     zero(axes)
-    axes.set_xlabel("h2 of the second experiment, V (first: 1 V; h1 and h2 − f_c scaled alike)")
-    axes.set_ylabel("error, %")
+    axes.set(xlabel="h2 of the second experiment, V (first: 1 V; h1 and h2 − f_c scaled alike)", ylabel="error, %")
     axes.set_ylim(top=4.0)
     axes.legend(loc="upper right", ncols=3)
     return finish(

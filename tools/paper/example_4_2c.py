@@ -373,8 +373,7 @@ def _paths(result: Result) -> Picture:
             error = np.abs(path.iterates / result.truth - 1.0).max(axis=1)
             shown = np.clip(error[:15], 1e-16, 1e8)
             axes.semilogy(np.arange(shown.size), shown, "o-", ms=3.0, color=ink, label=_start_text(trial.start))
-        axes.set_title(f"{which} Gauss-Newton")
-        axes.set_xlabel("iteration")
+        axes.set(title=f"{which} Gauss-Newton", xlabel="iteration")
         axes.axhline(EXACT, color="#c9ced6", lw=0.8, ls="--")
     panels[0].set_ylabel("largest relative error")
     panels[1].legend(loc="upper right", title="start (τ, K, f_c)")
@@ -398,11 +397,9 @@ def _map_figure(result: Result) -> Picture:
             rasterized=True,
         )  # fmt: skip
         axes.plot(result.truth[0], result.truth[1], "*", ms=11, color="#ffffff", mec="#1f2328", mew=0.8)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        axes.set(xscale="log", yscale="log")
         axes.grid(visible=False)
-        axes.set_title(f"{name}: {100 * np.isfinite(steps).mean():.0f} % of the starts")
-        axes.set_xlabel("τ of the start, s")
+        axes.set(title=f"{name}: {100 * np.isfinite(steps).mean():.0f} % of the starts", xlabel="τ of the start, s")
     panels[0].set_ylabel("K of the start, (rad/s)/V")
     if image is not None:
         figure.colorbar(image, ax=list(panels), label="iterations", pad=0.015)
@@ -431,8 +428,7 @@ def _ill_figure(result: Result) -> Picture:
         for k, (name, ink, mark) in enumerate(PARAMETERS):
             errors = 100.0 * np.abs(result.by_timing[kind][:, k])
             axes.loglog(1e3 * result.shift_s, errors, mark + "-", ms=3.0, color=ink, label=name)
-        axes.set_title(f"{kind} late")
-        axes.set_xlabel("by, ms")
+        axes.set(title=f"{kind} late", xlabel="by, ms")
     panels[0].set_ylabel("error, %")
     panels[0].legend(loc="upper left", ncols=3)
     return finish(

@@ -408,8 +408,7 @@ def _law_figure(result: Result) -> Picture:
     tau, K, fc = (float(v) for v in case.theta)
     damping = 1.0 / K - 1.0 / case.motor.K_rad_s_V
     left.plot(speeds, fc * np.sign(speeds) + damping * speeds, "--", color="#D55E00", label="as identified")
-    left.set_xlabel("velocity v, rad/s")
-    left.set_ylabel("friction f(v), V")
+    left.set(xlabel="velocity v, rad/s", ylabel="friction f(v), V")
     left.legend(loc="upper left")
     zero(left)
     gains = surviving.GAINS[0]
@@ -427,10 +426,8 @@ def _law_figure(result: Result) -> Picture:
     predicted = model.response(start, t, edges, drives)
     right.plot(t, predicted[:, 1], "--", color="#D55E00", label="identified model")
     plane.plot(predicted[:, 1], predicted[:, 0], "--", color="#D55E00")
-    plane.set_xlabel("position y, rad")
-    plane.set_ylabel("velocity v, rad/s")
-    right.set_xlabel("time since RC stepped up, s")
-    right.set_ylabel("position y, rad")
+    plane.set(xlabel="position y, rad", ylabel="velocity v, rad/s")
+    right.set(xlabel="time since RC stepped up, s", ylabel="position y, rad")
     low, high = right.get_ylim()
     right.set_ylim(low, high + 0.45 * (high - low))
     right.legend(loc="upper left")
@@ -453,8 +450,7 @@ def _sweep_figure(result: Result) -> Picture:
     axes.plot(result.step_V, 100.0 * result.ratio_errors, "k--", lw=1.2, label="τ/K")
     axes.axvline(FS_V - FC_V, color="#b9bfc7", lw=1.0, ls=":")
     zero(axes)
-    axes.set_xlabel("Stribeck step f_s − f_c, V")
-    axes.set_ylabel("error, %")
+    axes.set(xlabel="Stribeck step f_s − f_c, V", ylabel="error, %")
     axes.legend(loc="upper left", ncols=4)
     return finish(
         figure,

@@ -332,8 +332,7 @@ def _averaged_figure(result: Result) -> Picture:
         zero(axes)
     top.set_ylabel("position y, rad")
     middle.set_ylabel("less the exact, mrad")
-    bottom.set_ylabel(f"drive u, V\n(mean of {MOST})")
-    bottom.set_xlabel("time since RC stepped up, s")
+    bottom.set(ylabel=f"drive u, V\n(mean of {MOST})", xlabel="time since RC stepped up, s")
     return finish(
         figure,
         "One period of the limit cycle with noise, averaged over several periods, and the exact one.",
@@ -354,8 +353,7 @@ def _chatter_figure(result: Result) -> Picture:
     bottom.step(ms, c.mean_V, where="post", color="#0072B2", lw=1.6, label=f"mean of {c.periods} periods")
     bottom.axvline(1e3 * c.equivalent_s, color="#D55E00", lw=1.3, label="equivalent edge")
     bottom.axvline(1e3 * c.crossing_s, color="#009E73", lw=1.3, ls="--", label="RB in the exact cycle")
-    bottom.set_ylabel("drive u, V")
-    bottom.set_xlabel("time after the RC edge, ms")
+    bottom.set(ylabel="drive u, V", xlabel="time after the RC edge, ms")
     bottom.legend(loc="lower left")
     return finish(
         figure,
@@ -378,8 +376,7 @@ def _figure(result: Result) -> Picture:
         axes.loglog(guide, 100.0 * rms[0].mean() / np.sqrt(guide), ":", color="#6a737d", label="1/√N")
         axes.set_xticks(PERIODS, [str(n) for n in PERIODS])
         axes.minorticks_off()
-        axes.set_title(form)
-        axes.set_xlabel("periods averaged, N")
+        axes.set(title=form, xlabel="periods averaged, N")
     panels[0].set_ylabel("error, %")
     panels[0].legend(loc="lower left", ncols=4)
     return finish(

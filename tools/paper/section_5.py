@@ -32,7 +32,7 @@ from rig.output.report.style import Picture, colour
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.stage import Stage
 from rig.run_folder.results import TrackingResult, known
-from rig.running import experiment
+from rig.running.experiment import script as experiment
 from shared.table import Cell, Table, fixed, number, share, significant
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"
@@ -562,8 +562,7 @@ def _tracking_figure(result: Result) -> Picture:
         bottom.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         note(bottom, f"RMS {1e3 * track.rms_rad:.3g} mrad, shaft {1e3 * track.true_rms_rad:.3g}")
     panels[0, 0].set_ylabel("position, rad")
-    panels[1, 0].set_ylabel("error, mrad")
-    panels[1, 0].set_ylim(-1.5 * largest, 1.5 * largest)
+    panels[1, 0].set(ylabel="error, mrad", ylim=(-1.5 * largest, 1.5 * largest))
     low, high = panels[0, 0].get_ylim()
     panels[0, 0].set_ylim(low, high + 0.3 * (high - low))
     panels[0, 0].legend(loc="upper right", ncols=1)

@@ -15,12 +15,11 @@ from campaign_real.kinds import Case, Kind, case
 from rig.config.campaign import Campaign
 from rig.control.state_feedback import Loop
 from rig.core.estimators import LEADING
-from rig.design.tune.known import motor_of
 from rig.design.tune.margins import controller_matrices, margins, motor_matrices
 from rig.design.tune.prediction import predict, shown_of
 from rig.design.tune.program import steps_alone
 from rig.design.tune.trial import Sensing, driven
-from rig.design.tune.tuning import LEAST, TuneError, Wish, observer_of, tune
+from rig.design.tune.tuning import LEAST, TuneError, Wish, motor_of, observer_of, tune
 from rig.design.tune.uncertain import LinearMotor, UncertainMotor
 from rig.identification import IdentifyError, identify
 

@@ -23,11 +23,7 @@ class PauseWatch:
     """
 
     def __init__(
-        self,
-        driver: Driver,
-        clock: Clock,
-        period_s: float,
-        rail_counts: tuple[float, float] = (-math.inf, math.inf),
+        self, driver: Driver, clock: Clock, period_s: float, rail_counts: tuple[float, float] = (-math.inf, math.inf)
     ) -> None:
         self.longest_gap_s = 0.0
         self._driver = driver

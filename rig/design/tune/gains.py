@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from rig.control.set_point import BANDWIDTH_OF_SECOND_ORDER
 from rig.control.state_feedback import Gains, Loop
+from rig.run_folder.results.tuned import TunedPid
 
 INTEGRAL_POLE = 0.2  # the integral's pole over the others: it must not shape the step
 
@@ -25,23 +24,14 @@ def gains_for(loop: Loop, bandwidth_1_s: float, tau_s: float) -> Gains:
     return Gains(loop, w * (1.0 + a), 0.0, a * w * w)
 
 
-@dataclass(frozen=True)
-class Pid:
-    """u = Kp e + Ki int e dt + Kd de/dt + kS sgn(v_ref) + kV v_ref + kA a_ref, with e = reference - measured.
+def as_pid(gains: Gains, tau_s: float, K_rad_s_V: float) -> TunedPid:
+    """The same feedback as a PID controller of the position, or a PI controller of the velocity.
 
-    units   of Kp, Ki and Kd
+    u = Kp e + Ki int e dt + Kd de/dt + kS sgn(v_ref) + kV v_ref + kA a_ref, with e = reference - measured.
     """
-
-    Kp: float
-    Ki: float
-    Kd: float
-    units: tuple[str, str, str]
-
-
-def as_pid(gains: Gains, tau_s: float, K_rad_s_V: float) -> Pid:
-    """The same feedback as a PID controller of the position, or a PI controller of the velocity."""
     per = tau_s / K_rad_s_V
     speed = per * gains.speed_1_s - 1.0 / K_rad_s_V
     if gains.loop == "position":
-        return Pid(per * gains.place_1_s2, per * gains.integral, speed, ("V/rad", "V/(rad s)", "V s/rad"))
-    return Pid(speed, per * gains.integral, 0.0, ("V s/rad", "V/rad", "V s2/rad"))
+        units = ("V/rad", "V/(rad s)", "V s/rad")
+        return TunedPid(Kp=per * gains.place_1_s2, Ki=per * gains.integral, Kd=speed, units=units)
+    return TunedPid(Kp=speed, Ki=per * gains.integral, Kd=0.0, units=("V s/rad", "V/rad", "V s2/rad"))

@@ -19,7 +19,6 @@ from rig.run_folder.results.tuned import (
     TunedFeedForward,
     TunedMargins,
     TunedMeasure,
-    TunedPid,
     TunedResponse,
     TunedResult,
 )
@@ -39,7 +38,6 @@ def result_of(tuned: Tuned, prediction: Prediction, bench: Record | None, run: s
     law    name and options of the law
     """
     linear, position = tuned.motor.linear, tuned.wish.loop == "position"
-    pid = as_pid(tuned.gains, linear.tau_s, linear.K_rad_s_V)
     shown = None if bench is None else shown_of(tuned, bench, prediction.trial)
     measures = {}
     for name, one in prediction.ranges.items():
@@ -59,7 +57,7 @@ def result_of(tuned: Tuned, prediction: Prediction, bench: Record | None, run: s
         largest_bandwidth_rad_s=tuned.largest_1_s,
         bounded_by=tuned.bound_by,
         step=tuned.wish.step,
-        pid=TunedPid(Kp=pid.Kp, Ki=pid.Ki, Kd=pid.Kd, units=pid.units),
+        pid=as_pid(tuned.gains, linear.tau_s, linear.K_rad_s_V),
         feedforward=TunedFeedForward(
             kS_V=tuned.motor.framed.motor.fc_V,
             kV_V_s_rad=1.0 / linear.K_rad_s_V,

@@ -15,13 +15,16 @@ from rig.core.errors import CauseError
 from rig.design.tune.gains import gains_for
 from rig.design.tune.margins import Margins, controller_matrices, margins, motor_matrices, noise_V, open_loop, worst
 from rig.design.tune.trial import Sensing
-from rig.design.tune.uncertain import UncertainMotor
+from rig.design.tune.uncertain import OF, UncertainMotor
+from rig.identification.known_model import model_of
+from rig.run_folder.results import Answer
 
 LEAST = Margins(gain_dB=6.0, phase_deg=45.0, modulus=0.0)
 HIGHEST = 0.2  # bandwidth over the highest frequency of the sampling, pi / period
 LOWEST = 0.002
 TRIED = 40  # bandwidths between both
 NOISE_SHARE = 0.1  # standard deviation that the sensor's noise makes in the drive, over the largest drive
+_OF_ESTIMATE = {"bias_V": "asym_V"}  # what the estimate calls what the motor calls otherwise
 STEP_TIMES = 12.0  # how long a step lasts, over the time constant of its reference: a third of it is for settling
 
 
@@ -29,6 +32,28 @@ class TuneError(CauseError):
     """A loop cannot be tuned as asked."""
 
     status = 1
+
+
+def motor_of(answer: Answer | None) -> UncertainMotor:
+    """The motor of an answer with its laws, and how well it is known.
+
+    Half widths are u95 where there is one, else those of its scatter. The laws' own sizes count as known:
+    what they leave open is in u95 of tau, K and f_c. Raises TuneError without an answer that was not refused, or
+    without intervals of tau and K.
+    """
+    try:
+        framed = model_of(answer)
+    except ValueError as error:
+        raise TuneError(f"the result holds a model that no motor has: {error}", "give another run") from error
+    if framed is None or answer is None:
+        raise TuneError("there is no motor that was not refused", "see why: `rig identify RUN`")
+    names = [_OF_ESTIMATE.get(name, name) for name in OF]
+    half = tuple(0.5 * (high - low) for low, high in (answer.at_95(name) or (0.0, 0.0) for name in names))
+    if not half[0] > 0.0 or not half[1] > 0.0:
+        raise TuneError("tau and K have no intervals, so no worst case is known", "identify the run anew")
+    # numbers that the estimate does not have are independent
+    correlation = [[1.0 if a == b else answer.correlation_of(a, b) or 0.0 for b in names] for a in names]
+    return UncertainMotor(framed, max(answer.delay_s or 0.0, 0.0), half, np.array(correlation))
 
 
 @dataclass(frozen=True)
@@ -143,11 +168,7 @@ def tune(motor: UncertainMotor, sensing: Sensing, wish: Wish) -> Tuned:
 
 
 def _between(
-    motor: UncertainMotor,
-    sensing: Sensing,
-    wish: Wish,
-    observer: MotorObserver,
-    bracket: tuple[float, float, str],
+    motor: UncertainMotor, sensing: Sensing, wish: Wish, observer: MotorObserver, bracket: tuple[float, float, str]
 ) -> tuple[float, str]:
     """The largest bandwidth between one that is possible and one that is not, to 0.1 %, and what bounds it."""
     low, high, reason = bracket

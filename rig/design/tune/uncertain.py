@@ -82,7 +82,4 @@ class UncertainMotor:
         least = np.array([*(LEAST * means[:3]), -np.inf, 0.0])
         for one in random.standard_normal((number, len(OF))):
             tau, K, fc, bias, delay = np.maximum(means + spread * (root @ one), least).tolist()
-            yield (
-                FramedMotor(motor._replace(tau_s=tau, K_rad_s_V=K, fc_V=fc, bias_V=bias), self.framed.frame),
-                delay,
-            )
+            yield (FramedMotor(motor._replace(tau_s=tau, K_rad_s_V=K, fc_V=fc, bias_V=bias), self.framed.frame), delay)

@@ -4,32 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.core.package import VERSION
 from rig.output.compare.comparison import Comparison, degrees_of, hours_of
 from rig.output.compare.pictures import LaidOver, chosen, cycles, drawn_as, residuals, tracking, trends, values
 from rig.output.report.page import Figure, drawn
 from rig.output.report.source import load
-from rig.output.report.style import style, templates
+from rig.output.report.style import rendered, style
 from rig.run_folder.recording.folder import write_whole
 
-TEMPLATE = "page.html.j2"
 SYMBOLS = {"tau_s": "τ", "K_rad_s_V": "K", "fc_V": "f_c"}
 
 
 def write_page(found: Comparison, path: Path) -> None:
     """Write the page; the runs' samples are read for it. Raises CannotWriteError."""
     laid_over = chosen(found.result)
-    page = (
-        templates("rig.output.compare")
-        .get_template(TEMPLATE)
-        .render(
-            found=found.result,
-            figures=_figures(found, [run.name for run in laid_over]),
-            symbols=SYMBOLS,
-            few=len(laid_over) < len(found.runs) and len(laid_over),
-            backends=_backends(found),
-            version=VERSION,
-        )
+    page = rendered(
+        "rig.output.compare",
+        "page.html.j2",
+        found=found.result,
+        figures=_figures(found, [run.name for run in laid_over]),
+        symbols=SYMBOLS,
+        few=len(laid_over) < len(found.runs) and len(laid_over),
+        backends=_backends(found),
     )
     write_whole(path, page.encode("utf-8"))
 
@@ -47,10 +42,10 @@ def _figures(found: Comparison, names: list[str]) -> dict[str, Figure]:
     ]
     with style():
         return {
-            "values": drawn(lambda: values(result, backend)),
-            "time": drawn(lambda: trends(result, "time", hours, backend)),
-            "temperature": drawn(lambda: trends(result, "temperature", degrees, backend)),
-            "cycles": drawn(lambda: cycles(runs, backend)),
-            "residuals": drawn(lambda: residuals(runs, backend)),
-            "tracking": drawn(lambda: tracking(runs, backend)),
+            "values": drawn(values, result, backend),
+            "time": drawn(trends, result, "time", hours, backend),
+            "temperature": drawn(trends, result, "temperature", degrees, backend),
+            "cycles": drawn(cycles, runs, backend),
+            "residuals": drawn(residuals, runs, backend),
+            "tracking": drawn(tracking, runs, backend),
         }

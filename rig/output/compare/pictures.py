@@ -19,7 +19,6 @@ from rig.run_folder.results import known
 from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResult, TrendResult
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
-LONGEST_LAG = 60
 FEWEST = 20  # residuals to draw
 MOST_LAID_OVER = 7  # runs: so many colours can be told apart
 SMOOTH = 9  # samples, of the tracking errors
@@ -102,8 +101,7 @@ def trends(found: ComparisonResult, over: str, at: Sequence[float], backend: str
         axes.plot(span, centre + line.slope * away, color=INK, lw=1.0, ls="-" if line.shows else (0, (4, 2)))
         axes.fill_between(span, centre + low * away, centre + high * away, color="#eceef1", lw=0)
         reach = 1.6 * float(np.max(np.abs(percent) + bars))
-        axes.set_ylim(-reach, reach)
-        axes.set_title(LABELS[line.parameter].split(",")[0])
+        axes.set(ylim=(-reach, reach), title=LABELS[line.parameter].split(",")[0])
         axes.locator_params(axis="x", nbins=5)
         axes.set_xlabel("time since the first run, h" if over == "time" else "temperature, °C")
     figure.axes[0].set_ylabel("off the mean, %")
@@ -180,7 +178,7 @@ def residuals(runs: Sequence[LaidOver], backend: str) -> Picture:
         r = 1e3 * found.residual_rad
         label = f"{plain(one.name)}: RMS {float(np.sqrt(np.mean(r**2))):.3g} mrad"
         left.plot(np.sort(r), (np.arange(r.size) + 0.5) / r.size, color=one.colour, ls=one.line, label=label)
-        lags, shares = autocorrelation([r], LONGEST_LAG)
+        lags, shares = autocorrelation([r])
         right.plot(lags, shares, color=one.colour, ls=one.line, lw=0.9)
         drawn, fewest = drawn + 1, min(fewest, r.size)
     if not drawn:

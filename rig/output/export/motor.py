@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +17,7 @@ from rig.model.real_motor import FramedMotor
 from rig.output.export.whole_run import ExportedRun
 from rig.run_folder.recording.text_file import content_of
 from rig.run_folder.recording.writer import SAMPLES
-from rig.run_folder.results import Answer, EstimateResult, JsonObject
+from rig.run_folder.results import Answer, JsonObject
 from rig.run_folder.results.answer_words import validity
 
 # What the estimate calls what the motor calls otherwise.
@@ -174,12 +174,7 @@ class IdentifiedMotor:
         source = self.provenance
         return {
             "rig": VERSION,
-            "run": source.run,
-            "record_sha256": source.record_sha256,
-            "bench": source.bench,
-            "emulated": source.emulated,
-            "method": source.method,
-            "verdict": source.verdict,
+            **asdict(source),
             "reasons": list(source.reasons),
             "holds": list(source.holds),
             "numbers": {one.name: one.as_json() for one in self.numbers},
@@ -224,7 +219,8 @@ def identified_motor(run_folder: Path, run: ExportedRun) -> IdentifiedMotor:
     )
     delay_s = max(answer.delay_s or 0.0, 0.0)
     numbers = tuple(_numbers(framed, delay_s, answer))
-    return IdentifiedMotor(framed, delay_s, numbers, laws, provenance, _correlation(answer), {})
+    correlation = answer.correlation_of("tau_s", "K_rad_s_V")
+    return IdentifiedMotor(framed, delay_s, numbers, laws, provenance, correlation, {})
 
 
 def _numbers(framed: FramedMotor, delay_s: float, answer: Answer) -> Iterable[KnownNumber]:
@@ -242,14 +238,6 @@ def _numbers(framed: FramedMotor, delay_s: float, answer: Answer) -> Iterable[Kn
         of_estimate = _OF_ESTIMATE.get(name, name)
         interval = answer.interval(of_estimate) or sizes.get(name)
         yield KnownNumber(name, has[name], interval, u95.get(of_estimate), absolute.get(of_estimate))
-
-
-def _correlation(estimate: EstimateResult) -> float | None:
-    """Of tau and K."""
-    names = estimate.covariance_of
-    if estimate.correlation is None or "tau_s" not in names or "K_rad_s_V" not in names:
-        return None
-    return estimate.correlation[names.index("tau_s")][names.index("K_rad_s_V")]
 
 
 def _whole(interval: tuple[float | None, float | None] | None) -> tuple[float, float] | None:

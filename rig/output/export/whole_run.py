@@ -38,24 +38,9 @@ from rig.run_folder.results import JsonObject, RunResult
 
 LONGEST_NAME: Final = 63  # of a MATLAB variable or field: namelengthmax
 # Words that MATLAB (iskeyword) or Octave do not take as a field's name.
-_MATLAB_WORDS: Final = (
-    *(
-        "break",
-        "case",
-        "catch",
-        "classdef",
-        "continue",
-        "do",
-        "else",
-        "elseif",
-        "end",
-        "for",
-        "function",
-        "global",
-        "if",
-    ),
-    *("otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "until", "while", "endif", "endfor"),
-    *("endfunction", "endwhile", "endswitch", "end_try_catch", "unwind_protect"),
+_MATLAB_WORDS: Final = re.compile(
+    "break|case|catch|classdef|continue|do|else|elseif|end|for|function|global|if|otherwise|parfor|persistent|return|"
+    "spmd|switch|try|until|while|endif|endfor|endfunction|endwhile|endswitch|end_try_catch|unwind_protect"
 )
 
 
@@ -229,7 +214,7 @@ def matlab_names(names: Sequence[str]) -> list[str]:
     taken: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:LONGEST_NAME]
-        if not plain[:1].isalpha() or plain in _MATLAB_WORDS:
+        if not plain[:1].isalpha() or _MATLAB_WORDS.fullmatch(plain):
             plain = f"x{plain}"[:LONGEST_NAME]
         unique, number = plain, 1
         while unique in taken:

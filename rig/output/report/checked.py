@@ -91,8 +91,7 @@ def decay(run: ReportedRun) -> Picture:
         axes.plot(time, 1e3 * wanted, color=INK, lw=1.0, ls=(0, (4, 2)), label="designed (35)")
         axes.plot(time, 1e3 * error, color=colour(method), lw=1.1, label="measured yd − y")
         axes.axhline(0.0, color=MUTED, lw=0.7)
-        axes.set_title(method.replace("-", " "))
-        axes.set_xlabel("time in the stage, s")
+        axes.set(title=method.replace("-", " "), xlabel="time in the stage, s")
     panels[0].set_ylabel("error, mrad")
     panels[0].legend(loc="upper right")
     words = ", ".join(f"{1e3 * value:.2g} mrad with {method.replace('-', ' ')}" for method, value in off.items())
@@ -153,8 +152,7 @@ def _histogram(axes: Axes, values: Array, label: str) -> None:
     largest, median = float(seen.max()), float(np.median(seen))
     if largest > 20.0 * max(median, 1.0):  # stragglers would squeeze the rest into one bin
         axes.hist(np.maximum(seen, 1.0), bins=np.geomspace(1.0, 1.05 * largest, 80).tolist(), color=MEASURED, lw=0)
-        axes.set_xscale("log")
-        axes.set_xlabel(f"{label}, µs (first bin: all up to 1 µs)")
+        axes.set(xscale="log", xlabel=f"{label}, µs (first bin: all up to 1 µs)")
     else:
         axes.hist(seen, bins=80, color=MEASURED, lw=0)
     axes.set_yscale("log")

@@ -128,7 +128,7 @@ def _lacking(outside: float, of_motion: float) -> str:
 
 def outside_band(t: Array, residual_rad: Array) -> tuple[Array, Array, float]:
     """Lags, autocorrelation, and the share of lags outside the 95 % band of white noise. t: times, s."""
-    lags, values = autocorrelation([residual_rad[piece] for piece in _pieces(t)], LONGEST_LAG)
+    lags, values = autocorrelation([residual_rad[piece] for piece in _pieces(t)])
     return lags, values, float(np.mean(np.abs(values) > BAND / math.sqrt(residual_rad.size))) if values.size else 0.0
 
 
@@ -147,9 +147,7 @@ def residual_figure(method: str, t: Array, residual_rad: Array) -> Figure:
     for piece in pieces:
         series.plot(t[piece], r[piece], color=colour(method), lw=0.6, rasterized=t.size > RASTER_FROM)
     series.axhline(0.0, color=MUTED, lw=0.7)
-    series.set_xlabel("time since the start, s")
-    series.set_ylabel("residual, mrad")
-    series.set_title("over time")
+    series.set(xlabel="time since the start, s", ylabel="residual, mrad", title="over time")
     spread = float(np.std(r))
     histogram.hist(
         r, bins=min(60, max(10, r.size // 30)), density=True, orientation="horizontal", color=colour(method), alpha=0.45
@@ -160,15 +158,13 @@ def residual_figure(method: str, t: Array, residual_rad: Array) -> Figure:
         histogram.plot(bell, grid, color=INK, lw=1.0, ls=(0, (4, 2)))
     histogram.sharey(series)
     histogram.tick_params(labelleft=False)
-    histogram.set_xlabel("density, 1/mrad")
-    histogram.set_title("histogram, normal")
+    histogram.set(xlabel="density, 1/mrad", title="histogram, normal")
     lags, values, outside = outside_band(t, residual_rad)
     band = BAND / math.sqrt(r.size)
     correlation.axhspan(-band, band, color="#e4e7eb", lw=0)
     correlation.axhline(0.0, color=MUTED, lw=0.7)
     correlation.vlines(lags, 0.0, values, color=colour(method), lw=1.4)
-    correlation.set_xlabel("lag, samples")
-    correlation.set_title("autocorrelation")
+    correlation.set(xlabel="lag, samples", title="autocorrelation")
     highest = max(band, float(np.abs(values).max(initial=0.0)))
     correlation.set_ylim(-1.1 * highest, 1.5 * highest)  # above the bars there is room for the note
     note(correlation, f"{100 * outside:.0f} % of lags outside the 95 % band", loc="upper right")
@@ -182,11 +178,11 @@ def _pieces(t: Array) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(cuts)]
 
 
-def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
-    """Autocorrelation at lags 1 to ``longest``, without products across pieces. Returns lags and values."""
+def autocorrelation(pieces: list[Array]) -> tuple[Array, Array]:
+    """Autocorrelation at lags 1 to ``LONGEST_LAG``, without products across pieces. Returns lags and values."""
     mean = float(np.mean(np.concatenate(pieces)))
     power = sum(float(np.sum((p - mean) ** 2)) for p in pieces)
-    longest = min(longest, max(p.size for p in pieces) - 1)
+    longest = min(LONGEST_LAG, max(p.size for p in pieces) - 1)
     lags = np.arange(1, longest + 1)
     if power == 0.0:
         return lags.astype(float), np.zeros(lags.size)
@@ -213,8 +209,7 @@ def budget(run: ReportedRun) -> Picture:
                 axes.annotate(f"{share:.2f}", (share, place), (3, 0), textcoords="offset points", va="center")
         if asked is not None:
             axes.plot((asked, asked), (-0.5, own - 0.5), color=MUTED, lw=1.0, ls=":")
-        axes.set_title(LABELS[key].split(",")[0])
-        axes.set_xlabel("% of the estimate")
+        axes.set(title=LABELS[key].split(",")[0], xlabel="% of the estimate")
         axes.margins(x=0.15)
         axes.grid(axis="y", visible=False)
     panels[0].set_yticks(places, [row.source for row in lines])

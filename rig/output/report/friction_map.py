@@ -40,12 +40,8 @@ def over_speed(run: ReportedRun) -> Picture:
             right.plot(speeds, way * (drives - way * speeds / K), "-", color=ink, lw=1.1, zorder=1, label=words)
     left.axhline(0.0, color=MUTED, lw=0.7)
     left.axvline(0.0, color=MUTED, lw=0.7)
-    left.set_xlabel("speed, rad/s")
-    left.set_ylabel("drive, V")
-    left.set_title("drive over speed")
-    right.set_xlabel("speed, rad/s")
-    right.set_ylabel("friction, V")
-    right.set_title("friction over speed: the drive without v/K")
+    left.set(xlabel="speed, rad/s", ylabel="drive, V", title="drive over speed")
+    right.set(xlabel="speed, rad/s", ylabel="friction, V", title="friction over speed: the drive without v/K")
     right.margins(y=0.25)
     if law is not None:
         right.legend(loc="best")
@@ -80,8 +76,7 @@ def over_position(run: ReportedRun) -> Picture:
         axes.errorbar(y, values, bars, fmt="o", ms=3.5, color=INK, lw=0.9, capsize=1.5)
         if law is not None:
             axes.plot(grid, [mixed(a, b) for a, b in zip(plus, minus, strict=True)], "-", color=RISING, lw=1.2)
-        axes.set_title(title)
-        axes.set_ylabel("V")
+        axes.set(title=title, ylabel="V")
         widest = max(widest, float(np.ptp(values)), 2.5 * float(np.max(bars)))
     for axes, *_ in columns:  # the same scale in all panels, so that small is seen as small
         low, high = axes.get_ylim()

@@ -8,18 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.core.package import VERSION
 from rig.identification.identification import Identification
 from rig.output.report import fitted, tables
-from rig.output.report.page import drawn, environment
+from rig.output.report.page import drawn
 from rig.output.report.simulated import picture_of
 from rig.output.report.source import ReportedRun
-from rig.output.report.style import style
+from rig.output.report.style import rendered, style
 from rig.output.report.words import headline
 from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.results import RunMeta, RunResult
-
-TEMPLATE = "identified.html.j2"
 
 
 def write_identified(found: Identification, records: Sequence[str], path: Path) -> None:
@@ -33,23 +30,20 @@ def write_identified(found: Identification, records: Sequence[str], path: Path) 
     spread_rad = float(np.std(np.concatenate([test.y_rad for test in found.tests]))) if found.tests else math.nan
     with style():
         figures = {
-            "simulated": drawn(lambda: picture_of(found, run.foot)),
-            "residual": drawn(lambda: fitted.residuals(run, found.curves, spread_rad)),
+            "simulated": drawn(picture_of, found, run.foot),
+            "residual": drawn(fitted.residuals, run, found.curves, spread_rad),
         }
-    page = (
-        environment()
-        .get_template(TEMPLATE)
-        .render(
-            name=Path(records[0]).name,
-            rehearsal=run.rehearsal,
-            records=records,
-            headline=headline(run),
-            figures=figures,
-            estimates=tables.estimates(run),
-            motor_law=tables.motor_law(run),
-            budget=tables.budget(run),
-            notes=found.notes,
-            version=VERSION,
-        )
+    page = rendered(
+        "rig.output.report",
+        "identified.html.j2",
+        name=Path(records[0]).name,
+        rehearsal=run.rehearsal,
+        records=records,
+        headline=headline(run),
+        figures=figures,
+        estimates=tables.estimates(run),
+        motor_law=tables.motor_law(run),
+        budget=tables.budget(run),
+        notes=found.notes,
     )
     write_whole(path, page.encode("utf-8"))

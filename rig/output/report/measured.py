@@ -64,8 +64,7 @@ def whole_run_figure(run: ReportedRun) -> tuple[Figure, int]:
     _limits(top, run)
     top.set_ylabel("position y, rad")
     bottom.step(t, u, where="post", color=MEASURED, lw=0.6, rasterized=raster)
-    bottom.set_ylabel("drive u, V")
-    bottom.set_xlabel("time since the start, s")
+    bottom.set(ylabel="drive u, V", xlabel="time since the start, s")
     bottom.set_xlim(float(t[0]), float(t[-1]) + 0.005 * float(t[-1] - t[0]))
     _stage_bands((top, bottom), t, run.spans())
     count = 0
@@ -277,13 +276,11 @@ def breakaway(run: ReportedRun) -> Picture:
     panels = figure.subplot_mosaic([["position", "over"], ["drive", "over"]], width_ratios=(1.25, 1.0))
     position, drive, right = panels["position"], panels["drive"], panels["over"]
     position.plot(t, 1e3 * y, ".", color=FAINT, ms=1.6, rasterized=True, label="a reading")
-    position.set_ylabel("position, mrad")
-    position.set_title("slowly stronger strokes, until the shaft moves each way")
+    position.set(ylabel="position, mrad", title="slowly stronger strokes, until the shaft moves each way")
     position.sharex(drive)
     position.tick_params(labelbottom=False)
     drive.fill_between(t, u, step="post", color=DRIVE, lw=0)
-    drive.set_ylabel("drive, V")
-    drive.set_xlabel("time since the start, s")
+    drive.set(ylabel="drive, V", xlabel="time since the start, s")
     found = run.result.breakaway or BreakawayResult()
     plus = ("plus", 1.0, "#0072B2", found.static_plus_V, found.static_plus_range_V)
     minus = ("minus", -1.0, "#D55E00", found.static_minus_V, found.static_minus_range_V)
@@ -299,8 +296,7 @@ def breakaway(run: ReportedRun) -> Picture:
             if math.isfinite(low_V) and math.isfinite(high_V):
                 right.axvspan(low_V, high_V, color=ink, alpha=0.12, lw=0)
             right.axvline(static_V, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"breaks away at {static_V:.3f} V")
-    right.set_xlabel("|drive| of a stroke, V")
-    right.set_ylabel("moved so far in this direction, mrad")
+    right.set(xlabel="|drive| of a stroke, V", ylabel="moved so far in this direction, mrad")
     right.set_title("displacement over drive")
     if right.get_legend_handles_labels()[0]:
         # below, since bands and dashed lines fill the axes

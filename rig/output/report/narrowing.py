@@ -53,10 +53,8 @@ def narrowing(run: ReportedRun) -> Picture:
     if math.isfinite(ended):
         for axes in (widths, values):
             axes.axvline(ended, color=INK, lw=1.0)
-    widths.set_title("half width of the 95 % interval")
-    widths.set_ylabel("% of the value")
-    values.set_title("estimate over the last one")
-    values.set_ylabel("%")
+    widths.set(title="half width of the 95 % interval", ylabel="% of the value")
+    values.set(title="estimate over the last one", ylabel="%")
     values.axhline(0.0, color=MUTED, lw=0.7)
     for axes in (widths, values):
         axes.set_xlabel("time since the start, s")

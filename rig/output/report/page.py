@@ -6,18 +6,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ParamSpec
 
-import jinja2
 import numpy as np
 
-from rig.core.estimators import ESTIMATORS
-from rig.core.package import VERSION
 from rig.identification import Identification, IdentifyError, identify
 from rig.identification.verdict import PROMISE, RISK
 from rig.output.report import checked, fitted, friction_map, measured, narrowing, tables, transient, tuned_loop
 from rig.output.report.model_curves import curves_of
 from rig.output.report.source import ReportedRun, load
-from rig.output.report.style import AbsentError, Picture, colour, style, templates
+from rig.output.report.style import AbsentError, Picture, rendered, style
 from rig.output.report.words import driven, headline, rounded
 from rig.run_folder.recording.curves import write_curves
 from rig.run_folder.recording.errors import RecordingError
@@ -26,7 +24,7 @@ from rig.run_folder.recording.recording import Recording
 from rig.run_folder.results import LiveResult, RunResult
 
 REPORT = "report.html"
-TEMPLATE = "report.html.j2"
+_Given = ParamSpec("_Given")
 
 
 @dataclass(frozen=True)
@@ -82,45 +80,35 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
     return replace(run, result=result), found
 
 
-def environment() -> jinja2.Environment:
-    """Where the pages of this room come from."""
-    found = templates("rig.output.report")
-    found.filters["rounded"] = rounded
-    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
-    return found
-
-
 def render_page(run: ReportedRun, identification: Identification | None = None) -> str:
     """The whole page as text; identifies the recording again unless ``identification`` is given."""
-    return (
-        environment()
-        .get_template(TEMPLATE)
-        .render(
-            run=run,
-            version=VERSION,
-            headline=headline(run),
-            driven=driven(run),
-            figures=draw(run, identification),
-            estimates=tables.estimates(run),
-            relays=tables.relays(run),
-            motor_law=tables.motor_law(run),
-            promise_percent=100.0 * PROMISE,
-            risk_percent=100.0 * RISK,
-            records=tables.records(run),
-            budget=tables.budget(run),
-            hysteretic=tables.hysteretic(run),
-            why_it_ended=narrowing.why_it_ended(run),
-            tracking=tables.tracking(run),
-            tracking_heads=tables.tracking_heads(run),
-            law_used=tables.law_used(run),
-            at_rest=tables.at_rest(run),
-            tuned=tuned_loop.rows(run),
-            loop_cells=tables.loop(run),
-            facts=tables.facts(run),
-            started=tables.started(run),
-            notes=run.result.notes,
-            config_notes=run.result.config_notes,
-        )
+    return rendered(
+        "rig.output.report",
+        "report.html.j2",
+        run=run,
+        rounded=rounded,
+        headline=headline(run),
+        driven=driven(run),
+        figures=draw(run, identification),
+        estimates=tables.estimates(run),
+        relays=tables.relays(run),
+        motor_law=tables.motor_law(run),
+        promise_percent=100.0 * PROMISE,
+        risk_percent=100.0 * RISK,
+        records=tables.records(run),
+        budget=tables.budget(run),
+        hysteretic=tables.hysteretic(run),
+        why_it_ended=narrowing.why_it_ended(run),
+        tracking=tables.tracking(run),
+        tracking_heads=tables.tracking_heads(run),
+        law_used=tables.law_used(run),
+        at_rest=tables.at_rest(run),
+        tuned=tables.tuned(run),
+        loop_cells=tables.loop(run),
+        facts=tables.facts(run),
+        started=tables.started(run),
+        notes=run.result.notes,
+        config_notes=run.result.config_notes,
     )
 
 
@@ -128,67 +116,44 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
     """All figures by section. For a missing one: the sentence that says why."""
     with style():
         curves, trouble = curves_of(run, identification)
-        relays = run.spans("relay")
+        relays, is_read = run.spans("relay"), run.recording is not None
+        tracks = run.result.tracking or run.spans("track") or run.config.tracks or not is_read
 
-        def transients() -> list[Figure]:
-            if not run.spans("hysteretic"):
-                return []
-            return [drawn(lambda: transient.first_transients(run)), drawn(lambda: transient.recursion(run, curves))]
+        def of(*pictures: Callable[[ReportedRun], Picture], where: object = True) -> list[Figure]:
+            return [drawn(picture, run) for picture in pictures] if where else []
 
-        def surveyed() -> list[Figure]:
-            if not run.spans("survey"):
-                return []
-            return [drawn(lambda: friction_map.over_speed(run)), drawn(lambda: friction_map.over_position(run))]
-
-        def narrowed() -> list[Figure]:
-            if run.result.stopped is None and not run.events_of("live", LiveResult):
-                return []
-            return [drawn(lambda: narrowing.narrowing(run))]
-
-        def limit_cycles() -> dict[str, list[Figure]]:
-            if run.recording is not None and not relays:
-                return {"relays": [], "portraits": []}
-            return {
-                "relays": [drawn(lambda: measured.relay_tests(run))],
-                "portraits": [drawn(lambda: measured.portraits(run))],
-            }
-
-        def tracked() -> list[Figure]:
-            if run.recording is not None and not (run.result.tracking or run.spans("track") or run.config.tracks):
-                return []
-            pictures = [drawn(lambda: checked.tracking(run))]
-            return pictures if run.config.decay is None else [*pictures, drawn(lambda: checked.decay(run))]
-
-        def residual() -> list[Figure]:
-            spans = [*run.spans("relay"), *run.spans("hysteretic")]
-            positions = [] if run.recording is None else [run.rows.y_rad[s.first : s.last + 1] for s in spans]
+        evidence = [Figure(None, trouble)] if trouble else []
+        if curves is not None and not trouble:
+            spans = [*relays, *run.spans("hysteretic")]
+            positions = [run.rows.y_rad[s.first : s.last + 1] for s in spans] if is_read else []
             spread_rad = float(np.std(np.concatenate(positions))) if positions else math.nan
-            if trouble or curves is None:
-                return [Figure(None, trouble)] if trouble else []
-            return [drawn(lambda: fitted.residuals(run, curves, spread_rad))]
-
-        cycles = [drawn(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
+            evidence = [drawn(fitted.residuals, run, curves, spread_rad)]
+        transients = of(transient.first_transients, where=run.spans("hysteretic"))
         return {
-            "whole": [drawn(lambda: measured.whole_run(run))],
-            "breakaway": [drawn(lambda: measured.breakaway(run))],
-            "narrowing": narrowed(),
-            "search": [drawn(lambda: measured.gain_search(run))],
-            **limit_cycles(),
-            "forest": [drawn(lambda: fitted.forest(run))],
-            "budget": [drawn(lambda: fitted.budget(run))],
-            "map": surveyed(),
-            "transients": transients(),
-            "cycles": cycles,
-            "evidence": residual(),
-            "tracking": tracked(),
-            "tuned": [] if run.result.tuned is None else [drawn(lambda: tuned_loop.loop(run))],
-            "loop": [drawn(lambda: checked.loop_timing(run))],
+            "whole": of(measured.whole_run),
+            "breakaway": of(measured.breakaway),
+            "narrowing": of(narrowing.narrowing, where=run.result.stopped or run.events_of("live", LiveResult)),
+            "search": of(measured.gain_search),
+            "relays": of(measured.relay_tests, where=relays or not is_read),
+            "portraits": of(measured.portraits, where=relays or not is_read),
+            "forest": of(fitted.forest),
+            "budget": of(fitted.budget),
+            "map": of(friction_map.over_speed, friction_map.over_position, where=run.spans("survey")),
+            "transients": [*transients, drawn(transient.recursion, run, curves)] if transients else [],
+            "cycles": [drawn(fitted.averaged_cycle, run, span) for span in relays],
+            "evidence": evidence,
+            "tracking": [
+                *of(checked.tracking, where=tracks),
+                *of(checked.decay, where=tracks and run.config.decay is not None),
+            ],
+            "tuned": of(tuned_loop.loop, where=run.result.tuned),
+            "loop": of(checked.loop_timing),
         }
 
 
-def drawn(make: Callable[[], Picture]) -> Figure:
-    """A figure, or the sentence that says why there is none."""
+def drawn(make: Callable[_Given, Picture], *given: _Given.args, **named: _Given.kwargs) -> Figure:
+    """The figure of what is given, or the sentence that says why there is none."""
     try:
-        return Figure(make())
+        return Figure(make(*given, **named))
     except AbsentError as absent:
         return Figure(None, str(absent))

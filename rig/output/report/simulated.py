@@ -63,12 +63,17 @@ class Simulated:
         return self.measured_rad - self.y_rad
 
     @property
+    def rms_rad(self) -> float:
+        """RMS of the residual, rad."""
+        return float(np.sqrt(np.mean(self.residual_rad**2)))
+
+    @property
     def fit_percent(self) -> float:
         """100 % less the RMS residual over the standard deviation of the recorded position; 0 if it is no better."""
         spread_rad = float(np.std(self.measured_rad))
         if spread_rad == 0.0:
             return 0.0
-        return 100.0 * max(1.0 - float(np.sqrt(np.mean(self.residual_rad**2))) / spread_rad, 0.0)
+        return 100.0 * max(1.0 - self.rms_rad / spread_rad, 0.0)
 
 
 def simulated(found: Identification) -> list[Simulated]:

@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from rig.core.estimators import ESTIMATORS
+from rig.core.package import VERSION
 from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.recording.stage import kind_of
 
@@ -185,15 +186,23 @@ def save(file: Path, title: str, height_in: float, draw: Callable[[Figure], None
 
 
 @cache
-def templates(package: str) -> jinja2.Environment:
+def _templates(package: str) -> jinja2.Environment:
     """The templates of a package's pages. Compiled once a process: that takes longer than to fill them in."""
-    return jinja2.Environment(
+    found = jinja2.Environment(
         loader=jinja2.PackageLoader(package, package_path="."),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    found.globals["swatches"] = {entry.short: colour(entry.name).lower() for entry in ESTIMATORS}
+    found.globals["version"] = VERSION
+    return found
+
+
+def rendered(package: str, template: str, **values: Any) -> str:
+    """A page of a package, by its template."""
+    return _templates(package).get_template(template).render(values)
 
 
 def style() -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -14,6 +15,8 @@ from rig.output.report.source import PREFERRED, ReportedRun
 from rig.output.report.style import short
 from rig.output.report.words import PARAMETERS, Quantity, quantity, rounded
 from rig.run_folder.results import Quantiles, TrackingResult, TrueLaw, known
+from rig.run_folder.results.answer_words import records_in_words
+from rig.run_folder.results.budget_lines import BudgetLine
 from rig.run_folder.results.result import NO_ESTIMATE
 
 _STATIC = next(law.title for law in DEPARTURES if law.name == "static")
@@ -22,6 +25,7 @@ AT_REST = (
     "levels at the top, to move the shaft from rest, are the breakaway check's."
 )
 Cell = tuple[float | None, str]
+Row = tuple[str, list[Cell]]  # its first column is a name
 
 
 @dataclass(frozen=True)
@@ -40,14 +44,6 @@ class EstimateRow:
 
 
 @dataclass(frozen=True)
-class StageRow:
-    """One line about a stage of the run."""
-
-    stage: str
-    cells: list[Cell]
-
-
-@dataclass(frozen=True)
 class MotorLawRow:
     """One law that the motor has beyond the plain one: its size, what it may come from, and what looks alike.
 
@@ -62,15 +58,6 @@ class MotorLawRow:
     alike: str
     true: str
     found: bool = True
-
-
-@dataclass(frozen=True)
-class BudgetRow:
-    """One line of the uncertainty budget, % of tau, K and f_c."""
-
-    source: str
-    cells: list[Cell]
-    is_sum: bool
 
 
 @dataclass(frozen=True)
@@ -105,15 +92,16 @@ def estimates(run: ReportedRun) -> list[EstimateRow]:
     return table
 
 
-def relays(run: ReportedRun) -> list[StageRow]:
+def relays(run: ReportedRun) -> list[Row]:
     """The relay tests of the result."""
     return [
-        StageRow(
-            test.stage.replace("-", " "),
-            [_cell(x) for x in (test.h1_V, test.h2_V, test.period_s, test.amplitude_rad, test.cycles)],
-        )
+        _stage_row(test.stage, (test.h1_V, test.h2_V, test.period_s, test.amplitude_rad, test.cycles))
         for test in run.result.relays
     ]
+
+
+def _stage_row(stage: str, values: Sequence[float | None]) -> Row:
+    return stage.replace("-", " "), [_cell(value) for value in values]
 
 
 def motor_law(run: ReportedRun) -> list[MotorLawRow]:
@@ -154,37 +142,25 @@ def _true_size(law: TrueLaw | None) -> str:
 
 def records(run: ReportedRun) -> str:
     """What the law was fitted to, with its lengths; empty if nothing was."""
-    found = run.result.law_records or () if "answer" in run.compared else ()
-    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in found)
+    return records_in_words(run.result.law_records) if "answer" in run.compared else ""
 
 
-def budget(run: ReportedRun) -> list[BudgetRow]:
+def budget(run: ReportedRun) -> list[tuple[BudgetLine, list[Cell]]]:
     """The uncertainty budget, % of the estimate that it belongs to."""
     return [
-        BudgetRow(
-            line.source,
-            [(share, f"{share:.2f}") if math.isfinite(share) else (None, "–") for share in line.percent],
-            line.is_sum,
-        )
+        (line, [(share, f"{share:.2f}") if math.isfinite(share) else (None, "–") for share in line.percent])
         for line in budget_in_words(run)
     ]
 
 
-def hysteretic(run: ReportedRun) -> list[StageRow]:
+def hysteretic(run: ReportedRun) -> list[Row]:
     """The hysteretic runs of the result, in V, rad, mrad, s and rad."""
-    return [
-        StageRow(
-            entry.stage.replace("-", " "),
-            [
-                _cell(entry.d_V),
-                _cell(entry.eps_rad),
-                _cell(entry.start_rad, 1e3),
-                _cell(entry.switched_s),
-                _cell(entry.switched_rad),
-            ],
-        )
-        for entry in run.result.hysteretic or ()
-    ]
+    rows = []
+    for one in run.result.hysteretic or ():
+        name, cells = _stage_row(one.stage, (one.d_V, one.eps_rad, one.start_rad, one.switched_s, one.switched_rad))
+        cells[2] = _cell(one.start_rad, 1e3)
+        rows.append((name, cells))
+    return rows
 
 
 def tracking(run: ReportedRun) -> list[TrackingRow]:
@@ -237,6 +213,26 @@ def _made_up_for(outcome: TrackingResult) -> str:
     )
     words = [f"the drive makes up for {done}" if done else "", f"not for {left}" if left else ""]
     return ", ".join(word for word in words if word)
+
+
+def tuned(run: ReportedRun) -> list[Row]:
+    """The measures of a tuned loop: prediction, interval, this bench."""
+    found = run.result.tuned
+    made: list[Row] = []
+    for one in () if found is None else found.prediction.values():
+        low, high = one.interval95
+        cells: list[Cell] = [
+            (one.median, _or_never(one.median)),
+            (None, f"{_or_never(low)} to {_or_never(high)}"),
+            (one.bench, _or_never(one.bench)),
+            (None, "" if one.inside else "outside"),
+        ]
+        made.append((f"{one.meaning}, {one.unit}", cells))
+    return made
+
+
+def _or_never(value: float | None) -> str:
+    return "never" if value is None else f"{value:.3g}"
 
 
 def loop(run: ReportedRun) -> list[tuple[str, Cell]]:

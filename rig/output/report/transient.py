@@ -79,12 +79,10 @@ def first_transients(run: ReportedRun) -> Picture:
         if math.isfinite(push) and push > 0.0:
             right.plot(transient.t_s, way * transient.y_rad / push, mark, color=ink, ms=3.2, mew=0)
     left.axvline(0.0, color=MUTED, lw=0.7)
-    left.set_xlabel("time since the drive took effect, s")
-    left.set_ylabel("position, rad")
+    left.set(xlabel="time since the drive took effect, s", ylabel="position, rad")
     left.set_title("from rest to just after the first switching")
     left.legend(loc="best", markerscale=1.4)
-    right.set_xlabel("time since the drive took effect, s")
-    right.set_ylabel("position / (d − f), rad/V")
+    right.set(xlabel="time since the drive took effect, s", ylabel="position / (d − f), rad/V")
     right.set_title("divided by drive minus friction: one curve g(t)")
     if not math.isfinite(fc):
         note(right, "no friction was estimated")
@@ -126,8 +124,7 @@ def recursion(run: ReportedRun, curves: Curves | None) -> Picture:
     outside = int(np.sum(~(np.abs(trace - fc_V) <= reach)))
     if outside:
         note(axes, f"{outside} of the first values lie outside", loc="lower right")
-    axes.set_xlabel("samples of each run")
-    axes.set_ylabel("friction, V")
+    axes.set(xlabel="samples of each run", ylabel="friction, V")
     axes.legend(loc="upper right", ncols=4)
     return render(
         figure, run.foot, "Recursive least squares: estimated friction after each sample.",

@@ -41,26 +41,6 @@ def loop(run: ReportedRun) -> Picture:
     )  # fmt: skip
 
 
-def rows(run: ReportedRun) -> list[dict[str, object]]:
-    """Rows of the report's table: measure, prediction, interval, bench."""
-    found = run.result.tuned
-    made: list[dict[str, object]] = []
-    for one in () if found is None else found.prediction.values():
-        low, high = one.interval95
-        cells = (
-            (one.median, _text(one.median)),
-            (None, f"{_text(low)} to {_text(high)}"),
-            (one.bench, _text(one.bench)),
-            (None, "" if one.inside else "outside"),
-        )
-        made.append({"name": f"{one.meaning}, {one.unit}", "cells": cells})
-    return made
-
-
-def _text(value: float | None) -> str:
-    return "never" if value is None else f"{value:.3g}"
-
-
 def _draw(figure: Figure, found: TunedResult) -> None:
     axes = figure.subplot_mosaic(
         [["step", "nyquist"], ["drive", "nyquist"], ["tracking", "tracking"]],

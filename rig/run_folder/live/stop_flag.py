@@ -168,6 +168,11 @@ class StopFlag:
         if self._page is not None:
             self._page.write(_ASKED_AT, b"\0")
 
+    def check(self) -> None:
+        """Raise Fault INTERRUPTED if somebody asked for a stop."""
+        if by := self.asked_by():
+            raise Fault("INTERRUPTED", f"Stop by {by}")
+
     def asked_by(self) -> str:
         """Who asked for a stop; empty: nobody did. A read of memory: the loop calls it each tick.
 

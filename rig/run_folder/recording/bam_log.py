@@ -60,10 +60,7 @@ def read_bam_log(path: Path, log: LogFormat | None = None) -> Recording | None:
     late = np.flatnonzero(np.diff(t_s) <= 0.0)
     if late.size:
         raise RecordingError(path, f"its time does not rise after entry {int(late[0])}", "record it again")
-    notes = [
-        _load_in_words(data),
-        f"{len(rows)} of {len(entries)} entries are read: the longest with the torque on",
-    ]
+    notes = [_load_in_words(data), f"{len(rows)} of {len(entries)} entries are read: the longest with the torque on"]
     stated = None if log is None else log.supply_V
     supply_V = _supply_V(path, data, rows) if stated is None else stated
     return servo_recording(path, (t_s, y_rad, goal_rad), range(1, len(rows) + 1), (law, P), supply_V, notes)

@@ -150,13 +150,7 @@ def _recording(
         y_rad = scale * unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
     columns: Columns = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
     recording = assembled(
-        source,
-        columns,
-        rows,
-        notes=tuple(notes),
-        columns_present=tuple(columns),
-        units_stated=True,
-        drive_steps=steps,
+        source, columns, rows, notes=tuple(notes), columns_present=tuple(columns), units_stated=True, drive_steps=steps
     )
     if "time" in choices:
         _refuse_other_clock(source, t_s, choices["time"])
@@ -395,10 +389,7 @@ def _places(
     for quantity, one in sorted(choices.items(), key=lambda item: item[1].column is None):
         if one.column is None and not has_names:
             raise RecordingError(
-                path,
-                f"has {len(first)} columns without names",
-                f"number them from 1: {_numbered(choices)}",
-                line,
+                path, f"has {len(first)} columns without names", f"number them from 1: {_numbered(choices)}", line
             )
         place = (
             _usual_place(path, line, first, quantity, one, set(places.values()))

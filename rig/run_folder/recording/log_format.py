@@ -50,18 +50,8 @@ USUAL_SUPPLY: Final = {"voltage", "volts", "volt", "vin", "supply", "input", "ba
 # fmt: on
 # Words of a column's name, or of a row of units, that say its unit, in small letters.
 _WORDS: Final[dict[str, dict[str, str]]] = {
-    "time": {
-        "ms": "ms millis milliseconds",
-        "us": "us micros microseconds",
-        "s": "s sec seconds sekunden secondes",
-    },
-    "drive": {
-        "pwm": "pwm",
-        "duty": "duty",
-        "V": "volt volts",
-        "mV": "mv",
-        "percent": "percent prozent",
-    },
+    "time": {"ms": "ms millis milliseconds", "us": "us micros microseconds", "s": "s sec seconds sekunden secondes"},
+    "drive": {"pwm": "pwm", "duty": "duty", "V": "volt volts", "mV": "mv", "percent": "percent prozent"},
     "position": {
         "rad": "rad radians",
         "deg": "deg degrees grad degrés",
@@ -69,7 +59,7 @@ _WORDS: Final[dict[str, dict[str, str]]] = {
         "counts": "count counts ticks",
     },
     "velocity": {
-        "rpm": "rpm min",  # U/min, tr/min
+        "rpm": "rpm min"  # U/min, tr/min
     },
 }
 NAMES_UNIT: Final = {

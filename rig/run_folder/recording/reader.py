@@ -24,14 +24,7 @@ from rig.run_folder.recording.log_file import read_log
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.recording.path_kind import no_recording, no_run
 from rig.run_folder.recording.recording import Recording
-from rig.run_folder.recording.text_file import (
-    content_of,
-    is_folder,
-    line_of,
-    text_of,
-    whole_content,
-    without_torn_line,
-)
+from rig.run_folder.recording.text_file import content_of, is_folder, line_of, text_of, whole_content, without_torn_line
 from rig.run_folder.recording.writer import EVENTS, SAMPLES
 from rig.run_folder.results import JsonObject, Part, RunEvent, RunMeta, RunResult
 from rig.run_folder.results.reading import remarks, salvaged

@@ -147,27 +147,9 @@ class Recorder:
             self._open_offset, self._dropped = -1, True
             return
         offset = opened % self._capacity_rows * ROW.size
-        ROW.pack_into(
-            self._rows,
-            offset,
-            tick,
-            sample.seq,
-            sample.t_s,
-            sample.y_rad,
-            sample.y_counts,
-            sample.v_rad_per_s,
-            u_V,
-            z_rad_s,
-            yd_rad,
-            stage_index,
-            late_us,
-            io_us,
-            flags,
-            _NAN,
-            0.0,
-            0,
-            0,
-        )
+        sampled = (sample.seq, sample.t_s, sample.y_rad, sample.y_counts, sample.v_rad_per_s)
+        decided = (u_V, z_rad_s, yd_rad, stage_index, late_us, io_us, flags)
+        ROW.pack_into(self._rows, offset, tick, *sampled, *decided, _NAN, 0.0, 0, 0)
         self._open_offset, self._dropped = offset, False
         self._opened = opened + 1
         self._counters[layout.ROWS_OPENED] = self._opened  # last: from here on the row is there

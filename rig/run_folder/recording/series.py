@@ -266,10 +266,7 @@ class TimeSeries:
         """
         first = int(np.searchsorted(self.t_s, self.edge_s[0] + longest_delay_s))
         if self.t_s.size - first < FEWEST_ROWS:
-            raise IdentifyError(
-                f"{self.name}: {self.t_s.size} rows are too few to fit",
-                RECORD_MORE,
-            )
+            raise IdentifyError(f"{self.name}: {self.t_s.size} rows are too few to fit", RECORD_MORE)
         return Window(self, first, self.t_s.size)
 
     def resolution_rad(self) -> float:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from rig.run_folder.results.answer import Answer, HoldsResult
-from rig.run_folder.results.estimates import FoundLawResult, known
+from rig.run_folder.results.estimates import FittedRecord, FoundLawResult, known
 from rig.run_folder.results.meta import TrueMotor
 
 PARAMETERS = (("tau_s", "tau", "s"), ("K_rad_s_V", "K", "(rad/s)/V"), ("fc_V", "f_c", "V"))
@@ -58,6 +58,11 @@ def of_all(percent: float) -> str:
     digits = 1 if missing >= 0.05 else min(-math.floor(math.log10(max(missing, 1e-9))), MOST_DIGITS)
     said = f"{percent:.{digits}f}"
     return f"{100 if float(said) == 100.0 else said} %"
+
+
+def records_in_words(records: Sequence[FittedRecord] | None) -> str:
+    """What the answer was fitted to, as in ``relay-1 (13.7 s), search (18.2 s)``."""
+    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in records or ())
 
 
 def answer_lines(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig.run_folder.results.estimates import known
@@ -23,7 +24,7 @@ class BudgetLine:
     """
 
     source: str
-    percent: tuple[float, float, float]
+    percent: tuple[float, ...]
     is_sum: bool = False
     absolute: bool = False
 
@@ -35,21 +36,16 @@ def budget_lines(result: RunResult | IdentificationResult) -> list[BudgetLine]:
         return []
     sizes = [known(answer.value(name)) for name in OF]
 
-    def percent(tau: float | None, gain: float | None, friction: float | None) -> tuple[float, float, float]:
-        of_tau, of_gain, of_friction = (
-            100.0 * known(part) / size if size > 0.0 else math.nan
-            for part, size in zip((tau, gain, friction), sizes, strict=True)
+    def percent(parts: Mapping[str, float | None]) -> tuple[float, ...]:
+        return tuple(
+            100.0 * known(parts.get(name)) / size if size > 0.0 else math.nan
+            for name, size in zip(OF, sizes, strict=True)
         )
-        return of_tau, of_gain, of_friction
 
-    lines = [BudgetLine("u95", percent(*(answer.u95.get(name) for name in OF)), is_sum=True)]
-    whole = answer.u95_absolute
-    if whole:
-        lines.append(BudgetLine("u95_absolute", percent(*(whole.get(name) for name in OF)), True, True))
-    return lines + [
-        BudgetLine(entry.source, percent(entry.tau_s, entry.K_rad_s_V, entry.fc_V), absolute=entry.absolute)
-        for entry in result.budget or ()
-    ]
+    lines = [BudgetLine("u95", percent(answer.u95), is_sum=True)]
+    if answer.u95_absolute:
+        lines.append(BudgetLine("u95_absolute", percent(answer.u95_absolute), True, True))
+    return lines + [BudgetLine(one.source, percent(dict(one)), absolute=one.absolute) for one in result.budget or ()]
 
 
 def that_matter(lines: list[BudgetLine], share: float) -> list[BudgetLine]:

@@ -83,6 +83,15 @@ class EstimateResult(Part):
         """The interval of one parameter that people are told, at 95 %; None if it has none."""
         return self.interval(name)
 
+    def correlation_of(self, one: str, other: str) -> float | None:
+        """The correlation of two parameters, -1 to 1; None if it is not known."""
+        names = self.covariance_of
+        try:
+            found = (self.correlation or ())[names.index(one)][names.index(other)]
+        except (ValueError, IndexError):
+            return None
+        return None if found is None or math.isnan(found) else min(max(found, -1.0), 1.0)
+
     @property
     def is_refused(self) -> bool:
         """Whether its numbers must not be used."""

@@ -6,12 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from rig.run_folder.results.estimates import (
-    BreakawayResult,
-    FrictionMapResult,
-    HystereticResult,
-    RelayTestResult,
-)
+from rig.run_folder.results.estimates import BreakawayResult, FrictionMapResult, HystereticResult, RelayTestResult
 from rig.run_folder.results.identification import Answered, MotorLawResult, OlderKeys
 from rig.run_folder.results.live import StoppedResult
 from rig.run_folder.results.meta import RealTimeReport, TrueMotor

@@ -22,7 +22,8 @@ from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.recording.sink import NullSink
 from rig.running.calibrate.dialogue import Hold, Motion, Pose, Read, Reading, SetZero, Strokes, StrokesSeen
 from rig.running.calibrate.refusal import Refusal, stopped
-from rig.running.experiment import run_breakaway, zero
+from rig.running.experiment import zero
+from rig.running.experiment.script import run_breakaway
 from rig.running.preflight.loop_settings import guard_settings_of
 
 _SAMPLES = 30
@@ -85,7 +86,7 @@ class HandBench:
                 return None
             case Strokes():
                 self._close()
-                self._require_no_stop()
+                self._flag.check()  # a Stop since the last drive: who asked was told that nothing drives
                 seen = _strokes(request.experiment, self._runs, self._stop_or_gone)
                 if seen.fault is not None and seen.fault.code == "INTERRUPTED":
                     self._flag.forget()
@@ -94,11 +95,6 @@ class HandBench:
                 self._close()
                 e = _motor_off(request.experiment) if self._is_emulated else request.experiment
                 return _hold(e, request, self._flag, self._gone)
-
-    def _require_no_stop(self) -> None:
-        """Raise Fault INTERRUPTED if a Stop has come since the last drive: who asked was told that nothing drives."""
-        if by := self._flag.asked_by():
-            raise Fault("INTERRUPTED", f"Stop by {by}")
 
     def _stop_or_gone(self) -> str:
         """For a run of its own, with a flag of its own: why it has to end; empty: it need not."""

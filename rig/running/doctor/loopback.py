@@ -17,7 +17,6 @@ from rig.backends.driver import Transport
 from rig.backends.serial import frames
 from rig.backends.serial.frames import BOARDS, BRIDGES, Code, Hello, code_name
 from rig.backends.serial.loopback import REPEATS, WATCHDOG_MS, Measured, Share, Trip, measure
-from rig.core.faults import Fault
 from rig.core.package import VERSION
 from rig.core.signals import percent
 from rig.run_folder.live.stop_flag import StopFlag
@@ -346,9 +345,9 @@ class _Stoppable:
 
     def write(self, data: bytes) -> None:
         """Send it. Raises Fault INTERRUPTED once, if a Stop was asked for."""
-        if not self._is_told and (by := self._flag.asked_by()):
+        if not self._is_told and self._flag.asked_by():
             self._is_told = True
-            raise Fault("INTERRUPTED", f"Stop by {by}")
+            self._flag.check()
         self._transport.write(data)
 
 

@@ -5,33 +5,3 @@ stages   each stage, on an open session; a replay runs them, too
 survey   the stage of slow sweeps: planned, rehearsed, run
 thorough what a thorough run adds where the relay tests leave the motor's law open
 """
-
-from rig.running.experiment.script import (
-    BREAKAWAY_LAW,
-    SEARCH_LAW,
-    configured_law,
-    jog,
-    jog_leased,
-    repeated,
-    run,
-    run_breakaway,
-    run_law,
-    run_relay,
-    run_survey,
-    run_tracking,
-)
-
-__all__ = [
-    "BREAKAWAY_LAW",
-    "SEARCH_LAW",
-    "configured_law",
-    "jog",
-    "jog_leased",
-    "repeated",
-    "run",
-    "run_breakaway",
-    "run_law",
-    "run_relay",
-    "run_survey",
-    "run_tracking",
-]

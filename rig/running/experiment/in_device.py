@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from rig.backends.driver import RelayCommand, RelayDriver, StrokeDriver, StrokesCommand, StrokeTimes
 from rig.control.relay import RelayOnCounts
@@ -13,22 +12,12 @@ from rig.core.faults import Fault
 from rig.running.session import Session
 
 
-class RelayInDevice(NamedTuple):
-    """A relay for the device, and the same on the counts that come back."""
+def relay_in_device(
+    session: Session, gains_V: tuple[float, float], z_bound_rad_s: float
+) -> tuple[RelayCommand, RelayOnCounts]:
+    """The relay at gains (h1, h2), V, for the device, and the same on the counts that come back.
 
-    command: RelayCommand
-    relay: RelayOnCounts
-
-
-class StrokesInDevice(NamedTuple):
-    """Strokes for the device, and the same on the counts that come back."""
-
-    command: StrokesCommand
-    law: StrokesOnCounts
-
-
-def relay_in_device(session: Session, gains_V: tuple[float, float], z_bound_rad_s: float) -> RelayInDevice:
-    """The relay at gains (h1, h2), V. Raises Fault CONFIG_MISMATCH if the device cannot run it.
+     Raises Fault CONFIG_MISMATCH if the device cannot run it.
 
     z_bound_rad_s  bound on its integral
     """
@@ -44,11 +33,16 @@ def relay_in_device(session: Session, gains_V: tuple[float, float], z_bound_rad_
         command.count_tick_rad_s,
         gains_V,
     )
-    return RelayInDevice(command, relay)
+    return command, relay
 
 
-def strokes_in_device(session: Session, strokes: Sequence[Stroke], timing: StrokeTiming) -> StrokesInDevice:
-    """A stroke test that goes on until something ends it. Raises Fault CONFIG_MISMATCH if the device cannot run it."""
+def strokes_in_device(
+    session: Session, strokes: Sequence[Stroke], timing: StrokeTiming
+) -> tuple[StrokesCommand, StrokesOnCounts]:
+    """A stroke test that goes on until something ends it: for the device, and the same on the counts that come back.
+
+    Raises Fault CONFIG_MISMATCH if the device cannot run it.
+    """
     driver, motion_rad = session.bench.driver, session.experiment.breakaway.motion_rad
     if not isinstance(driver, StrokeDriver):
         raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} runs no strokes: set it to host")
@@ -60,4 +54,4 @@ def strokes_in_device(session: Session, strokes: Sequence[Stroke], timing: Strok
         CountedTimes(command.stroke_ticks, command.still_ticks),
         command.still_counts,
     )
-    return StrokesInDevice(command, law)
+    return command, law

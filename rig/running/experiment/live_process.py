@@ -37,7 +37,6 @@ _CLOSES_S = 5.0
 _LAST_BYTES = 2000  # of its standard error, which are kept: the end of a traceback
 _HEAD = struct.Struct("=I")
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-_NO_WARNING = {"PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"}  # that its package has imported this module already
 
 
 class LiveProcess:
@@ -63,7 +62,7 @@ class LiveProcess:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 bufsize=0,
-                env={**os.environ, **_ONE_THREAD, **_NO_WARNING},
+                env={**os.environ, **_ONE_THREAD},
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )
         except OSError as error:

@@ -179,11 +179,7 @@ def run_breakaway(
 
 
 def run_tracking(
-    experiment: Experiment,
-    models: Answered,
-    models_from: Path,
-    parent: Path,
-    on_start: OnStart | None = None,
+    experiment: Experiment, models: Answered, models_from: Path, parent: Path, on_start: OnStart | None = None
 ) -> Outcome:
     """Breakaway and the tracking check, with the models of an earlier run, ``models_from``."""
 

@@ -22,7 +22,7 @@ from rig.control.hysteretic import HystereticRun
 from rig.control.known_motor import NOT_COMPENSATED
 from rig.control.law import Constant, Law, Rest, Timed
 from rig.control.leased_jog import LeasedDrive
-from rig.control.loop.pre_run import PreRunBench, pre_run
+from rig.control.loop.pre_run import PreRunBench, Rehearsed, pre_run
 from rig.control.loop.real_time import RealTime, real_time
 from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay
@@ -177,9 +177,7 @@ def armed_check(session: Session) -> None:
 
 def _take_delay(session: Session) -> None:
     """Measure the bench's delay by the strokes, and let guard and loop count with it. Raises Fault DELAY."""
-    e, check = session.experiment, session.found.breakaway
-    if check is None:
-        raise ValueError("the delay is measured by a breakaway check")
+    e, check = session.experiment, session.found.checked
     is_run = session.delay is None  # in a replay it is known from the begin, and the strokes are not looked at again
     delay = _delay_of(session, check.reported_delay_s, check.noise_rad)
     if is_run:
@@ -317,12 +315,7 @@ def breakaway_check(e: Experiment, drive_units: int | None = None) -> BreakawayC
         b.motion_rad,
         b.rest_s,
         StrokePlan(
-            strokes.strokes_s,
-            strokes.pause_s,
-            strokes.watchdog_s,
-            strokes.further,
-            strokes.in_all,
-            strokes.top_pause_s,
+            strokes.strokes_s, strokes.pause_s, strokes.watchdog_s, strokes.further, strokes.in_all, strokes.top_pause_s
         ),
         e.period_s,
         float if drive_units is None else replace(e.drive.map, full_units=drive_units).quantised,
@@ -471,11 +464,10 @@ def test_hysteretic(session: Session) -> None:
 
     Raises Fault DRIVE_TOO_SMALL and what the loop raises; ValueError without a breakaway check.
     """
-    e, breakaway = session.experiment, session.found.breakaway
+    e = session.experiment
     if e.relay.hysteretic is None:
         return
-    if breakaway is None:
-        raise ValueError("a hysteretic run needs a breakaway check")
+    breakaway = session.found.checked
     for number, wanted in enumerate(e.relay.hysteretic, start=1):
         level_V = breakaway.plus_V if wanted.d_V > 0.0 else breakaway.minus_V
         if abs(wanted.d_V) <= level_V:
@@ -491,9 +483,7 @@ def test_hysteretic(session: Session) -> None:
 
 def bring_home(session: Session) -> None:
     """Bring the shaft to rest at zero. Raises Fault NOT_HOME; ValueError without a breakaway check."""
-    e, breakaway = session.experiment, session.found.breakaway
-    if breakaway is None:
-        raise ValueError("homing needs a breakaway check")
+    e, breakaway = session.experiment, session.found.checked
     lsb_rad, noise_rad = e.sensor.curve.lsb_rad, breakaway.noise_rad
     # without noise the mean of readings is as coarse as the sensor's steps, and the edge of a step may be at zero
     dithered = noise_rad > 0.4 * lsb_rad
@@ -518,9 +508,9 @@ def search_gains(
     Where the search finds no second cycle the first test is all, with a note. Raises Fault NO_CYCLE without a first;
     ValueError without relay.target or a breakaway check.
     """
-    e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
-    if target is None or breakaway is None:
-        raise ValueError("the gain search needs relay.target and a breakaway check")
+    e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.checked
+    if target is None:
+        raise ValueError("the gain search needs relay.target")
     s = e.relay.search
     search = GainSearch(
         relay,
@@ -607,31 +597,24 @@ def _numbers(model: Motor | FramedMotor) -> dict[str, float]:
     """All that a replay needs of a model."""
     if isinstance(model, FramedMotor):
         return model.numbers
-    return {
-        "tau_s": model.tau_s,
-        "K_rad_s_V": model.K_rad_s_V,
-        "fc_V": model.friction.plus_V,
-        "bias_V": model.bias_V,
-    }
+    return {"tau_s": model.tau_s, "K_rad_s_V": model.K_rad_s_V, "fc_V": model.friction.plus_V, "bias_V": model.bias_V}
 
 
 def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | FramedMotor) -> str:
     """Why a model must not drive the bench, in words, by a simulation on the trusted motor; empty if it may."""
-    e = session.experiment
+    further_delay_s = _further_delay_s(session)
+    return why_not(session, _tracking_law(session, model, further_delay_s), trusted, further_delay_s)
+
+
+def why_not(session: Session, law: Rehearsed, motor: Motor | FramedMotor, further_delay_s: float) -> str:
+    """Why a law must not drive the bench, in words, by a simulation with that motor before it; empty if it may."""
+    e, loop = session.experiment, session.loop
+    settings, order = loop.guard.settings, session.bench.driver.order
     bench = PreRunBench(
-        motor=trusted,
-        start_rad=session.loop.last_y_rad,
-        noise_rad=session.loop.guard.settings.noise_rad,
-        latency_s=session.loop.latency_s,
-        further_delay_s=_further_delay_s(session),
-        calibration=e.sensor.curve,
-        drive_map=e.drive.map,
-        rail_counts=e.sensor.rails,
-        period_s=e.period_s,
-        order=session.bench.driver.order,
-    )
-    law = _tracking_law(session, model, bench.further_delay_s)
-    return pre_run(law, bench, session.loop.guard.settings) or ""
+        motor, loop.last_y_rad, settings.noise_rad, loop.latency_s, e.sensor.curve, e.drive.map, e.sensor.rails,
+        e.period_s, order, further_delay_s,
+    )  # fmt: skip
+    return pre_run(law, bench, settings) or ""
 
 
 def _further_delay_s(session: Session) -> float:
@@ -735,13 +718,7 @@ def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Call
         if len(detector.cycles) > noted:
             noted = len(detector.cycles)
             c = detector.cycles[-1]
-            session.note(
-                "cycle",
-                stage=stage,
-                number=noted,
-                settled=detector.settled,
-                period_s=c.period_s,
-                amplitude_rad=c.amplitude_rad,
-            )
+            sizes = {"period_s": c.period_s, "amplitude_rad": c.amplitude_rad}
+            session.note("cycle", stage=stage, number=noted, settled=detector.settled, **sizes)
 
     return watch

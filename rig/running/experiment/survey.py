@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 from rig.control.law import Rest
-from rig.control.loop.pre_run import PreRunBench, pre_run
 from rig.control.sweep_plan import COUNTS_1_S, EDGE_SHARE, SweepPlan, TooShortError, sweep_plan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s, slowest_rad_s
 from rig.core.faults import Fault
@@ -15,7 +15,7 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import known
-from rig.running.experiment.stages import REST_S, driving
+from rig.running.experiment.stages import REST_S, driving, why_not
 from rig.running.preflight.survey_room import survey_room
 from rig.running.session import Session
 
@@ -34,17 +34,9 @@ def survey(session: Session) -> None:
     _rehearse(session, Sweeps(motor, plan, loop))
     # a replay sweeps by these numbers: it plans nothing, and rehearses nothing
     session.note(
-        "survey",
-        tau_s=motor.tau_s,
-        K_rad_s_V=motor.K_rad_s_V,
-        plus_V=motor.plus_V,
-        minus_V=motor.minus_V,
-        low_rad=plan.low_rad,
-        high_rad=plan.high_rad,
-        bandwidth_1_s=plan.bandwidth_1_s,
-        latency_s=loop.latency_s,
-        lost_rad=loop.lost_rad,
-    )
+        "survey", **asdict(motor), low_rad=plan.low_rad, high_rad=plan.high_rad, bandwidth_1_s=plan.bandwidth_1_s,
+        latency_s=loop.latency_s, lost_rad=loop.lost_rad,
+    )  # fmt: skip
     for speed_rad_s in plan.speeds_rad_s:
         session.note("sweep", speed_rad_s=speed_rad_s)
     sweep(session, Sweeps(motor, plan, loop))
@@ -99,19 +91,7 @@ def _plan(session: Session, motor: CrudeMotor, loop: SweepLoop) -> SweepPlan:
 
 def _rehearse(session: Session, sweeps: Sweeps) -> None:
     """Run the sweeps on a simulated bench with the crude motor. Raises Fault NO_SWEEPS if they must not be run."""
-    e, motor = session.experiment, sweeps.motor
-    bench = PreRunBench(
-        motor=Motor(motor.tau_s, motor.K_rad_s_V, coulomb(motor.friction_V)),
-        start_rad=session.loop.last_y_rad,
-        noise_rad=session.loop.guard.settings.noise_rad,
-        latency_s=session.loop.latency_s,
-        calibration=e.sensor.curve,
-        drive_map=e.drive.map,
-        rail_counts=e.sensor.rails,
-        period_s=e.period_s,
-        order=session.bench.driver.order,
-        further_delay_s=(session.delay or BenchDelay()).shown_s[1],
-    )
-    reason = pre_run(sweeps, bench, session.loop.guard.settings)
-    if reason is not None:
+    motor = sweeps.motor
+    believed = Motor(motor.tau_s, motor.K_rad_s_V, coulomb(motor.friction_V))
+    if reason := why_not(session, sweeps, believed, (session.delay or BenchDelay()).shown_s[1]):
         raise Fault("NO_SWEEPS", reason)

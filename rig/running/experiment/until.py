@@ -55,11 +55,7 @@ LONG_S = 3600.0  # a test goes on until something ends it
 MOST_STILL = 3  # starts in a row in which the shaft stood still, although pushes before each had moved it
 
 
-def drive_until(
-    session: Session,
-    known: FramedMotor | None = None,
-    advisers: Advisers | None = None,
-) -> None:
+def drive_until(session: Session, known: FramedMotor | None = None, advisers: Advisers | None = None) -> None:
     """Breakaway check, tests until the motor is known, hysteretic runs if the config has some.
 
     known     the motor, as far as an earlier run knows it: the first test comes at once
@@ -176,9 +172,7 @@ class _Tests:
     def _search(self) -> None:
         """The start without a model."""
         session, e, found = self._session, self._session.experiment, self._session.found
-        check = found.breakaway
-        if check is None:
-            raise ValueError("the start needs a breakaway check")
+        check = found.checked
         friction_V = 0.5 * (check.plus_V + check.minus_V)
         if math.isnan(self._first_sum_V):
             # short strokes show a fast motor's friction too high

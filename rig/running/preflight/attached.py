@@ -27,9 +27,7 @@ def attached_rules(e: Experiment) -> Iterator[Problem]:
         yield from _gravity(e, servo, e.load)
     if servo.attached == "joint" and has_watchdog(servo) and not e.daq.accept_no_watchdog and limits_are_ordered(d):
         yield from full_drive_stays_inside(
-            d,
-            joint_silence_s(d, servo),
-            "before the servo's watchdog has acted and the shaft has stopped",
+            d, joint_silence_s(d, servo), "before the servo's watchdog has acted and the shaft has stopped"
         )
 
 

@@ -155,12 +155,7 @@ def _lengths(longest: int) -> Iterator[int]:
 
 
 def _moved_rad(
-    e: Experiment,
-    strokes: BreakawayStrokes,
-    max_V: float,
-    *,
-    friction: float = 0.5,
-    beyond_noise: bool = False,
+    e: Experiment, strokes: BreakawayStrokes, max_V: float, *, friction: float = 0.5, beyond_noise: bool = False
 ) -> float:
     """Rough travel of a slow reference motor by all strokes of one way, rad.
 

@@ -460,31 +460,25 @@ def _emulated(d: DeviceSetup) -> Iterator[Problem]:
     if d.emulated is None:
         return
     m = d.emulated.motor
-    for side, static_V, moving_V in (("plus", m.fs_plus_V, m.fc_plus_V), ("minus", m.fs_minus_V, m.fc_minus_V)):
+    sides = (("plus", m.fs_plus_V, m.fc_plus_V), ("minus", m.fs_minus_V, m.fc_minus_V))
+    above_V = [0.0 if static_V is None else static_V - moving_V for _, static_V, moving_V in sides]
+    for side, static_V, moving_V in sides:
         if static_V is not None and static_V < moving_V:
             yield wrong(
                 f"emulated.motor.fs_{side}_V",
                 f"static friction {static_V:g} V is less than the moving friction fc_{side}_V {moving_V:g} V",
                 "raise it, or leave it out: then it is the moving friction",
             )
-    falls = any(
-        static_V is not None and static_V > moving_V
-        for static_V, moving_V in ((m.fs_plus_V, m.fc_plus_V), (m.fs_minus_V, m.fc_minus_V))
-    )
-    if m.stribeck_rad_s > 0.0 and not falls:
+    if m.stribeck_rad_s > 0.0 and not max(above_V) > 0.0:
         yield wrong(
             "emulated.motor.stribeck_rad_s",
             "has no effect: static friction is nowhere above moving friction",
             "raise fs_plus_V and fs_minus_V, or leave it out",
         )
-    above = [
-        0.0 if static_V is None else static_V - moving_V
-        for static_V, moving_V in ((m.fs_plus_V, m.fc_plus_V), (m.fs_minus_V, m.fc_minus_V))
-    ]
-    if m.parts is not None and abs(above[0] - above[1]) > 1e-12:
+    if m.parts is not None and abs(above_V[0] - above_V[1]) > 1e-12:
         yield wrong(
             "emulated.motor.parts",
-            f"static friction is above moving friction by {above[0]:g} V one way and {above[1]:g} V the other",
+            f"static friction is above moving friction by {above_V[0]:g} V one way and {above_V[1]:g} V the other",
             "a motor with parts needs the same both ways: change fs_plus_V or fs_minus_V",
         )
     ends = {"mechanical stops": m.stop_rad}

@@ -73,10 +73,7 @@ def strokes_step(draft: Draft) -> Steps[Draft]:
             )  # fmt: skip
         else:
             answer = yield from choice(
-                Say(
-                    stopped(seen.fault) if code == "INTERRUPTED" else f"{seen.fault}\n{seen.fault.cure}",
-                    "refused",
-                ),
+                Say(stopped(seen.fault) if code == "INTERRUPTED" else f"{seen.fault}\n{seen.fault.cure}", "refused"),
                 "and then?",
                 (("again", "the strokes again"), ("stop", "leave this step out")),
             )

@@ -1,11 +1,11 @@
-"""How a command that cannot be done ends: cause and cure, and the exit status."""
+"""How a command ends: its JSON on stdout; or cause and cure, and the exit status."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -18,12 +18,20 @@ from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.config import ConfigError
+    from rig.run_folder.results.part import Part
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 
 
-def fail(status: int, cause: str, cure: str = "") -> NoReturn:
+def say_json(value: Part | Mapping[str, object]) -> None:
+    """Print a command's answer as JSON on stdout, as of ``json_text``."""
+    from rig.run_folder.recording.folder import json_text
+
+    click.echo(json_text(value), nl=False)
+
+
+def fail(cause: str, cure: str = "", *, status: int = EXIT_BAD_INPUT) -> NoReturn:
     """Print the cause and the cure, a line each, on stderr; with --json one JSON object on stdout. Then exit."""
     if click.get_current_context().params.get("as_json"):
         click.echo(json.dumps({"ok": False, "cause": cause, "cure": cure}))
@@ -40,16 +48,9 @@ def written(file: Path) -> Iterator[None]:
     try:
         yield
     except FileExistsError:
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file")
+        fail(f"{file} is there already", "name another file")
     except OSError as error:
-        fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
-
-
-def fail_input(error: RecordingError) -> NoReturn:
-    """Exit for a bad recording or a full disk: print file and line, the cause, the cure."""
-    place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
-    status = EXIT_FAILED if isinstance(error, CannotWriteError) else EXIT_BAD_INPUT
-    fail(status, place + error.cause, error.cure)
+        fail(f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
 
 
 def fail_config(error: ConfigError, verdict: str = "") -> NoReturn:
@@ -74,11 +75,13 @@ def fail_with(error: RigError) -> NoReturn:
     if isinstance(error, ConfigError):
         fail_config(error)
     if isinstance(error, Fault):
-        fail(EXIT_FAILED, str(error), error.cure)
+        fail(str(error), error.cure, status=EXIT_FAILED)
     if isinstance(error, RecordingError):
-        fail_input(error)
+        place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
+        status = EXIT_FAILED if isinstance(error, CannotWriteError) else EXIT_BAD_INPUT
+        fail(place + error.cause, error.cure, status=status)
     if isinstance(error, CauseError):
-        fail(error.status, error.cause, error.cure)
+        fail(error.cause, error.cure, status=error.status)
     if isinstance(error, EmulationError):
-        fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
+        fail(*str(error).split("\n", maxsplit=1), status=EXIT_FAILED)
     raise error
