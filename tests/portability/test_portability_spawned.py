@@ -21,6 +21,6 @@ def starts(path: Path) -> list[set[str]]:
 
 def test_no_process_has_the_working_folder_on_its_path() -> None:
     found = {path: starts(path) for path in RIG.rglob("*.py")}
-    assert sum(map(len, found.values())) > 10
+    assert sum(map(len, found.values())) >= 10
     open_ones = [str(path.relative_to(RIG)) for path, options in found.items() if any(not o & CLOSED for o in options)]
     assert open_ones == []
