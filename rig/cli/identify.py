@@ -129,11 +129,10 @@ def identify(
         click.echo(REHEARSAL)
     if not verbose:
         notes = [f"{recording.source.name}: {note}" for recording in recordings for note in recording.notes]
-        notes += found.changes
-        for note in notes[:MOST_NOTES]:
+        for note in (*notes[:MOST_NOTES], *found.changes):
             click.echo(note)
-        if len(notes) > MOST_NOTES:
-            click.echo(f"{len(notes) - MOST_NOTES} more notes on what was read")
+        if (more := len(notes) - MOST_NOTES) > 0:
+            click.echo(f"{more} more note{'s' if more > 1 else ''} on what was read")
     show_answer(result.answer)
     if verbose:
         show_details(result)

@@ -301,7 +301,8 @@ def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     A lost row is a hole where the drive stepped meanwhile. Where the position is set anew, another part begins, too. A
     part is as long as the longest delay of a drive, and twenty rows: after that its drives are known.
     """
-    holes, jumps = np.union1d(hole_rows(test), _lost_rows(test)), _set_anew(test)
+    holes = np.union1d(hole_rows(test), _lost_rows(test))
+    jumps = np.setdiff1d(_set_anew(test), holes)  # over a hole a shaft turns far
     least = FEWEST_ROWS + math.ceil(LATENCY_S / test.period_s) + 1
     edges = [0, *(np.union1d(holes, jumps) + 1).tolist(), len(test)]
     parts = [test.part(first, stop) for first, stop in pairwise(edges) if stop - first >= least]

@@ -45,6 +45,7 @@ from rig.identification.preprocessing import evened
 from rig.identification.thinning import COARSEST_PATH_RAD, of_one_step, showing_the_angle, thinned
 from rig.identification.verdict import MORE_CYCLES, ROW_UP, by_prediction, reserved
 from rig.model.real_motor import Frame, MovingMotor, Pieces, RealMotor, index, response
+from rig.output.report.simulated import simulated
 from rig.run_folder.recording.recording import from_columns
 from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import Answer
@@ -96,12 +97,11 @@ def test_what_lies_between_gaps_is_identified_in_parts() -> None:
     kept[500:520] = kept[1100:1540] = False
     found = found_in((t_s[kept], u_V[kept], y_rad[kept]))
     [said] = found.changes
-    assert (
-        "2 gaps, the largest a gap of 2.21 s after row 1079, in which the drive is unknown" in said
-        and "3 parts" in said
-    )
+    assert "2 gaps, the largest a gap of 2.21 s after row 1079, in which the drive is unknown: each of 3 parts" in said
     assert found.answer is not None and found.answer.verdict == "ok" and said in found.notes
     assert right(found.answer, MOTOR, 0.01, "tau_s", "K_rad_s_V", "fc_V")
+    [picture] = simulated(found)
+    assert picture.parts == 3 and picture.t_s.size == np.count_nonzero(kept)
 
 
 def test_gaps_between_which_nothing_shows_are_not_taken_for_other_time_stamps() -> None:

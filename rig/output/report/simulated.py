@@ -14,6 +14,8 @@ from rig.identification.identification import Identification
 from rig.identification.known_model import model_of
 from rig.identification.measurements import at_their_times
 from rig.identification.preprocessing import from_recording
+from rig.model.motor import Motor
+from rig.model.real_motor import FramedMotor
 from rig.output.report.model_curves import predicted
 from rig.output.report.source import Array
 from rig.output.report.style import (
@@ -32,6 +34,7 @@ from rig.output.report.style import (
 )
 from rig.run_folder.recording.folder import write_whole
 from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.series import TimeSeries
 from rig.run_folder.results import Answer, known
 from rig.run_folder.results.answer_words import beyond_drive, of_all
 
@@ -77,15 +80,29 @@ class Simulated:
 
 
 def simulated(found: Identification) -> list[Simulated]:
-    """Each test of an identification, simulated by its answer. Raises AbsentError where the answer is no motor."""
+    """Each test of an identification, parts of one file as one, simulated by its answer.
+
+    Raises AbsentError where the answer is no motor.
+    """
     estimate, motor = found.best, found.real_motor
     if estimate is None or motor is None:
         raise AbsentError("The answer is refused, or has no tau and K: there is no motor to simulate.")
-    shown = []
+    shown: list[list[TimeSeries]] = []
     for test in found.tests:
-        y_rad = predicted(motor if motor.parts else motor.plain, test, slice(None), (estimate.delay_s,)).y_rad
-        shown.append(Simulated(test.name, test.t_s - test.t_s[0], test.y_rad, y_rad))
-    return shown
+        last = shown[-1][-1] if shown else None
+        if last is not None and last.name == test.name and test.first_row >= last.first_row + len(last):
+            shown[-1].append(test)
+        else:
+            shown.append([test])
+    moves = motor if motor.parts else motor.plain
+    return [_of_parts(parts, moves, estimate.delay_s) for parts in shown]
+
+
+def _of_parts(parts: Sequence[TimeSeries], moves: FramedMotor | Motor, delay_s: float) -> Simulated:
+    """What lies between the gaps of one recording, side by side, each with a start of its own."""
+    y_rad = np.concatenate([predicted(moves, part, slice(None), (delay_s,)).y_rad for part in parts])
+    t_s, measured_rad = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "y_rad"))
+    return Simulated(parts[0].name, t_s - t_s[0], measured_rad, y_rad, len(parts))
 
 
 def predicted_record(answer: Answer, recording: Recording) -> Simulated:
@@ -103,10 +120,7 @@ def predicted_record(answer: Answer, recording: Recording) -> Simulated:
     motor = replace(motor, motor=motor.motor._replace(drift=0.0))
     name = recording.source.name
     parts = at_their_times(from_recording(recording, slice(0, len(recording)), name)[0])[0]
-    moves, delays_s = motor if motor.parts else motor.plain, (known(answer.delay_s),)
-    y_rad = np.concatenate([predicted(moves, part, slice(None), delays_s).y_rad for part in parts])
-    t_s, measured_rad = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_s", "y_rad"))
-    return Simulated(name, t_s - t_s[0], measured_rad, y_rad, len(parts))
+    return _of_parts(parts, motor if motor.parts else motor.plain, known(answer.delay_s))
 
 
 def beyond(answer: Answer, recording: Recording) -> str:
