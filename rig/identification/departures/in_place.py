@@ -18,6 +18,7 @@ from rig.identification.departures.choice import FAINT, TRIAL_ITERATIONS, TRIED,
 from rig.identification.departures.departure import Departure
 from rig.identification.departures.fit import Fit, refitted, solve, unit
 from rig.identification.departures.nuisances import OF, Nuisance, Nuisances
+from rig.identification.departures.profile import best_size
 from rig.identification.noise import WHITE
 from rig.identification.side_by_side import side_by_side
 
@@ -122,18 +123,22 @@ def _fitted(
 ) -> list[InPlace]:
     """Laws in place of another, each fitted: those named in ``far``; and of one that the record hardly shows the best.
 
-    Those that promise most are the best.
+    Those that promise most are the best, and any whose sizes are looked at one by one is fitted.
     """
     most = TRIED if gained(fit, bare) <= FAINT else 0
     if not most and not far:
         return []
     found = []
+    bench = chooser.bench
     others = [one for one in laws if one is not law]
     promises = [one for one in chooser.promises(bare, others) if one.law is not law]
-    for promise in [one for k, one in enumerate(promises) if k < most or one.law.name in far]:
+    for promise in [one for k, one in enumerate(promises) if k < most or one.law.name in far or one.law.sizes(bench)]:
         one = promise.law
-        motor = bare.motor._replace(**promise.first)
-        trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS)
+        if one.sizes(bench):  # no linear model says what it would gain
+            trial = best_size(bare, one, others, chooser)
+        else:
+            motor = bare.motor._replace(**promise.first)
+            trial = solve(chooser.with_laws(bare, [*others, one], motor), TRIAL_ITERATIONS)
         moves = np.array([getattr(trial.motor, name) - getattr(fit.motor, name) for name in OF])
         found.append(InPlace(law, one, gained(fit, trial) + _extra(fit, law, one), moves))
     return found

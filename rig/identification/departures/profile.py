@@ -1,7 +1,8 @@
 """A law size by size, where the motion is not linear in it (docs/theory.md 12.8).
 
 A dead band that swallows a small drive whole is such a law. The other numbers are fitted for each size in turn. If the
-fit has the law, the other sizes are looked at: they may explain the record as well as the one that was found.
+fit has the law, the other sizes are looked at: they may explain the record as well as the one that was found. If it has
+not, the size that fits best may lie between two of them, and tell more than both: it is looked for, too.
 """
 
 from __future__ import annotations
@@ -9,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identification.departures.choice import Chooser, without
+from rig.identification.departures.choice import TRIAL_ITERATIONS, Chooser, without
 from rig.identification.departures.departure import Bench, Departure
 from rig.identification.departures.fit import Fit, Normal, refitted, solve, unit
 from rig.identification.departures.nuisances import OF
@@ -50,17 +52,47 @@ def profiles(fit: Fit, laws: Sequence[Departure], chooser: Chooser, effect: floa
     effect   as ``Nuisances.tempered``
     """
     return [
-        _found(fit, law, laws, chooser) if law in laws else _hidden(fit, law, chooser.bench, effect)
+        _found(fit, law, laws, chooser) if law in laws else _hidden(fit, law, laws, chooser, effect)
         for law in chooser.candidates
         if law.sizes(chooser.bench)
     ]
 
 
-def _hidden(fit: Fit, law: Departure, bench: Bench, effect: float) -> Profile:
-    """Of a law that the fit has not. Beforehand each size up to its range is as likely."""
-    sizes, rise, moves, spread = _by_size(fit, fit, law, bench)
-    odds = _widths(sizes, law, bench) / law.range_of(bench) * np.exp(-0.5 * rise / effect)
-    return Profile(law, odds, moves, spread)
+def best_size(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Fit:
+    """The fit with such a law beside its ``laws``, from the size that explains the record best of those looked at."""
+    found = _by_size(fit, fit, law, chooser.bench)
+    return _at(found.fits[int(np.argmin(found.rise))], fit, law, laws, chooser)
+
+
+def _at(one: Fit, fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Fit:
+    """``fit`` with the law beside its ``laws``, of the size that fits best near that of ``one``."""
+    return solve(chooser.with_laws(fit, [*laws, law], one.motor), TRIAL_ITERATIONS)
+
+
+def _hidden(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser, effect: float) -> Profile:
+    """Of a law that the fit has not. Beforehand each size up to its range is as likely.
+
+    A size that fits best of those about it, in a peak that is narrower than they are apart, counts by its own width.
+    """
+    found, [name] = _by_size(fit, fit, law, chooser.bench), law.numbers
+    range_, beside = law.range_of(chooser.bench), np.ones(found.sizes.size, dtype=bool)
+    peaks: list[tuple[float, Array, Array]] = []
+    for at in np.flatnonzero((np.diff(found.rise)[:-1] <= 0.0) & (np.diff(found.rise)[1:] > 0.0)) + 1:
+        best = _at(found.fits[at], fit, law, laws, chooser)
+        size, sigma, rise = getattr(best.motor, name), _sigma(best, name), _rise(best, fit)
+        width = math.sqrt(2.0 * math.pi) * sigma
+        if rise < found.rise[at] and width < found.widths[at] and abs(size - found.sizes[at]) < found.widths[at]:
+            beside &= np.abs(found.sizes - size) > ITS_OWN * sigma
+            move = np.array([getattr(best.motor, key) - getattr(fit.motor, key) for key in OF])
+            spread = found.spread[at] * sigma / found.widths[at] * math.sqrt(12.0)
+            peaks.append((width / range_ * math.exp(-0.5 * rise / effect), move, spread))
+    odds = found.widths / range_ * np.exp(-0.5 * found.rise / effect)
+    return Profile(
+        law,
+        np.append(odds[beside], [odd for odd, _, _ in peaks]),
+        np.vstack((found.moves[beside], *(move for _, move, _ in peaks))),
+        np.vstack((found.spread[beside], *(spread for _, _, spread in peaks))),
+    )
 
 
 def _found(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser) -> Profile:
@@ -69,32 +101,61 @@ def _found(fit: Fit, law: Departure, laws: Sequence[Departure], chooser: Chooser
     others = [one for one in laws if one is not law]
     problem = replace(chooser.problem(fit.problem.cut, others, math.inf), noise=fit.problem.noise)
     bare = refitted(fit, problem, without(fit.motor, law))
+    sigma = _sigma(fit, name)
+    found = _by_size(fit, bare, law, chooser.bench)
+    odds = found.widths / (math.sqrt(2.0 * math.pi) * sigma) * np.exp(-0.5 * found.rise)
+    beside = np.abs(found.sizes - getattr(fit.motor, name)) > ITS_OWN * sigma
+    return Profile(law, odds[beside], found.moves[beside], found.spread[beside], found=True)
+
+
+def _sigma(fit: Fit, name: str) -> float:
+    """Standard deviation of a number of the fit, by its noise."""
     normal = Normal.of(fit.rows, fit.problem.cut)
     covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit)
     at = fit.problem.free.index(name)
-    sigma = max(math.sqrt(max(float(covariance[at, at]), 0.0)), 1e-12)
-    sizes, rise, moves, spread = _by_size(fit, bare, law, chooser.bench)
-    odds = _widths(sizes, law, chooser.bench) / (math.sqrt(2.0 * math.pi) * sigma) * np.exp(-0.5 * rise)
-    beside = np.abs(sizes - getattr(fit.motor, name)) > ITS_OWN * sigma
-    return Profile(law, odds[beside], moves[beside], spread[beside], found=True)
+    return max(math.sqrt(max(float(covariance[at, at]), 0.0)), 1e-12)
 
 
-def _by_size(fit: Fit, begin: Fit, law: Departure, bench: Bench) -> tuple[Array, Array, Array, Array]:
-    """The sizes, the rise of twice the negative log likelihood against ``fit`` at each, and what they move."""
+def _rise(one: Fit, fit: Fit) -> float:
+    """Of twice the negative log likelihood, against ``fit``."""
+    return max((one.cost - fit.cost) / unit(fit), -HOPELESS)
+
+
+class _Sizes(NamedTuple):
+    """Sizes of a law that were looked at, as in ``Profile``.
+
+    rise     (k,) of twice the negative log likelihood
+    widths   (k,) of the sizes that each stands for
+    fits     of each
+    """
+
+    sizes: Array
+    rise: Array
+    moves: Array
+    spread: Array
+    widths: Array
+    fits: list[Fit]
+
+
+def _by_size(fit: Fit, begin: Fit, law: Departure, bench: Bench) -> _Sizes:
+    """The sizes, their rise against ``fit``, and what they move; each fit begins at the one before, first ``begin``."""
     [name] = law.numbers
     here = np.array([getattr(fit.motor, key) for key in OF])
     sizes, rise, moves = [], [], []
-    one = begin
+    one, fits = begin, []
     for size in sorted(law.sizes(bench)):
         one = solve(refitted(one, motor=one.motor._replace(**{name: size})), STEPS)
         sizes.append(size)
-        rise.append(max((one.cost - fit.cost) / unit(fit), -HOPELESS))
+        rise.append(_rise(one, fit))
+        fits.append(one)
         moves.append(np.array([getattr(one.motor, key) for key in OF]) - here)
         if rise[-1] > HOPELESS and size > max(bench.small_drives_V, default=0.0):
             break
     at, found = np.array(sizes), np.array(moves)
     slopes = np.gradient(found, at, axis=0) if at.size > 1 else found / at[:, None]
-    return at, np.array(rise), found, np.abs(slopes) * _widths(at, law, bench)[:, None] / math.sqrt(12.0)
+    widths = _widths(at, law, bench)
+    spread = np.abs(slopes) * widths[:, None] / math.sqrt(12.0)
+    return _Sizes(at, np.array(rise), found, spread, widths, fits)
 
 
 def _widths(sizes: Array, law: Departure, bench: Bench) -> Array:
