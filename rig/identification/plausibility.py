@@ -279,6 +279,7 @@ def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
     """Indices of the few rows behind which the position is set anew: one step far from the steps before and after it.
 
     It is larger than any other step, and farther from those beside it: of a motor that turns round they differ, too.
+    Nor is it where the drive is larger than anywhere else: a kick moves the shaft so.
     """
     steps_rad = np.diff(test.y_rad) * np.minimum(1.0, test.period_s / np.diff(test.t_s))  # over lost rows it goes on
     beside_rad = np.pad(steps_rad, 1, mode="edge")
@@ -289,7 +290,10 @@ def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
     jumps = np.sort(peaks[: far[-1] + 1]) if far.size else peaks[:0]
     goes_back = np.maximum(off_rad[jumps], off_rad[jumps + 2]) > GOES_BACK * off_rad[jumps + 1]
     least_rad = max(LARGER * float(np.abs(np.delete(steps_rad, jumps)).max(initial=0.0)), _motion(test))
-    return jumps[:0] if goes_back.any() or np.any(np.abs(steps_rad[jumps]) < least_rad) else jumps
+    at = np.clip(jumps + np.array([[-1], [0], [1]]), 0, None)
+    is_kick = np.abs(test.u_V)[at].max(axis=0) > LARGER * np.abs(np.delete(test.u_V, at)).max(initial=0.0)
+    none = goes_back.any() or is_kick.any() or np.any(np.abs(steps_rad[jumps]) < least_rad)
+    return jumps[:0] if none else jumps
 
 
 def _lost_rows(test: TimeSeries) -> NDArray[np.intp]:

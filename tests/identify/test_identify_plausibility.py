@@ -186,6 +186,8 @@ def test_a_position_that_is_set_anew_begins_another_part_and_a_spike_does_not() 
     anew = replace(whole, y_rad=whole.y_rad - np.where(np.arange(601) > 250, 0.7, 0.0))
     parts, (said,) = without_holes(anew)
     assert [part.first_row for part in parts] == [0, 251] and "set anew after row 250" in said
+    kick = replace(anew, u_V=np.where(np.arange(601) == 250, -3.0 * np.abs(anew.u_V).max(), anew.u_V))
+    assert without_holes(kick) == ([kick], [])
     spike = replace(whole, y_rad=whole.y_rad + np.where(np.arange(601) == 250, 0.7, 0.0))
     assert without_holes(spike) == ([spike], []) and without_holes(whole) == ([whole], [])
     rests = np.arange(601) < 60
