@@ -153,7 +153,8 @@ def test_parts_between_gaps_are_series_of_their_own_and_short_or_idle_ones_are_l
         (10, 100, test.name), (120, 260, test.name), (380, 191, test.name)
     ]  # fmt: skip
     assert (
-        "3 gaps, the largest a gap of 0.21 s after row 109" in said and "10 rows in short or steady parts were left out" in said
+        "3 gaps, the largest a gap of 0.21 s after row 109" in said
+        and "10 rows in short or steady parts were left out" in said
     )
     idle = replace(test, u_V=np.where(test.t_s > whole.t_s[405], 0.0, test.u_V))
     idle = replace(idle, y_rad=np.where(test.t_s > whole.t_s[405], 1.0, test.y_rad))
