@@ -261,7 +261,7 @@ def at_their_times(whole: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     parts, gaps = ([test], said) if said else without_holes(whole)
     if len(parts) > 1:
         each = [evened(part) for part in parts]
-        parts, said = [part for part, _ in each], [note for _, notes in each[:1] for note in notes]
+        parts, said = [part for part, _ in each], next((notes for _, notes in each if notes), [])
     return parts, [*gaps, *said] if len(parts) > 1 else gaps
 
 

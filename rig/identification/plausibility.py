@@ -87,11 +87,15 @@ def judge_records(tests: Sequence[TimeSeries], motor: Estimate | None = None) ->
     some = [test for test, is_one in zip(tests, of_many, strict=True) if is_one]
     is_told = any(not _lacks(test) for test in some)
     run_rad = max((float(np.ptp(test.y_rad)) for test in some), default=0.0)
+    fine_rad: dict[str, float] = {}  # of a file: a short part may look coarser than its sensor is
+    for test in tests:
+        fine_rad[test.name] = min(fine_rad.get(test.name, math.inf), max(test.resolution_rad(), test.noise_rad()))
     for k, (test, is_one) in enumerate(zip(tests, of_many, strict=True)):
         told = is_told and is_one
         span_rad = run_rad if told and _lacks(test) else float(np.ptp(test.y_rad))
         columns = _columns(test, span_rad, motor)
-        looks = (_units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
+        units = partial(_units, fine_rad=fine_rad[test.name])
+        looks = (units, _holes, partial(_spikes, motor=motor), _rails, *(() if told else (_little, _information)))
         for place, look in enumerate((_columns,) if columns else looks):
             for number, one in enumerate(columns or look(test)):
                 of = (place, number, one.verdict) if is_one else (place, number, one.verdict, k)
@@ -218,7 +222,8 @@ def _divides_a_turn(step_rad: float) -> bool:
     return bool(counts > FEWEST_COUNTS - 0.5 and abs(counts - round(counts)) < WHOLE)
 
 
-def _units(test: TimeSeries) -> list[Objection]:
+def _units(test: TimeSeries, fine_rad: float) -> list[Objection]:
+    """Numbers that point to another unit; ``fine_rad``: the step, or noise, of its sensor."""
     name, period = test.name, test.period_s
     y, span, largest = test.y_rad, float(np.ptp(test.y_rad)), float(np.abs(test.u_V).max())
     duration = float(test.t_s[-1] - test.t_s[0])
@@ -241,7 +246,7 @@ def _units(test: TimeSeries) -> list[Objection]:
         pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
     elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"positions are whole numbers over {span:g}: is y_rad in raw counts or degrees? {said}")
-    elif max(step, test.noise_rad()) < FINE_RAD or _divides_a_turn(step):
+    elif fine_rad < FINE_RAD or _divides_a_turn(step):
         pass  # an encoder's radians, fine or of few counts: no sign of degrees, and the column's name says rad
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees? {said}")
@@ -274,8 +279,9 @@ def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
     """Indices of the few rows behind which the position is set anew: one step far from the steps before and after it.
 
     It is larger than any other step, and farther from those beside it: of a motor that turns round they differ, too.
+    Nor is it where the drive is larger than anywhere else: a kick moves the shaft so.
     """
-    steps_rad = np.diff(test.y_rad)
+    steps_rad = np.diff(test.y_rad) * np.minimum(1.0, test.period_s / np.diff(test.t_s))  # over lost rows it goes on
     beside_rad = np.pad(steps_rad, 1, mode="edge")
     off_rad = np.pad(np.abs(steps_rad - 0.5 * (beside_rad[:-2] + beside_rad[2:])), 1)
     peaks = np.flatnonzero((off_rad[1:-1] >= off_rad[:-2]) & (off_rad[1:-1] >= off_rad[2:]))
@@ -284,7 +290,10 @@ def _set_anew(test: TimeSeries) -> NDArray[np.intp]:
     jumps = np.sort(peaks[: far[-1] + 1]) if far.size else peaks[:0]
     goes_back = np.maximum(off_rad[jumps], off_rad[jumps + 2]) > GOES_BACK * off_rad[jumps + 1]
     least_rad = max(LARGER * float(np.abs(np.delete(steps_rad, jumps)).max(initial=0.0)), _motion(test))
-    return jumps[:0] if goes_back.any() or np.any(np.abs(steps_rad[jumps]) < least_rad) else jumps
+    at = np.clip(jumps + np.array([[-1], [0], [1]]), 0, None)
+    is_kick = np.abs(test.u_V)[at].max(axis=0) > LARGER * np.abs(np.delete(test.u_V, at)).max(initial=0.0)
+    none = goes_back.any() or is_kick.any() or np.any(np.abs(steps_rad[jumps]) < least_rad)
+    return jumps[:0] if none else jumps
 
 
 def _lost_rows(test: TimeSeries) -> NDArray[np.intp]:
@@ -306,7 +315,7 @@ def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     least = FEWEST_ROWS + math.ceil(LATENCY_S / test.period_s) + 1
     edges = [0, *(np.union1d(holes, jumps) + 1).tolist(), len(test)]
     parts = [test.part(first, stop) for first, stop in pairwise(edges) if stop - first >= least]
-    parts = [part for part in parts if np.ptp(part.u_V) or np.ptp(part.y_rad)]
+    parts = [part for part in parts if np.ptp(part.u_V) and np.ptp(part.y_rad)]  # others no fit can use
     kept = sum(map(len, parts))
     if len(edges) == 2 or kept < KEPT * len(test):
         return [test], []
@@ -315,7 +324,7 @@ def without_holes(test: TimeSeries) -> tuple[list[TimeSeries], list[str]]:
     if jumps.size:
         said.append(f"a position that is set anew after row {', '.join(str(test.first_row + k) for k in jumps)}")
     rest = len(test) - sum(map(len, parts))
-    left_out = f"; {rest} rows in short parts were left out" if rest else ""
+    left_out = f"; {rest} rows in short or steady parts were left out" if rest else ""
     each = f"each of {len(parts)} parts is fitted with a start of its own"
     return parts, [f"{test.name}: {' and '.join(said)}: {each}{left_out}"]
 

@@ -153,11 +153,14 @@ def test_parts_between_gaps_are_series_of_their_own_and_short_or_idle_ones_are_l
         (10, 100, test.name), (120, 260, test.name), (380, 191, test.name)
     ]  # fmt: skip
     assert (
-        "3 gaps, the largest a gap of 0.21 s after row 109" in said and "10 rows in short parts were left out" in said
+        "3 gaps, the largest a gap of 0.21 s after row 109" in said
+        and "10 rows in short or steady parts were left out" in said
     )
     idle = replace(test, u_V=np.where(test.t_s > whole.t_s[405], 0.0, test.u_V))
     idle = replace(idle, y_rad=np.where(test.t_s > whole.t_s[405], 1.0, test.y_rad))
     assert [part.first_row for part in without_holes(idle)[0]] == [10, 120]
+    steady = replace(test, u_V=np.where(test.t_s > whole.t_s[405], 3.0, test.u_V))  # in it no fit finds a drive
+    assert [part.first_row for part in without_holes(steady)[0]] == [10, 120]
     rare = np.zeros(whole.t_s.size, dtype=bool)
     rare[::10] = rare[:50] = True
     few = replace(whole, t_s=whole.t_s[rare], y_rad=whole.y_rad[rare], u_V=whole.u_V[rare])
@@ -184,12 +187,18 @@ def test_a_position_that_is_set_anew_begins_another_part_and_a_spike_does_not() 
     anew = replace(whole, y_rad=whole.y_rad - np.where(np.arange(601) > 250, 0.7, 0.0))
     parts, (said,) = without_holes(anew)
     assert [part.first_row for part in parts] == [0, 251] and "set anew after row 250" in said
+    kick = replace(anew, u_V=np.where(np.arange(601) == 250, -3.0 * np.abs(anew.u_V).max(), anew.u_V))
+    assert without_holes(kick) == ([kick], [])
     spike = replace(whole, y_rad=whole.y_rad + np.where(np.arange(601) == 250, 0.7, 0.0))
     assert without_holes(spike) == ([spike], []) and without_holes(whole) == ([whole], [])
     rests = np.arange(601) < 60
     speed = np.where(rests, 0.0, 1.0 - np.exp(-(whole.t_s - whole.t_s[60]) / 0.02))
     begins = replace(whole, y_rad=np.cumsum(0.01 * speed), u_V=np.where(rests, 0.0, 3.0))
     assert without_holes(begins) == ([begins], [])
+    turns = replace(whole, y_rad=np.sin(whole.t_s), u_V=np.cos(whole.t_s))  # in a gap it moves on
+    kept = np.abs(np.arange(601) - 240) > 1
+    lost = replace(turns, t_s=turns.t_s[kept], y_rad=turns.y_rad[kept], u_V=turns.u_V[kept])
+    assert without_holes(lost) == ([lost], [])
 
 
 def test_a_part_of_a_file_may_lack_what_another_part_tells() -> None:
@@ -197,6 +206,10 @@ def test_a_part_of_a_file_may_lack_what_another_part_tells() -> None:
     little = replace(whole, y_rad=0.001 * whole.y_rad)
     assert judge_records([little]) and not judge_records([whole, little])
     assert judge_records([whole, replace(little, name="another")])
+    fine = replace(whole, y_rad=30.0 * np.sin(whole.t_s), u_V=np.cos(whole.t_s))
+    seems_coarse = replace(fine, y_rad=0.11 * np.round(fine.y_rad / 0.11))
+    assert not judge_records([fine, seems_coarse])
+    assert "in degrees" in judge_records([fine, replace(seems_coarse, name="another")])[0].reason
 
 
 def test_a_quick_motor_turns_far_from_row_to_row_and_a_jump_that_no_motor_explains_is_one() -> None:

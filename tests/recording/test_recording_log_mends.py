@@ -123,6 +123,18 @@ def test_a_counter_of_few_bits_goes_on_also_where_it_is_shorter_than_a_turn(
     assert not any("wrapped" in note for note in read(fast, COUNTED).notes)
 
 
+def test_a_potentiometer_with_a_gap_in_its_turn_goes_on_by_the_turn(tmp_path: Path, bench: Bench) -> None:
+    """It shows 1024 of the 1229 counts of a turn: taken for a counter of 10 bits it made K 17 % too small."""
+    per_turn = 1228.8
+    counts = np.round(bench.counts * 0.5)
+    shown = np.mod(counts, per_turn)
+    shown = np.floor(np.where(shown > 1126.0, 0.0, np.minimum(shown, 1023.0)))
+    path = log_of(tmp_path, {"ms": bench.ms, "pwm": bench.pwm, "counts": shown})
+    found = read(path, replace(COUNTED, counts_per_turn=per_turn))
+    assert np.ptp(found.y_rad) == pytest.approx(np.ptp(counts) * TURN / per_turn, rel=0.01, abs=0.2 * TURN)
+    assert any("an angle that wraps" in note for note in found.notes)
+
+
 def test_a_velocity_that_was_kept_as_an_unsigned_number_gets_its_sign(tmp_path: Path, bench: Bench) -> None:
     rpm = np.round(bench.v_rad_per_s * 30.0 / np.pi)
     path = log_of(tmp_path, {"ms": bench.ms, "volts": bench.pwm * 12.0 / 255.0, "rpm": rpm % 2**16})

@@ -17,10 +17,9 @@ from rig.run_folder.recording.recording import Floats, Integers
 _FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _OF_BITS: Final = {8: 2.0**8, 16: 2.0**16, 32: 2.0**32}  # numbers that a whole number of so many bits can be
 _COUNTERS: Final = (8, 10, 12, 14, 16, 32)  # bits of a position
-# Of its range: what a position that wraps covers at least, and the most that it then moves
-# in nearly each row. A number of 16 bits
-# or more wraps wherever it jumps by more than half of its range.
-_COVERS, _MOVES, _NEARLY, _WIDE = 0.9, 0.35, 0.99, 16
+# Of its range: what a position that wraps covers at least, and the most that it then moves in nearly each row. A number
+# of 16 bits or more wraps wherever it jumps by more than half of its range.
+_COVERS, _MOVES, _NEARLY, _WIDE = 0.8, 0.35, 0.99, 16
 # Seconds after which clocks begin anew: those of 16 and 32 bits, and those that show a part of a longer time.
 _SHOWN_S: Final = (1.0, 10.0, 60.0, 100.0, 1000.0, 3600.0, 43200.0, 86400.0)
 _WRAP_PERIODS = 3.0  # longest step over the end of a clock
@@ -105,23 +104,22 @@ def unwrapped_position(y: Floats, counts: bool, turn: float, notes: list[str]) -
     counts  whether they are whole numbers of a counter
     turn    of the shaft, in the unit of y
     """
-    extent = float(np.ptp(y))
-    largest = float(np.abs(np.diff(y)).max())
-    if counts and bool(np.all(y == np.round(y))):
-        for bits in _COUNTERS:
-            size = 2.0**bits
-            on = np.unwrap(y, period=size) if largest > 0.5 * size and extent < size else y
-            if on is not y and (bits >= _WIDE or _goes_on(y, on, size)):
-                notes.append(f"the counter, of {bits} bits, wrapped: the positions go on")
-                return np.asarray(on)
-    if largest > 0.5 * turn and extent <= turn * (1.0 + 1e-9):
-        on = np.unwrap(y, period=turn)
-        if _goes_on(y, on, turn):
-            notes.append(
-                "the positions stay within one turn and jump by most of it: they are an angle that wraps, and go on"
-            )
-            return np.asarray(on)
-    return y
+    extent, largest = float(np.ptp(y)), float(np.abs(np.diff(y)).max())
+    of_counter = _COUNTERS if counts and bool(np.all(y == np.round(y))) else ()
+    found = [(2.0**bits, f"the counter, of {bits} bits, wrapped: the positions go on") for bits in of_counter]
+    found = [(size, said) for size, said in found if extent < size]
+    if extent <= turn * (1.0 + 1e-9):
+        said = "the positions stay within one turn and jump by most of it: they are an angle that wraps, and go on"
+        found.append((turn, said))
+    ways = [(np.unwrap(y, period=size), said, size) for size, said in found if largest > 0.5 * size]
+    ways = [way for way in ways if (way[2] >= 2.0**_WIDE and way[2] != turn) or _goes_on(y, way[0], way[2])]
+    if not ways:
+        return y
+    # a potentiometer of 10 bits stays at an end in the gap of its turn: there the counter's size is too small a step
+    inside = np.flatnonzero((y > y.min()) & (y < y.max()))
+    on, said, _ = min(ways, key=lambda way: float(np.abs(np.diff(np.diff(way[0][inside]) / np.diff(inside))).sum()))
+    notes.append(said)
+    return np.asarray(on)
 
 
 def _goes_on(y: Floats, on: Floats, size: float) -> bool:
