@@ -195,7 +195,7 @@ class _Stoppable:
 
     def __init__(self, keeper: Guardian, flag: StopFlag) -> None:
         self._keeper, self._flag = keeper, flag
-        self.rest, self.end = keeper.rest, keeper.end
+        self.waits, self.rest, self.end = keeper.waits, keeper.rest, keeper.end
 
     @property
     def has_acted(self) -> bool:

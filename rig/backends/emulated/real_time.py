@@ -62,8 +62,11 @@ class Served(Protocol):
         """What to wait for."""
         ...
 
-    def serve(self, ready: set[int], t_s: float) -> None:
-        """Take what has come in, without waiting."""
+    def serve(self, ready: set[int], now: Callable[[], float]) -> None:
+        """Take what has come in, without waiting; then let time pass to ``now``, at which it came.
+
+        The time is read last: a device hears nothing before its host has said it.
+        """
         ...
 
     def next_event_s(self) -> float:
@@ -94,11 +97,12 @@ class BehindPty:
         """As of ``Served``."""
         return [self._pty]
 
-    def serve(self, ready: set[int], t_s: float) -> None:
+    def serve(self, ready: set[int], now: Callable[[], float]) -> None:
         """As of ``Served``."""
         if self._pty in ready:
             with contextlib.suppress(BlockingIOError):
-                self._wire.send(os.read(self._pty, 4096), t_s)
+                data = os.read(self._pty, 4096)
+                self._wire.send(data, now())
 
     def next_event_s(self) -> float:
         """As of ``Served``."""
@@ -215,8 +219,7 @@ def _run(device: Served, trace: _Trace, ends: int, *, watches_stdin: bool) -> No
         if stdin in ready and not os.read(stdin, 64):
             watches_stdin, end_s = False, now_s + _ORPHAN_S
         if not ready.isdisjoint(device.files()):
-            # catching up may have taken long: a device hears nothing before its host has said it
-            device.serve(ready, trace.advance())
+            device.serve(ready, trace.advance)
             now_s = trace.advance()
 
 

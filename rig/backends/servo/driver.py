@@ -418,6 +418,8 @@ class ServoDriver(RegisterDriver[Ask]):
     @override
     def _tick_reading(self) -> Reply:
         """Where the servo tells no clock, at another place within its step each tick: the mean is then the truth."""
+        if self._guardian is not None:
+            self._guardian.waits()  # for as long as the servo's own watchdog may: else the keeper acts just before
         if self._steps.is_known:
             return self._exchange(self._sampling)
         self._dithered = (self._dithered + _GOLDEN) % 1.0

@@ -19,6 +19,10 @@ class Guardian(Protocol):
         """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
         ...
 
+    def waits(self) -> None:
+        """The process lives, and asks: a wait for an answer is no silence. Says nothing while nothing drives."""
+        ...
+
     def rest(self) -> None:
         """Nothing drives: silence is no sign of anything."""
         ...

@@ -111,6 +111,11 @@ class ServoKeeper:
             self._tell(_LOOK)
             self._drives = True
 
+    def waits(self) -> None:
+        """The process lives, and asks. Says nothing while nothing drives."""
+        if self._drives:
+            self._heart.beat()
+
     def rest(self) -> None:
         """Nothing drives. What it did before is over."""
         self._heart.rest()

@@ -133,6 +133,15 @@ class Watching:
         self.rest()
         self._heard_s = self.bench.bus.now_s()
 
+    def waits(self) -> None:
+        if self._heard_s is not None:
+            self.beat()
+
+    @property
+    def silent_s(self) -> float:
+        """For how long it has not heard of rig, s."""
+        return 0.0 if self._heard_s is None else self.bench.bus.now_s() - self._heard_s
+
     def rest(self) -> None:
         if self._heard_s is not None:
             self.turned_unheard_s = max(self.turned_unheard_s, self.bench.bus.now_s() - self._heard_s)
@@ -203,6 +212,21 @@ def test_no_drive_follows_the_stop_of_the_keeper(protocol: str) -> None:
     with pytest.raises(Fault, match="DEVICE_WATCHDOG"):
         bench.driver.write(-1.0)
     assert bench.servo.of("drive") == driven != 0
+
+
+def test_a_servo_that_does_not_answer_is_no_silence_of_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The keeper would act while rig waits, and rig would end with that, not with the cable that is out."""
+    bench = Bench()
+    watching = Watching(bench)
+    bench.driver._start_guardian = watching
+    bench.armed()
+    bench.tick(1.0)
+    watchdog_s = bench.limits.watchdog_s
+    acts = property(lambda one: one.silent_s >= watchdog_s)
+    monkeypatch.setattr(Watching, "has_acted", acts, raising=False)
+    monkeypatch.setattr(bench.bus, "write", lambda data: None)
+    with pytest.raises(Fault, match="LINK_TIMEOUT"):
+        bench.driver.read()
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

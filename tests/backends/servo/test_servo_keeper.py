@@ -27,6 +27,7 @@ from rig.backends.servo.bus import ServoLink, servo_link
 from rig.backends.servo.emulated.servo_board import ServoBoard, violations_in
 from rig.backends.servo.keeper import ServoKeeper
 from rig.core.faults import Fault
+from rig.core.heartbeat import AT_REST
 
 PHASES = 200
 SILENCE_S = 0.06
@@ -260,6 +261,17 @@ def test_a_keeper_that_has_acted_is_heard_until_nothing_drives(saved: Saved) -> 
     time.sleep(4.0 * SILENCE_S)  # by then it sleeps, until it is told
     one.beat()
     assert wait_for(lambda: one.has_acted)
+    one.rest()
+    one.end(restored=True)
+
+
+def test_a_wait_for_an_answer_is_heard_while_the_servo_is_driven(saved: Saved) -> None:
+    one = saved.keeper(PATIENCE_S)
+    heard_s = []
+    for tells in (one.waits, one.beat, one.waits):
+        tells()
+        heard_s.append(one._heart.heard_s)
+    assert heard_s[0] == AT_REST < heard_s[1] < heard_s[2]
     one.rest()
     one.end(restored=True)
 

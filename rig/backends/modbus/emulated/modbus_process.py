@@ -73,15 +73,20 @@ class _Tcp(_Block):
     def files(self) -> list[int]:
         return [self._server.fileno(), *self._open]
 
-    def serve(self, ready: set[int], t_s: float) -> None:
+    def serve(self, ready: set[int], now: Callable[[], float]) -> None:
+        arrived: dict[int, bytes] = {}
         for number in ready & self._open.keys():
-            connection, stream = self._open[number]
             try:
-                data = connection.recv(4096)
+                arrived[number] = self._open[number][0].recv(4096)
             except BlockingIOError:
                 continue
             except ConnectionError:
-                data = b""
+                arrived[number] = b""
+        t_s = now()
+        for number, data in arrived.items():
+            if number not in self._open:  # it ended when a reply was sent
+                continue
+            stream = self._open[number][1]
             for adu in stream.feed(data):
                 self._slave.take(number, adu, t_s)
             if not data or stream.broken:

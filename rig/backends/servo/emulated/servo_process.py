@@ -50,12 +50,12 @@ class _Served(BehindPty):
         t = self._bus.servos[0].truth()
         return Look(t.t_s, t.motor_V, t.y_rad, t.v_rad_per_s, t.errors)
 
-    def serve(self, ready: set[int], t_s: float) -> None:
+    def serve(self, ready: set[int], now: Callable[[], float]) -> None:
         if self._pty in ready:
             speed = termios.tcgetattr(self._pty)[5]
             if self._set_at_first is not None and speed != self._set_at_first and speed in _BAUDS:
                 self._bus.line = replace(self._bus.line, baud=_BAUDS[speed])
-        super().serve(ready, t_s)
+        super().serve(ready, now)
 
     def power_cycle(self) -> None:
         for servo in self._bus.servos:
