@@ -210,14 +210,14 @@ def test_stopping_it_cuts_the_drive_and_removes_its_link(tmp_path: Path) -> None
     port = start(board, tcp=False, link=link, trace=trace)
     pid = board.pid
     assert str(link.readlink()) == port
-    with stock_client(str(link)) as client:
-        client.write_registers(WATCHDOG, list(LONG_WATCHDOG), device_id=1)
-        client.write_register(CONTROL, 1, device_id=1)
-        client.write_register(DRIVE, 200, device_id=1)
     with pytest.raises(EmulationError, match="already runs"):
         start(board, tcp=False)
     with pytest.raises(EmulationError, match="is the link of a device that exists"):
         start(ModbusBoard(), tcp=False, link=link)
+    with stock_client(str(link)) as client:
+        client.write_registers(WATCHDOG, list(LONG_WATCHDOG), device_id=1)
+        client.write_register(CONTROL, 1, device_id=1)
+        client.write_register(DRIVE, 200, device_id=1)
     board.stop()
     board.stop()
     assert not alive(pid) and not link.is_symlink()
