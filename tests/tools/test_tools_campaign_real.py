@@ -97,7 +97,13 @@ def test_a_dead_band_that_was_found_may_have_another_size() -> None:
 
 
 def test_a_dead_band_that_shows_in_a_narrow_peak_alone_is_not_excluded_by_the_sizes_beside_it() -> None:
-    one = row(CAMPAIGN.model_copy(update={"seed": 60613}), 207, False)
+    campaign = CAMPAIGN.model_copy(update={"seed": 60613})
+    begun = beginning(campaign, 207)
+    choice = begun.chooser.choose(begun.whole, begun.motor, begun.cycle_s)
+    [profile] = profiles(choice.fit.with_own_noise, choice.laws, begun.chooser)
+    at_peak = profile.moves[:, 2] < -0.03  # the sizes on either side say 0.006 and 0.004
+    assert profile.odds[at_peak].max() > 0.1 > 10.0 * np.sort(profile.odds[at_peak])[-2]
+    one = row(campaign, 207, False)
     assert one.kinds == ("dead_band 0.05",) and one.found == ("viscous_by_direction",)
     assert one.verdict == "doubtful" and one.inside is not None and one.inside[2]  # f_c is 13 % off: it was ok
     assert "dead band" in one.reasons
