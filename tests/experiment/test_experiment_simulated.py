@@ -128,6 +128,7 @@ def test_identify_from_the_folder_and_from_the_bare_csv(
         assert identified.pop(key) == outcome[key]
     assert outcome["breakaway"].items() >= identified.pop("breakaway").items()
     assert set(identified.pop("notes")) <= set(outcome["notes"])
+    assert identified.pop("sampling")["period_s"] == pytest.approx(0.01)  # `rig tune` reads it
     assert not identified
     recording = read_run(folder)
     rows = recording.stage_rows("relay-1")
