@@ -119,6 +119,13 @@ def wait_for(holds: Callable[[], bool]) -> bool:
     return True
 
 
+def stands(link: ServoLink, port: int) -> bool:
+    """Whether nothing drives the servo. The keeper speaks on the bus, too: its answers are not for this question."""
+    roles = link.model.roles
+    with turn_on(port, PATIENCE_S):
+        return link.value(roles["torque"]) == 0 and link.value(roles["applied"]) == 0
+
+
 def reopened(name: str, bench: Bench) -> SerialPort:
     """Once the keeper has let go of the port."""
     until_s = time.monotonic() + PATIENCE_S
@@ -165,14 +172,14 @@ def test_who_dies_or_hangs_while_it_drives_is_outlived_by_a_stop(
 def test_a_command_that_hangs_is_stopped_before_it_ends(board: tuple[str, Bench, ServoBoard], tmp_path: Path) -> None:
     """Looked at beside the keeper, while the command still stands still."""
     name, bench, _ = board
-    roles, path = bench.setup.model.roles, tmp_path / "servo.json"
+    path = tmp_path / "servo.json"
     pid = forked(lambda tells: drive(name, bench, path, tells, 1))
     os.kill(pid, signal.SIGSTOP)
     time.sleep(2.0 * SILENCE_S)
     beside = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         link = servo_link(InheritedLink(beside), bench.setup.model, bench.own.id, bench.own.baud, 1.0)
-        assert wait_for(lambda: link.value(roles["torque"]) == 0 and link.value(roles["applied"]) == 0)
+        assert wait_for(lambda: stands(link, beside))
     finally:
         os.close(beside)
         os.kill(pid, signal.SIGKILL)
@@ -287,15 +294,9 @@ def test_a_drive_that_was_on_its_way_when_the_keeper_acted_does_not_last(saved: 
     one.beat()
     assert wait_for(lambda: one.has_acted)
     time.sleep(2.0 * SILENCE_S)  # its stop is over
-    port = saved.port.descriptor  # the keeper speaks on the bus, too: its answers are not for this test
-    with turn_on(port, PATIENCE_S):
+    with turn_on(saved.port.descriptor, PATIENCE_S):
         link.put(roles["torque"], 1)
         link.put(roles["drive"], 100)
-
-    def stands() -> bool:
-        with turn_on(port, PATIENCE_S):
-            return link.value(roles["torque"]) == 0 and link.value(roles["applied"]) == 0
-
-    assert wait_for(stands)
+    assert wait_for(lambda: stands(link, saved.port.descriptor))
     one.rest()
     one.end(restored=True)
