@@ -94,6 +94,7 @@ NO_CYCLE_TAUS, SHORTEST_S, LONGEST_S, NO_CYCLE = 3.3, 0.17, 2.2, 12.0
 MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than noise, rows are not what bounds it
 LEAVES, LONG_LEAVES = 8.0, 2.0  # residual over the sensor's noise of such a fit; of tests of more than ``MOST_ROWS``
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
+EXPLAINED = 1.5  # residual over the sensor's noise, at most, of laws that leave little else: then rows bound the answer
 MOST_SURVEY_ROWS = 1200
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
 SPEED_OVER_S = 0.1
@@ -413,6 +414,7 @@ def motor_law(
     *,
     level_V: tuple[float, float] | None = None,
     was_known: bool = False,
+    all_rows: bool = False,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
@@ -422,15 +424,16 @@ def motor_law(
     recording_of  for each test the name of its recording; None: they are of one
     level_V       friction at rest by breakaway ramps, and its standard error; None without ramps
     was_known     whether a live fit of all this ended the tests: then stages that follow each other are one motion
-    Of more than 8,000 rows several at a time are taken as one, or of 2,000 where the plain motor leaves far more than
-    noise, in a long record twice as much. Raises IdentifyError if a test is too short.
+    all_rows      whether the plain motor leaves so much only for its want of laws
+    Of more than 8,000 rows several at a time are taken as one; or of 2,000, where the plain motor leaves far more than
+    noise, in a long record twice as much, and so do its laws. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
     further = [(_slow(series), number) for series, number in further]
     noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
     leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
-    most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad else MOST_ROWS
+    most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad and not all_rows else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
     begun = Beginning.of(folded, plain, periods_s, stated, level_V, names)
     tested = sum(window.t_s.size for window in begun.whole.windows)
@@ -443,6 +446,11 @@ def motor_law(
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
         choice = behind_a_gear(choice, begun.chooser, whole, begun.cycle_s)
+        if most == FEWER_ROWS < of_rows and choice.fit.rms_rad <= EXPLAINED * begun.chooser.sigma_rad:
+            return motor_law(
+                tests, plain, periods_s, stated, further, recording_of,
+                level_V=level_V, was_known=was_known, all_rows=True,
+            )  # fmt: skip
         if not further and len(set(names)) > 1:
             level = levels(choice.fit.with_own_noise, names)
             for each, drift in (
