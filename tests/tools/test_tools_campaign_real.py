@@ -109,6 +109,14 @@ def test_a_dead_band_that_shows_in_a_narrow_peak_alone_is_not_excluded_by_the_si
     assert "dead band" in one.reasons
 
 
+def test_what_only_laws_explain_is_no_reason_to_leave_rows_out() -> None:
+    """The plain motor leaves 14 times the noise. Every second row shows one of the laws, and K 1.1 % off; all show both."""
+    one = row(CAMPAIGN.model_copy(update={"seed": 21}), 83, True)
+    assert one.kinds == ("force_over_position 0.05", "friction_over_position 5")
+    assert set(one.found) == {"force_over_position", "friction_over_position"}
+    assert one.error is not None and max(map(abs, one.error)) < 0.005
+
+
 def test_a_law_that_predicts_less_than_is_asked_is_dropped() -> None:
     begun = beginning(CAMPAIGN, 5)
 
