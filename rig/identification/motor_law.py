@@ -95,7 +95,7 @@ MOST_ROWS, FEWER_ROWS = 8000, 2000  # of all tests; where a fit leaves more than
 LEAVES, LONG_LEAVES = 8.0, 2.0  # residual over the sensor's noise of such a fit; of tests of more than ``MOST_ROWS``
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 EXPLAINED = 1.5  # residual over the sensor's noise, at most, of laws that leave little else: then rows bound the answer
-MOST_SURVEY_ROWS = 1200
+MOST_SURVEY_ROWS = 4000
 AT_REST = 0.02  # of the largest speed: below it the shaft counts as at rest
 SPEED_OVER_S = 0.1
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
@@ -430,7 +430,7 @@ def motor_law(
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
-    further = [(_slow(series), number) for series, number in further]
+    further = [(_slow(series, plain.tau_s), number) for series, number in further]
     noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
     leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
     most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad and not all_rows else MOST_ROWS
@@ -623,10 +623,11 @@ def _folded(series: TimeSeries, of_rows: int, most: int, tau_s: float) -> TimeSe
     return thinned(series, min(rows, int(tau_s / series.period_s / rows_of_tau)), of_drive)
 
 
-def _slow(series: TimeSeries) -> TimeSeries:
-    """A survey with several rows as one: its sweeps are slow, and its loop keeps the drive nearly as it is."""
+def _slow(series: TimeSeries, tau_s: float) -> TimeSeries:
+    """A long survey with several rows as one: its sweeps are slow. Its loop follows every row, so its drive is kept."""
     is_survey = series.stage is not None and series.stage.kind is StageKind.SURVEY
-    return thinned(series, math.ceil(len(series) / MOST_SURVEY_ROWS)) if is_survey else series
+    of_drive = max(int(tau_s / series.period_s / ROWS_OF_TAU), 1)
+    return thinned(series, math.ceil(len(series) / MOST_SURVEY_ROWS), of_drive) if is_survey else series
 
 
 def _alone(fit: Fit, of: Sequence[str]) -> tuple[RecordingEstimate, ...]:

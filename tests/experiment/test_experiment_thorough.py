@@ -28,14 +28,19 @@ def thorough(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @pytest.mark.evidence
 def test_a_thorough_run_tells_what_the_plain_run_leaves_open(thorough: dict[str, Any]) -> None:
-    """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
+    """One amplitude does not tell a supply that sags from a slower motor; three and a survey do.
+
+    They do not tell by which curve: a bend with the square of the drive explains them as well, with K 2.8 % smaller.
+    """
     assert any(note.startswith("thorough: the tests left") for note in thorough["notes"])
     (law,) = thorough["answer"]["law"]
     assert law["name"] == "sag" and reaches(law["ci95"], 0.03)
     truth, answer = thorough["truth"], thorough["answer"]
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         assert answer[name] == pytest.approx(truth[name], rel=0.01)
-        assert answer["u95"][name] < 0.025 * truth[name]
+        assert answer["u95"][name] < (0.025 if name == "tau_s" else 0.05) * truth[name]
+    (reason,) = answer["reasons"]
+    assert "sag of the drive or another bend of the drive" in reason
     stages = read_run(Path(thorough["folder"])).stages()
     assert [stage for stage in stages if stage != "rest"] == ["breakaway", "relay-1", "relay-2", "survey"]
     assert {record["name"] for record in thorough["law_records"]} >= {"relay-1", "relay-2", "survey"}
