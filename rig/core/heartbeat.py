@@ -10,6 +10,7 @@ import time
 from typing import Final
 
 SIZE: Final = 4096
+KEEPER: Final = "motor-keeper"  # name of its process: no `killall -9 python3`, `pkill -9 rig` or the like ends it
 AT_REST: Final = 0.0  # in place of a time: nothing drives, and silence is no sign of anything
 _HEARD_S: Final = 0  # when the process was heard last
 _SILENT: Final = 8  # 1: the keeper has found it silent; on a cache line of its own

@@ -17,10 +17,12 @@ from raised import fault_of
 from serial.tools import list_ports
 
 from rig.backends.links import serial_port
+from rig.backends.links.holder import holder_of_file
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.registry import unopened
 from rig.config import Experiment, load
 from rig.core.faults import Fault
+from rig.core.heartbeat import KEEPER
 
 _HOLDS = """
 import sys
@@ -73,6 +75,26 @@ def test_the_port_is_held_exclusively_by_each_link_to_it(terminal: tuple[dict[st
             assert fault.code == "LINK_OPEN"
             assert fault.detail.startswith(f"{other}: process {holder.pid} (") and fault.detail.endswith(" holds it")
     SerialPort(name).close()
+
+
+def test_of_a_run_and_its_keeper_the_run_is_named_and_what_to_do(tmp_path: Path) -> None:
+    """A keeper that is alone soon lets go."""
+    (port := tmp_path / "ttyUSB0").touch()
+    (flag := tmp_path / "runs/one/stop.flag").parent.mkdir(parents=True)
+    flag.touch()
+    for pid, parent, name in ((9, 1, "rig"), (10, 9, KEEPER)):
+        (open_files := tmp_path / f"proc/{pid}/fd").mkdir(parents=True)
+        (open_files / "3").symlink_to(port)
+        if name == "rig":
+            (open_files / "4").symlink_to(flag)
+        (tmp_path / f"proc/{pid}/cmdline").write_bytes(name.encode() + b"\0run\0servo.yaml\0")
+        (tmp_path / f"proc/{pid}/status").write_text(f"Name:\t{name}\nPPid:\t{parent}\n")
+    words = holder_of_file(str(port), tmp_path / "proc")
+    assert words.startswith("process 9 (rig run servo.yaml)") and "Ctrl-C" in words and str(flag.parent) in words
+    (tmp_path / "proc/9/fd/3").unlink()
+    (tmp_path / "proc/10/status").write_text(f"Name:\t{KEEPER}\nPPid:\t1\n")
+    words = holder_of_file(str(port), tmp_path / "proc")
+    assert "process 10, rig's keeper" in words and "lets go within 30 s" in words
 
 
 @pytest.mark.parametrize("is_real", [True, False])

@@ -128,5 +128,5 @@ def _why_not_open(port: str, error: OSError | ValueError) -> str:
     """In a few words; pyserial's own name port and cause twice."""
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.EWOULDBLOCK, errno.EBUSY):
-        return f"{holder_of_file(port) or 'another program'} holds it"
+        return holder_of_file(port) or "another program holds it"
     return str(error) if number is None else os.strerror(number)

@@ -16,6 +16,7 @@ from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import Ask, ServoLink
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
+from rig.core.first_process import first_that_ends_with
 from rig.core.halted import Halts
 from rig.core.heartbeat import SIZE, Heartbeat
 from rig.core.memory_file import create_file
@@ -23,8 +24,13 @@ from rig.core.memory_file import create_file
 _STARTS_S: Final = 10.0
 _ENDS_S: Final = 3.0
 _READY: Final = b"ready\n"
-_SMALL_INITS: Final = ("docker-init", "tini", "dumb-init", "catatonit")
+# begins with the first line of its standard input: it loads nothing but rig and the standard library
+_BEGINS: Final = "import sys; exec(sys.stdin.buffer.readline())"
+_FIRST_LINE: Final = "sys.path.insert(0, {!r}); from rig.running.keeper.silence import main; sys.exit(main(sys.argv[1:]))"
+_PACKAGES: Final = str(Path(__file__).resolve().parents[3])
 _LOOK, _DONE = b"l", b"d"  # as in ``rig.running.keeper.silence``
+
+_left_running: list[subprocess.Popen[bytes]] = []  # each for half a minute at most
 
 
 class ServoKeeper:
@@ -46,12 +52,6 @@ class ServoKeeper:
             "before": "" if store.path is None else str(store.path),
             "note": "" if store.note_path is None else str(store.note_path),
         }
-        if _is_all_of_its_container():
-            raise Fault(
-                "SERVO_UNWATCHED",
-                "rig is the process for which its container lives: its keeper would end with it. Start a shell in the "
-                "container, and rig from there",
-            )
         try:
             memory = create_file(SIZE)
             try:
@@ -67,12 +67,12 @@ class ServoKeeper:
         try:
             self._heart = Heartbeat(memory)
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "rig.running.keeper.silence", *map(str, descriptors)],
+                # no word of it is rig, whatever folder rig is in: `pkill -9 -f rig` must not end both
+                [str(Path(sys.executable).resolve()), "-I", "-S", "-c", _BEGINS, *map(str, descriptors)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,
                 pass_fds=descriptors,
-                env={**os.environ, "PYTHONWARNINGS": "ignore::RuntimeWarning:runpy"},
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )
         except OSError as error:
@@ -84,7 +84,8 @@ class ServoKeeper:
         self._halts = Halts(self._process)
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
-            self._process.stdin.write(json.dumps(orders).encode("ascii") + b"\n")
+            words = f"{_FIRST_LINE.format(_PACKAGES)}\n{json.dumps(orders)}\n"
+            self._process.stdin.write(words.encode("utf-8"))
             is_ready = select.select([self._process.stdout], [], [], _STARTS_S)[0]
             if not is_ready or self._process.stdout.read(len(_READY)) != _READY:
                 raise Fault("SERVO_UNWATCHED", "it was not ready in time")
@@ -122,7 +123,10 @@ class ServoKeeper:
         self._drives = False
 
     def end(self, *, restored: bool) -> None:
-        """It is needed no more; where the registers were not put back it tries that first."""
+        """It is needed no more; where the registers were not put back it stops the servo and does that first.
+
+        Where nobody answers it goes on after this returns, as after the death of this process: a plug may come back.
+        """
         if restored:
             self._tell(_DONE)
         self._let_go()
@@ -131,8 +135,11 @@ class ServoKeeper:
         try:
             self._process.wait(_ENDS_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            if restored:
+                self._process.kill()
+                self._process.wait()
+            else:
+                _left_running.append(self._process)
         self._close()
 
     def _close(self) -> None:
@@ -152,21 +159,25 @@ class ServoKeeper:
             os.close(self._pipe)
 
 
-def starter(descriptor: int, silence_s: float) -> Callable[[ServoLink, BeforeStore], ServoKeeper]:
-    """What starts the keeper of a servo on an open port."""
-    return lambda link, store: ServoKeeper(link, store, descriptor, silence_s)
+def starter(
+    descriptor: int, silence_s: float, *, moves: bool = True
+) -> Callable[[ServoLink, BeforeStore], ServoKeeper]:
+    """What starts the keeper of a servo on an open port; ``moves``: it is a real one.
 
+    Raises Fault SERVO_UNWATCHED where the keeper of a real one would end with this process.
+    """
 
-def _is_all_of_its_container() -> bool:
-    """Whether the kernel ends every process that this one sees as soon as this one ends, the keeper, too."""
-    if os.getpid() == 1:
-        return True
-    if os.getppid() != 1:
-        return False
-    try:  # an init that ends with its only child
-        return Path("/proc/1/comm").read_text(encoding="ascii", errors="replace").strip() in _SMALL_INITS
-    except OSError:
-        return False
+    def start(link: ServoLink, store: BeforeStore) -> ServoKeeper:
+        if moves and (first := first_that_ends_with(os.getpid())):
+            raise Fault(
+                "SERVO_UNWATCHED",
+                f"this container lives for `{first}`, which ends with rig: so would rig's keeper. Start the container "
+                "with a shell (`docker run -it IMAGE bash`) or anything else that lives on, and rig in it by hand or by "
+                "`docker exec`",
+            )
+        return ServoKeeper(link, store, descriptor, silence_s)
+
+    return start
 
 
 def stop_orders(link: ServoLink) -> list[Ask]:

@@ -53,7 +53,7 @@ def servo_driver(d: DeviceSetup, line: Line) -> ServoDriver:
     is_real = d.daq.port not in EMULATED_PORTS and not line.emulated
     store = store_of(d.daq.port or "", servo.id) if is_real else BeforeStore()
     # what only stops the servo, on a link that it has inherited, needs nobody to stop it
-    guardian = None if descriptor is None or line.answered else starter(descriptor, d.daq.watchdog_s)
+    guardian = None if descriptor is None or line.answered else starter(descriptor, d.daq.watchdog_s, moves=is_real)
     return ServoDriver(
         line.transport,
         setup_of(d),

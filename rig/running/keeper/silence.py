@@ -1,7 +1,7 @@
 """The keeper of a device that has no watchdog: a process that stops it when the host dies or falls silent.
 
-``python -m rig.running.keeper.silence LINK PIPE MEMORY`` gets its orders as one line of JSON on standard input, and
-says that it is ready on standard output. LINK is the descriptor of the open port, MEMORY that of the ``Heartbeat`` by
+``main([LINK, PIPE, MEMORY])`` gets its orders as one line of JSON on standard input, and says that it is ready on
+standard output. LINK is the descriptor of the open port, MEMORY that of the ``Heartbeat`` by
 which the host tells that it lives. PIPE ends with the host; a byte on it says that the host begins to drive, or that it
 is done. While the host lives this process writes nothing. It knows no protocol: the host has given it the bytes.
 
@@ -22,11 +22,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from rig.core.heartbeat import AT_REST, Heartbeat
+from rig.core.heartbeat import AT_REST, KEEPER, Heartbeat
 from rig.core.link_turn import turn_on
 
 READY: Final = b"ready\n"
-_NAME: Final = "rig-keeper"
 DONE: Final = b"d"  # the device is as it was: end; any other byte: look at the heartbeat
 _ATTEMPTS: Final = 3  # of a stop, at least
 _PERSISTS_S: Final = 1.0  # with a stop, or a restoring, that nobody confirms
@@ -49,8 +48,8 @@ def main(arguments: list[str]) -> int:
     """Keep the device until the host says that it is done, or is gone."""
     for number in _STOPS:  # one to the whole group must not end it
         signal.signal(number, signal.SIG_IGN)
-    with contextlib.suppress(OSError):  # nor `killall -9 python3`
-        Path("/proc/self/comm").write_text(_NAME, encoding="ascii")
+    with contextlib.suppress(OSError):
+        Path("/proc/self/comm").write_text(KEEPER, encoding="ascii")
     link, pipe, memory = map(int, arguments)
     orders = json.loads(sys.stdin.buffer.readline())
     stop, restore = _orders(orders["stop"]), _orders(orders["restore"])
@@ -184,6 +183,3 @@ class Kept:
 def _orders(pairs: Sequence[Sequence[str]]) -> list[Order]:
     return [Order(bytes.fromhex(data), bytes.fromhex(answer)) for data, answer in pairs]
 
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

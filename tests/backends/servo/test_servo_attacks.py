@@ -255,29 +255,24 @@ def test_a_stop_waits_until_that_of_the_keeper_is_over(
     assert turns == ([("has", 0), ("lets go", 0)] if acts else [])
 
 
-@pytest.mark.parametrize(("pid", "parent", "first", "is_refused"), [
-    (1, 0, "python", True),  # docker run IMAGE rig run
-    (7, 1, "docker-init", True),  # the same with --init
-    (7, 1, "bash", False),  # from a shell in the container
-    (7, 1, "systemd", False),  # with no container at all
-    (7, 5, "docker-init", False),
+@pytest.mark.parametrize(("moves", "first", "words"), [
+    (True, "sh -c rig run", "lives for `sh -c rig run`"), (True, "", "Too many"), (False, "sh -c rig run", "Too many"),
 ])  # fmt: skip
 def test_nobody_drives_whose_keeper_ends_with_it(
-    pid: int, parent: int, first: str, is_refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    moves: bool, first: str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel ends all processes of a container with its first one."""
-    (tmp_path / "comm").write_text(f"{first}\n")
-    monkeypatch.setattr(keepers, "Path", lambda _: tmp_path / "comm")
+    """As where rig is what a container lives for (``rig.core.first_process``): nothing is written to a servo then."""
 
     def full() -> tuple[int, int]:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    told = SimpleNamespace(getpid=lambda: pid, getppid=lambda: parent, pipe=full, close=os.close)
-    monkeypatch.setattr(keepers, "os", told)
+    monkeypatch.setattr(keepers, "first_that_ends_with", lambda _: first)
+    monkeypatch.setattr(keepers, "os", SimpleNamespace(getpid=os.getpid, pipe=full, close=os.close))
     bench = Bench()
+    bench.driver._start_guardian = keepers.starter(0, 0.06, moves=moves)
     with pytest.raises(Fault, match="SERVO_UNWATCHED") as raised:
-        keepers.ServoKeeper(bench.driver._link, bench.store, 0, 0.06)
-    assert ("container" if is_refused else "Too many open files") in raised.value.detail
+        bench.opened()
+    assert words in raised.value.detail and not bench.servo.is_on and bench.servo.eeprom_writes.total() == 0
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -10,12 +9,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from servo_bench import Bench
 
+from rig.backends.servo import keeper as keepers
 from rig.backends.servo.keeper import ServoKeeper
 from rig.core import heartbeat
 from rig.core.faults import Fault
@@ -152,26 +153,37 @@ def test_no_order_of_a_restoring_goes_out_before_the_one_ahead_is_confirmed() ->
     assert set(device.heard) == {b"torque off", b"last"} and device.heard[-1] == b"last"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="there a process may name itself")
-def test_who_kills_every_python_leaves_the_keeper_alive() -> None:
+@pytest.fixture
+def started() -> Iterator[ServoKeeper]:
+    """A keeper of a servo behind a link on which nobody answers."""
     near, far = socket.socketpair()
-    heard, tells = os.pipe()
-    memory = create_file(SIZE)
-    given = (near.fileno(), heard, memory)
-    command = [sys.executable, "-P", "-m", "rig.running.keeper.silence", *map(str, given)]
-    orders = {"stop": [], "restore": [], "silence_s": 1.0, "before": "", "note": ""}
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=given) as keeper:
-        assert keeper.stdin is not None and keeper.stdout is not None
-        keeper.stdin.write(json.dumps(orders).encode("ascii") + b"\n")
-        keeper.stdin.flush()
-        assert keeper.stdout.readline() == silence.READY
-        name = Path(f"/proc/{keeper.pid}/comm").read_text(encoding="ascii").strip()
-        os.write(tells, silence.DONE)
-    assert name == "rig-keeper" and keeper.returncode == 0
-    for one in (heard, tells, memory):
-        os.close(one)
+    bench = Bench()
+    bench.store.save(bench.setup.model, bench.own.id, {"operating_mode": 3})
+    yield ServoKeeper(bench.driver._link, bench.store, near.fileno(), 1.0)
     near.close()
     far.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there a process may name itself")
+def test_who_kills_every_python_or_all_that_is_called_rig_leaves_the_keeper_alive(started: ServoKeeper) -> None:
+    own = Path(f"/proc/{started._process.pid}")
+    name, command = (own / "comm").read_text(encoding="ascii").strip(), (own / "cmdline").read_bytes()
+    started.end(restored=True)
+    assert name == heartbeat.KEEPER and "rig" not in name and "python" not in name and started._process.returncode == 0
+    interpreter = os.fsencode(Path(sys.executable).resolve())  # may be anywhere
+    assert command.startswith(interpreter) and b"rig" not in command.removeprefix(interpreter)
+
+
+def test_a_keeper_that_nobody_answers_goes_on_when_its_command_is_over(
+    started: ServoKeeper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plug of a servo that drives on may come back a little later."""
+    monkeypatch.setattr(keepers, "_ENDS_S", 0.05)
+    started.end(restored=False)
+    lives = started._process.poll() is None
+    started._process.kill()
+    started._process.wait()
+    assert lives and keepers._left_running.pop() is started._process
 
 
 class Jammed(Kept):
