@@ -82,7 +82,7 @@ def test_of_a_run_and_its_keeper_the_run_is_named_and_what_to_do(tmp_path: Path)
     (port := tmp_path / "ttyUSB0").touch()
     (flag := tmp_path / "runs/one/stop.flag").parent.mkdir(parents=True)
     flag.touch()
-    for pid, parent, name in ((9, 1, "rig"), (10, 9, KEEPER)):
+    for pid, parent, name in ((12, 1, "rig"), (10, 12, KEEPER)):
         (open_files := tmp_path / f"proc/{pid}/fd").mkdir(parents=True)
         (open_files / "3").symlink_to(port)
         if name == "rig":
@@ -90,8 +90,8 @@ def test_of_a_run_and_its_keeper_the_run_is_named_and_what_to_do(tmp_path: Path)
         (tmp_path / f"proc/{pid}/cmdline").write_bytes(name.encode() + b"\0run\0servo.yaml\0")
         (tmp_path / f"proc/{pid}/status").write_text(f"Name:\t{name}\nPPid:\t{parent}\n")
     words = holder_of_file(str(port), tmp_path / "proc")
-    assert words.startswith("process 9 (rig run servo.yaml)") and "Ctrl-C" in words and str(flag.parent) in words
-    (tmp_path / "proc/9/fd/3").unlink()
+    assert words.startswith("process 12 (rig run servo.yaml)") and "Ctrl-C" in words and str(flag.parent) in words
+    (tmp_path / "proc/12/fd/3").unlink()
     (tmp_path / "proc/10/status").write_text(f"Name:\t{KEEPER}\nPPid:\t1\n")
     words = holder_of_file(str(port), tmp_path / "proc")
     assert "process 10, rig's keeper" in words and "lets go within 30 s" in words

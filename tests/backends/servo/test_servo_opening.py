@@ -167,6 +167,19 @@ def test_the_watchdog_is_believed_only_where_the_duty_went(
         assert bench.wrong() == []
 
 
+def test_a_watchdog_that_has_acted_for_another_program_is_cleared() -> None:
+    """It takes no goal, and rig left no file that says so."""
+    bench = Bench()
+    bench.armed()
+    bench.tick(0.3)
+    bench.bus.sleep_until(bench.bus.now_s() + 0.2)
+    bench.servo.put("torque_enable", 0)
+    assert bench.servo.value("bus_watchdog") == -1
+    bench.store.clear()
+    bench.another().open()
+    assert bench.driver.failsafe is not None and bench.wrong() == []
+
+
 def test_a_duty_that_does_not_act_proves_no_watchdog() -> None:
     bench = Bench()
     real = bench.servo._target

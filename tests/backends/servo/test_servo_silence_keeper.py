@@ -262,7 +262,7 @@ def test_a_keeper_that_somebody_has_stopped_is_a_fault_before_the_next_drive() -
             except Fault as fault:
                 said = str(fault)
             time.sleep(1e-3)
-        keeper.end(restored=True)
+        keeper.end(restored=False)
         assert keeper._process.returncode == -signal.SIGKILL
         assert "SERVO_UNWATCHED" in said and "SIGSTOP" in said
     os.close(heard)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
+from evidence import evidence
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_bench import PROTOCOLS, Bench
@@ -29,14 +31,24 @@ def test_a_shaft_that_crosses_the_end_of_its_turn_is_followed(protocol: str, zer
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_more_than_half_a_turn_in_a_tick_is_a_jump(protocol: str) -> None:
-    bench = Bench(protocol)
-    bench.armed()
-    bench.tick(0.0)
-    bench.servo.place(0.7 * math.pi)
-    with pytest.raises(Fault, match="SENSOR_JUMP"):
-        for _ in range(2):
+@pytest.mark.parametrize("first", [0, *evidence(*range(1, 201, 50))])
+def test_more_than_half_a_turn_in_a_tick_is_a_jump(protocol: str, first: int) -> None:
+    """From anywhere, either way, at any phase of the servo's step and of the tick."""
+    for phase in range(first, first + 50) if first else (0,):
+        bench, rng = Bench(protocol), random.Random(phase)
+        begin_rad = rng.uniform(-1.0, 1.0)
+        bench.servo.place(begin_rad)
+        bench.armed()
+        for _ in range(rng.randrange(1, 4)):
             bench.tick(0.0)
+        if rng.random() < 0.5:
+            bench.driver.read()
+            bench.bus.sleep_until(bench.bus.now_s() + rng.uniform(0.0, 0.009))
+        bench.servo.place(begin_rad + rng.choice([-1, 1]) * rng.uniform(0.55, 0.95) * math.pi)
+        with pytest.raises(Fault, match="SENSOR_JUMP"):
+            for _ in range(2):
+                bench.tick(0.0)
+        assert bench.driver.safe_stop() and not bench.servo.is_on, phase
 
 
 @given(
