@@ -184,8 +184,6 @@ class ServoDriver(RegisterDriver[Ask]):
         self._until_there()
         left = leave_no_trace(self._link, self._setup, self._store)
         remarks = look(self._link, self._setup)
-        self._met = True  # from here on it is ours to stop
-        self._is_changed = True
         opened = set_up(self._link, self._setup, self._store, self._have_it_watched)
         self._map = replace(self._map, watchdog=self._map.watchdog if opened.has_watchdog else None)
         self.failsafe = DeviceWatchdog(self._setup.watchdog_s) if opened.has_watchdog else None
@@ -269,6 +267,7 @@ class ServoDriver(RegisterDriver[Ask]):
                     raise
 
     def _have_it_watched(self) -> None:
+        self._met = self._is_changed = True  # from here on it is ours to stop, and to put back
         if self._start_guardian is not None:
             self._guardian = self._start_guardian(self._link, self._store)
 

@@ -26,7 +26,7 @@ _ENDS_S: Final = 3.0
 _READY: Final = b"ready\n"
 # begins with the first line of its standard input: it loads nothing but rig and the standard library
 _BEGINS: Final = "import sys; exec(sys.stdin.buffer.readline())"
-_FIRST_LINE: Final = "sys.path.insert(0, {!r}); from rig.running.keeper.silence import main; sys.exit(main(sys.argv[1:]))"
+_FIRST_LINE: Final = "sys.path.append({!r}); from rig.running.keeper.silence import main; sys.exit(main(sys.argv[1:]))"
 _PACKAGES: Final = str(Path(__file__).resolve().parents[3])
 _LOOK, _DONE = b"l", b"d"  # as in ``rig.running.keeper.silence``
 

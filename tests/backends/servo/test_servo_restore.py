@@ -164,6 +164,26 @@ def test_a_run_that_is_killed_anywhere_is_put_right_by_the_next(protocol: str, s
     assert there or step > 12
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_kept(
+    protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even a stop: in another mode the register of the duty means something else."""
+    bench = Bench(protocol)
+    before = owned(bench)
+
+    def looked(*_: object) -> tuple[str, ...]:
+        bench.servo.is_mute = True  # it hears, and does what it hears
+        return ()
+
+    monkeypatch.setattr("rig.backends.servo.driver.look", looked)
+    with pytest.raises(Fault, match="LINK_TIMEOUT"):
+        bench.opened()
+    bench.driver.safe_stop()
+    bench.driver.close()
+    assert owned(bench) == before and bench.servo.eeprom_writes.total() == 0
+
+
 def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     bench = Bench(store=BeforeStore(tmp_path / "file" / "servo.json"))
