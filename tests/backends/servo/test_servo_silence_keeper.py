@@ -263,6 +263,8 @@ def test_a_keeper_that_somebody_has_stopped_is_a_fault_before_the_next_drive() -
                 said = str(fault)
             time.sleep(1e-3)
         keeper.end(restored=False)
-        assert keeper._process.returncode == -signal.SIGKILL
+        ended = keeper._process.returncode
+        keeper._process.kill()
+        assert ended == -signal.SIGKILL
         assert "SERVO_UNWATCHED" in said and "SIGSTOP" in said
     os.close(heard)
