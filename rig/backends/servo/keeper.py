@@ -45,13 +45,11 @@ class ServoKeeper:
 
     def __init__(self, link: ServoLink, store: BeforeStore, descriptor: int, silence_s: float) -> None:
         self._drives = False
-        orders = {
-            "stop": _orders(link, stop_orders(link)),
-            "restore": _orders(link, order_of(link, store.load(link.model) or {})),
-            "silence_s": silence_s,
+        files = {
             "before": "" if store.path is None else str(store.path),
             "note": "" if store.note_path is None else str(store.note_path),
         }
+        orders = {**self.orders(link, store), **files, "silence_s": silence_s}
         try:
             memory = create_file(SIZE)
             try:
@@ -97,6 +95,14 @@ class ServoKeeper:
             if not isinstance(error, OSError | Fault):
                 raise
             raise Fault("SERVO_UNWATCHED", error.detail if isinstance(error, Fault) else str(error)) from error
+
+    @staticmethod
+    def orders(link: ServoLink, store: BeforeStore) -> dict[str, list[tuple[str, str]]]:
+        """What it writes to stop the servo, and to put it back, and what confirms each, in hexadecimal digits."""
+        return {
+            "stop": _orders(link, stop_orders(link)),
+            "restore": _orders(link, order_of(link, store.load(link.model) or {})),
+        }
 
     @property
     def has_acted(self) -> bool:

@@ -182,4 +182,3 @@ class Kept:
 
 def _orders(pairs: Sequence[Sequence[str]]) -> list[Order]:
     return [Order(bytes.fromhex(data), bytes.fromhex(answer)) for data, answer in pairs]
-

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import random
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
@@ -11,9 +14,11 @@ from servo_bench import BYSTANDERS, PROTOCOLS, Bench
 
 from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import ServoLink
+from rig.backends.servo.keeper import ServoKeeper
 from rig.backends.servo.line import servo_of
 from rig.backends.servo.link_budget import longest_return_delay_s
 from rig.core.faults import Fault
+from rig.running.keeper.silence import Kept, Order
 
 NEVER = {"id", "baud_rate", "homing_offset", "min_position_limit", "max_position_limit", "secondary_id", "drive_mode"}
 MOST_WRITES = 2  # of each register of the EEPROM: changed, and put back
@@ -182,6 +187,74 @@ def test_nothing_is_written_to_a_servo_that_falls_silent_before_its_values_are_k
     bench.driver.safe_stop()
     bench.driver.close()
     assert owned(bench) == before and bench.servo.eeprom_writes.total() == 0
+
+
+class Keeper(Kept):
+    """What the process of a keeper writes, on the bus in virtual time; to the driver a keeper that never acts."""
+
+    has_acted = False
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(-1, (), ())
+        self._bus, self._patience_s = bench.bus, 0.1
+
+    def __call__(self, link: ServoLink, store: BeforeStore) -> Keeper:
+        orders = ServoKeeper.orders(link, store)
+        self._stop, self._restore = (
+            [Order(*map(bytes.fromhex, one)) for one in orders[k]] for k in ("stop", "restore")
+        )
+        return self
+
+    def beat(self) -> None:
+        """It lives."""
+
+    waits = rest = beat
+
+    def end(self, *, restored: bool) -> None:
+        assert restored
+
+    def _confirmed(self, order: Order, answers_s: float) -> bool:
+        self._bus.write(order.data)
+        until_s, heard = self._bus.now_s() + answers_s, b""
+        while order.answer not in heard and self._bus.now_s() < until_s:
+            heard += self._bus.read(until_s - self._bus.now_s())
+        return order.answer in heard
+
+
+@pytest.mark.parametrize(("protocol", "first"), [
+    *((p, 0) for p in PROTOCOLS), *evidence(*((p, f) for p in PROTOCOLS for f in range(1, 201, 50))),
+])  # fmt: skip
+def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_was_killed(
+    protocol: str, first: int
+) -> None:
+    """Ahead of any of its writes, or of the time after one. The keeper looks at nothing before it writes."""
+    for phase in range(first, first + 50) if first else (7, 60):
+        rng = random.Random(phase)
+        bench = Bench(protocol, **({"resumes": rng.random() < 0.5} if protocol == "dynamixel" else {}))
+        bench.servo.put("position_p_gain", 123)
+        before, left, real = owned(bench), phase % LAST_STEP if phase < 2 * LAST_STEP else phase, bench.bus.write
+        keeper = bench.driver._start_guardian = Keeper(bench)
+
+        def write(data: bytes, bench: Bench = bench, real: Callable[[bytes], None] = real) -> None:
+            nonlocal left
+            left -= data[7 if bench.setup.model.protocol == "dynamixel" else 4] == 3  # an instruction that writes
+            if left < 0:
+                raise Killed
+            real(data)
+
+        bench.bus.write = write  # type: ignore[method-assign]  # of this bus alone
+        with contextlib.suppress(Killed):
+            run(bench)
+        bench.bus.write = real  # type: ignore[method-assign]
+        if left >= 0:
+            continue  # it had no such write
+        bench.bus.sleep_until(bench.bus.now_s() + rng.choice([0.0, rng.uniform(0.0, 0.02), 0.2]))
+        if keeper._stop:  # else it was killed before anything was written
+            assert keeper.stop()
+            bench.bus.sleep_until(bench.bus.now_s() + 0.002)  # the servo's step
+            assert not bench.servo.is_on and bench.servo.truth().duty == 0.0, phase
+            assert keeper.restore(), phase
+        assert owned(bench) == before and not bench.servo.is_on and bench.wrong() == [], phase
 
 
 def test_nothing_is_written_where_the_values_of_before_cannot_be_kept(tmp_path: Path) -> None:
