@@ -178,8 +178,7 @@ def starter(
             raise Fault(
                 "SERVO_UNWATCHED",
                 f"this container lives for `{first}`, which ends with rig: so would rig's keeper. Start the container "
-                "with a shell (`docker run -it IMAGE bash`) or anything else that lives on, and rig in it by hand or by "
-                "`docker exec`",
+                "with what lives on, such as a shell (`docker run -it IMAGE bash`), and start rig in it",
             )
         return ServoKeeper(link, store, descriptor, silence_s)
 

@@ -230,7 +230,7 @@ def test_what_the_keeper_writes_stops_a_servo_and_puts_it_back_wherever_the_run_
     """Ahead of any of its writes, or of the time after one. The keeper looks at nothing before it writes."""
     for phase in range(first, first + 50) if first else (7, 60):
         rng = random.Random(phase)
-        bench = Bench(protocol, **({"resumes": rng.random() < 0.5} if protocol == "dynamixel" else {}))
+        bench = Bench(protocol, resumes=rng.random() < 0.5)
         bench.servo.put("position_p_gain", 123)
         before, left, real = owned(bench), phase % LAST_STEP if phase < 2 * LAST_STEP else phase, bench.bus.write
         keeper = bench.driver._start_guardian = Keeper(bench)

@@ -1,4 +1,4 @@
-"""A whole experiment on a servo beside two others, however it ends: rig changes nothing for good, and drives no other."""
+"""A whole experiment on a servo beside two others, however it ends: nothing stays changed, and no other is driven."""
 
 from __future__ import annotations
 
