@@ -29,7 +29,7 @@ def starts(path: Path) -> list[set[str]]:
     return [
         {part.value for part in one.elts if isinstance(part, ast.Constant) and isinstance(part.value, str)}
         for one in ast.walk(tree)
-        if isinstance(one, ast.List | ast.Tuple) and one.elts and ast.unparse(one.elts[0]) == "sys.executable"
+        if isinstance(one, ast.List | ast.Tuple) and one.elts and "sys.executable" in ast.unparse(one.elts[0])
     ]
 
 
