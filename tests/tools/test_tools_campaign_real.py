@@ -110,7 +110,7 @@ def test_a_dead_band_that_shows_in_a_narrow_peak_alone_is_not_excluded_by_the_si
 
 
 def test_what_only_laws_explain_is_no_reason_to_leave_rows_out() -> None:
-    """The plain motor leaves 14 times the noise. Every second row shows one of the laws, and K 1.1 % off; all show both."""
+    """The plain motor leaves 14 times the noise. Every second row shows one law, and K 1.1 % off; all show both."""
     one = row(CAMPAIGN.model_copy(update={"seed": 21}), 83, True)
     assert one.kinds == ("force_over_position 0.05", "friction_over_position 5")
     assert set(one.found) == {"force_over_position", "friction_over_position"}
