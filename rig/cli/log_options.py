@@ -9,8 +9,7 @@ from typing import Any
 
 import click
 
-from rig.cli.ending import fail
-from rig.cli.options import Positive
+from rig.cli.shared import Positive, fail
 from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, parse_period
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 

@@ -9,7 +9,7 @@ import click
 
 from rig import config
 from rig.cli.driving import finish, perform
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, JSON, OUT, PACE, asks_json
 from rig.running import preflight
 
 
@@ -44,7 +44,6 @@ def rehearse(
     coasting: bool,
     out: Path,
     pace: float | None,
-    as_json: bool,
 ) -> None:
     """Run the whole experiment of a bench on an emulated motor.
 
@@ -55,11 +54,11 @@ def rehearse(
     sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
     document = config.read(config_path, takes_pipe=True)
     experiment = preflight.rehearsed(document, sheet, pace)
-    if not as_json:
+    if not asks_json():
         _show_motor(experiment)
     from rig.running.experiment import script
 
-    finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)
+    finish(perform(partial(script.run, experiment, out), verbose=False))
 
 
 def _show_motor(e: config.Experiment) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NotRequired, TypedDict
 
+from rig.core.errors import RigError
 from rig.run_folder.live.view import Estimate, SeenFault
 from rig.run_folder.results import JsonObject
 
@@ -269,3 +270,11 @@ class Refused(TypedDict):
 
 News = RunEnded | Stop | Trouble
 Message = Operator | CalibrationChanged | Idle | Live | LiveEstimate | LiveFault | News
+
+
+class RefusedError(RigError):
+    """An answer that is no: HTTP status, what is wrong, what to do."""
+
+    def __init__(self, status: int, what: str, cure: str) -> None:
+        self.status, self.what, self.cure = status, what, cure
+        super().__init__(f"{what}\n{cure}")

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from rig.run_folder.recording import log_mends
 from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
@@ -31,16 +32,6 @@ from rig.run_folder.recording.log_format import (
     units_said,
     usual_places,
     words_of,
-)
-from rig.run_folder.recording.log_mends import (
-    Summed,
-    has_no_sign,
-    runs_of,
-    signed,
-    summed_up,
-    unwrapped_clock,
-    unwrapped_position,
-    unwrapped_velocity,
 )
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
 from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
@@ -147,7 +138,7 @@ def _recording(
     else:
         unit = choices["position"].unit
         scale = log.scale("position", unit)
-        y_rad = scale * unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
+        y_rad = scale * log_mends.unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
     columns: Columns = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
     recording = assembled(
         source, columns, rows, notes=tuple(notes), columns_present=tuple(columns), units_stated=True, drive_steps=steps
@@ -276,33 +267,35 @@ def _times_s(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat, not
         return np.asarray(log.period_s * raw["t_s"])
     second_s = log.scale("time", choices["time"].unit)
     motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
-    return np.asarray(second_s * unwrapped_clock(raw["t_s"], motion, 1.0 / second_s, notes))
+    return np.asarray(second_s * log_mends.unwrapped_clock(raw["t_s"], motion, 1.0 / second_s, notes))
 
 
-def _summed(path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]) -> Summed:
+def _summed(
+    path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]
+) -> log_mends.Summed:
     """The position from velocities. Raises RecordingError."""
-    v, u_V = signed(raw["v_rad_per_s"], None, "velocities", notes), raw["u_V"]
-    if has_no_sign(v, u_V):
+    v, u_V = log_mends.signed(raw["v_rad_per_s"], None, "velocities", notes), raw["u_V"]
+    if log_mends.has_no_sign(v, u_V):
         raise RecordingError(
             path,
             "the velocity is never negative, and as large after negative drives as after positive ones: its sign is "
             "missing",
             "log the velocity with its sign, or better the position",
         )
-    unwrapped = unwrapped_velocity(v, u_V, notes)
+    unwrapped = log_mends.unwrapped_velocity(v, u_V, notes)
     if unwrapped is None:
         raise RecordingError(
             path,
             "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
             "log it as a number of 32 bits, or log the position",
         )
-    return summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
+    return log_mends.summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
 
 
 def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:
     """The drives in V, with their signs. Raises RecordingError for one that no bridge gives."""
     most = log.most(one.unit)
-    u = signed(u, most, "drives", notes)
+    u = log_mends.signed(u, most, "drives", notes)
     if most is not None and float(np.abs(u).max()) > most * _OVER + (one.unit == "pwm"):
         k = int(np.argmax(np.abs(u)))
         largest = abs(float(u[k]))
@@ -329,8 +322,8 @@ def _runs(
     if log.run is None:
         motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
-        times = unwrapped_clock(raw["t_s"], motion, second, [])
-        return [np.arange(run.start, run.stop) for run in runs_of(times)]
+        times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
+        return [np.arange(run.start, run.stop) for run in log_mends.runs_of(times)]
     first = text.fields(rows[0] if header is None else header)
     place = _named_place(path, rows[0] if header is None else header, first, header is not None, "run", log.run)
     of_row = [text.fields(row) for row in rows]

@@ -26,6 +26,7 @@ from rig.control.loop.pre_run import PreRunBench, Rehearsed, pre_run
 from rig.control.loop.real_time import RealTime, real_time
 from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay
+from rig.control.rising_gains import RisingGains
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
 from rig.control.unshown import STILL_S, Flicker, UnshownMotion
@@ -525,14 +526,7 @@ def search_gains(
     search.unshown = unshown_motion(session, session.loop.guard.static_V)
     search.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
     session.found.search = search
-    noted = 0
-
-    def watch(t_s: float) -> None:
-        nonlocal noted
-        for step in search.steps[noted:]:
-            session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
-        noted = len(search.steps)
-
+    watch = watch_steps(session, search)
     session.loop.run(search, "search", watch)
     gains_V, period_s = [(relay.h1_V, relay.h2_V)], detector.mean()[0]
     if both:
@@ -708,6 +702,19 @@ def integral_bound_rad_s(e: Experiment) -> float:
     # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
     longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
     return 4.0 * swing_rad(d) * longest_s
+
+
+def watch_steps(session: Session, search: GainSearch | RisingGains) -> Callable[[float], None]:
+    """What notes each new step of a search."""
+    noted = 0
+
+    def watch(t_s: float) -> None:
+        nonlocal noted
+        for step in search.steps[noted:]:
+            session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
+        noted = len(search.steps)
+
+    return watch
 
 
 def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:
