@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Literal, NotRequired, TypedDict
 
 from rig.core.errors import RigError
-from rig.run_folder.live.view import Estimate, SeenFault
+from rig.run_folder.live.view import Estimate, LiveNumbers, SeenFault
 from rig.run_folder.results import JsonObject
 
 
@@ -187,32 +187,13 @@ class Idle(TypedDict):
     words: str
 
 
-class Live(TypedDict):
-    """The numbers of a run, and its newest rows, column by column.
-
-    limits  soft_rad, hard_rad and drive_V, as the config has them; null: not known, or endless
-    planes  y_rad and z_rad_s, at which the relay switches, by h1_V and h2_V
-    """
+class Live(LiveNumbers):
+    """The numbers of a run, and its newest rows, column by column."""
 
     type: Literal["live"]
     n: int
     run: str
-    command: str | None
-    pid: int | None
-    age_ms: int | None
     rows: dict[str, list[float | None]]
-    stage: str | None
-    words: str
-    stage_left_s: float | None
-    run_left_s: float | None
-    cycles: int | None
-    amplitude_rad: float | None
-    period_s: float | None
-    drive_is_off: bool
-    is_over: bool
-    loop: dict[str, float | None]
-    limits: dict[str, list[float] | float | None]
-    planes: dict[str, list[float] | float] | None
 
 
 class LiveEstimate(Estimate):

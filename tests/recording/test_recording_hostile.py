@@ -156,7 +156,8 @@ def test_a_wrong_number_in_an_event_is_damage_and_reaches_no_page(tmp_path: Path
     folder = run_of(tmp_path)
     (folder / "events.jsonl").write_text(json.dumps(event) + "\n")
     seen = LiveView(folder).read()
-    assert (seen.damaged, seen.cycle, seen.planes, seen.loop.link_errors) == (1, None, None, None)
+    told = seen.numbers
+    assert (seen.damaged, told["cycles"], told["planes"], told["loop"]["link_errors"]) == (1, None, None, None)
 
 
 @pytest.mark.parametrize(

@@ -192,11 +192,9 @@ def assembled(
         config_text=None,
         events=(),
         notes=notes,
-        first_row=0,
         units_stated=units_stated,
         drive_steps=drive_steps,
         own_loop=own_loop,
-        slew_V_s=None,
     )
 
 

@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, median, stdev
-from types import TracebackType
 from typing import Any, Self
 
 from rig.backends.registry import Bench, backend_of, connect
@@ -54,9 +53,7 @@ class HandBench:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def perform(self, request: dialogue.Motion) -> Any:
