@@ -25,7 +25,6 @@ ALLOWED: dict[str, set[str]] = {
     "rig/cli/export.py": {"export"},
     "rig/cli/init.py": {"init"},
     "rig/cli/jog.py": {"jog"},
-    "rig/cli/rehearse.py": {"rehearse"},
     "rig/cli/run.py": {"run"},
     "rig/cli/tune.py": {"tune"},
     "rig/cli/panel.py": {"panel"},

@@ -383,7 +383,7 @@ def _text(value: object, longest: int) -> str:
 
 
 def rounded(value: float | None, digits: int) -> float | None:
-    """A number for the pages; None for what is none."""
+    """``value``, in whatever unit, as a number for the pages; None for what is none."""
     return round(value, digits) if value is not None and math.isfinite(value) else None
 
 

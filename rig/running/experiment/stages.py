@@ -423,7 +423,12 @@ def _test_relay(
     session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
     watch = _watch_cycles(session, detector, stage)
     if e.relay.where == "device":
-        run_in_device(session, pair_V, detector, timeout_s, stage, watch)
+        command, on_counts = relay_in_device(session, pair_V, integral_bound_rad_s(e))
+        test_in_device = RelayTest(on_counts, detector, pair_V, e.relay.cycles, timeout_s)
+        test_in_device.unshown = unshown_motion(session, session.loop.guard.static_V)
+        session.loop.run_in_device(test_in_device, command, stage, watch)
+        if on_counts.bound_reached:
+            session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
     else:
         law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
         law.unshown = unshown_motion(session, session.loop.guard.static_V)
@@ -437,27 +442,6 @@ def _end_relay_tests(session: Session, relay: DualChannelRelay) -> None:
     if relay.bound_reached:
         session.found.notes.append("the relay's integral reached its bound: that made the first cycles shorter")
     session.loop.run(Rest(REST_S), "rest")
-
-
-def run_in_device(
-    session: Session,
-    gains_V: tuple[float, float],
-    detector: CycleDetector,
-    timeout_s: float,
-    stage: str,
-    watch: Callable[[float], None],
-) -> None:
-    """One relay test in which the device's own relay drives.
-
-    Raises Fault CONFIG_MISMATCH if the device has no relay, and what the loop raises.
-    """
-    e = session.experiment
-    command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
-    test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
-    test.unshown = unshown_motion(session, session.loop.guard.static_V)
-    session.loop.run_in_device(test, command, stage, watch)
-    if relay.bound_reached:
-        session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
 
 
 def test_hysteretic(session: Session) -> None:
