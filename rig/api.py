@@ -32,8 +32,8 @@ from rig.output.compare.comparison import CompareError, Scatter
 from rig.output.compare.comparison import compare as compare_folders
 from rig.run_folder.recording import reader
 from rig.run_folder.recording.errors import RecordingError
-from rig.run_folder.recording.given import recordings_of
 from rig.run_folder.recording.path_kind import require_distinct
+from rig.run_folder.recording.reader import recordings_of
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.results import JsonObject
 from rig.running import preflight

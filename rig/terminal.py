@@ -29,7 +29,6 @@ from rig.run_folder.results.answer_words import answer_lines, records_in_words
 from rig.run_folder.results.budget_lines import budget_lines, that_matter
 from rig.run_folder.results.comparison import ComparedRunResult, ComparisonResult
 from rig.run_folder.results.design import DesignResult
-from rig.run_folder.results.listed import ListedRun
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.result import NO_ESTIMATE
 from rig.run_folder.results.tuned import TunedResult
@@ -38,6 +37,7 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
     from rig.design.tune.servo_loop import ServoLoop
     from rig.model.prediction import PredictedCycle
+    from rig.run_folder.catalogue import ListedRun
     from rig.running.doctor.finding import Finding
     from rig.running.replay import Replay
     from rig.running.session import Outcome
@@ -283,9 +283,7 @@ def _or_never(value: float) -> str:
 
 def show_finding(finding: Finding) -> None:
     """Show a finding of `rig doctor`, and what to type."""
-    click.echo(f"{finding.state:>5}  {finding.topic}: {finding.words}")
-    if finding.cure:
-        click.echo(f"       -> {finding.cure}")
+    click.echo("\n".join(finding.lines()))
 
 
 def show_prediction(prediction: PredictedCycle) -> None:

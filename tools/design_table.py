@@ -22,11 +22,9 @@ from rig.campaign.grid import Draw, draw
 from rig.control.strokes import Stroke
 from rig.design import compiled
 from rig.design.belief import Belief
+from rig.design.best_test import best_of, best_strokes, gain_grid
 from rig.design.outlook import Task, driven, law_of, told, told_in_turn
-from rig.design.planned_test import RelayGains, Strokes
-from rig.design.relay_search import best_of, gain_grid
-from rig.design.room import Reading, Room
-from rig.design.stroke_search import best_strokes
+from rig.design.planned_test import Reading, RelayGains, Room, Strokes
 from rig.model.compiled.motion import response
 from shared import page
 from shared.cases import in_order

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.run_folder.results import Part, RunMeta, RunResult
-from rig.run_folder.results.json_schema import schema_text
+from rig.run_folder.results.result import schema_text
 from shared import page
 from shared.table import markdown
 

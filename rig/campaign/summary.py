@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.campaign.results import Table
-from rig.campaign.trial import FAILED
+from rig.campaign.trial import FAILED, Array
 from rig.identification.estimate import PARAMETERS
-
-Array = NDArray[np.float64]
 
 MAIN = PARAMETERS[:3]  # their errors are relative to the truth; the true value of the others may be zero
 OFF = 0.05  # relative error that no verdict ok may have

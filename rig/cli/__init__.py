@@ -1,7 +1,6 @@
 """The command `rig`. Each command stands in the file of its name; ``rig.terminal`` shows the results.
 
-options  arguments and options that several commands have
-failure  how a command that cannot be done ends
+shared   arguments and options that several commands have, and how a command ends
 driving  what commands share that open a device
 
 Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
@@ -66,7 +65,7 @@ def _in_words(does: Callable[..., Any]) -> Callable[..., Any]:
         try:
             return does(*given, **named)
         except RigError as error:
-            from rig.cli.ending import fail_with
+            from rig.cli.shared import fail_with
 
             fail_with(error)
 
@@ -83,7 +82,7 @@ def _first_sentence(name: str) -> str:
 
 
 def _interrupted() -> NoReturn:
-    from rig.cli.ending import EXIT_FAILED
+    from rig.cli.shared import EXIT_FAILED
 
     click.echo("rig: interrupted; no drive is on", err=True)
     raise click.exceptions.Exit(EXIT_FAILED)

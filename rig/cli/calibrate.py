@@ -9,11 +9,10 @@ from pathlib import Path
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, fail, say_json
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, EXIT_FAILED, FILE, JSON, OUT, PACE, asks_json, fail, say_json
 from rig.config.problems import key_of
 from rig.core.signals import plain
-from rig.run_folder.live.unrecorded import told
+from rig.run_folder.live.running import told
 from rig.running.calibrate.dialogue import Ask, Motion, Say, Skipped
 from rig.running.calibrate.wiring import text as drawn
 
@@ -22,16 +21,14 @@ from rig.running.calibrate.wiring import text as drawn
 @CONFIG
 @click.argument("steps", nargs=-1, metavar="[STEP]...")
 @click.option(
-    "--answers", type=click.Path(path_type=Path, dir_okay=False),
+    "--answers", type=FILE,
     help="Take the answers from this file, a line each; lines that begin with # are comments. Default: ask; in a pipe: "
     "the lines of stdin.",
 )  # fmt: skip
 @OUT
 @PACE
 @JSON
-def calibrate(
-    config_path: Path, steps: tuple[str, ...], answers: Path | None, out: Path, pace: float | None, as_json: bool
-) -> None:
+def calibrate(config_path: Path, steps: tuple[str, ...], answers: Path | None, out: Path, pace: float | None) -> None:
     """Measure what a config must say of sensor, travel and drive.
 
     Asks you to turn the shaft by hand to known angles and to its stops. Then, only after you have said yes, it drives
@@ -50,7 +47,7 @@ def calibrate(
         words = ", ".join(f"{name} ({what})" for name, (what, _) in known.items())
         fail(f"this bench has no step {unknown[0]!r}", f"its steps: {words}")
     terminal = _Terminal(
-        config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=as_json
+        config_path, _lines(answers), echoes=answers is not None or not sys.stdin.isatty(), err=asks_json()
     )
     with told(out, "calibrate") as flag:
         terminal.say(Say("At any question `skip` leaves the step out, `quit` ends without writing."))
@@ -59,7 +56,7 @@ def calibrate(
         terminal.say(
             Say(f"{config_path}: written; as it was: {done.backup}\nnext: rig check {shlex.quote(str(config_path))}")
         )
-    if as_json:
+    if asks_json():
         say_json(
             {
                 "ok": not done.problems,

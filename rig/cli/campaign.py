@@ -10,36 +10,30 @@ from typing import Literal
 import click
 
 from rig import config
-from rig.cli.ending import EXIT_FAILED, fail, say_json
-from rig.cli.options import CONFIG, JSON
+from rig.cli.shared import CONFIG, EXIT_FAILED, FOLDER, JSON, asks_json, fail, say_json
 from rig.terminal import progress, show_campaign
 
 
 @click.command()
 @CONFIG
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("runs"),
-    show_default=True,
+    "--out", type=FOLDER, default=Path("runs"), show_default=True,
     help="Folder in which rig makes the campaign's folder. The same campaign goes on where it stopped.",
-)
+)  # fmt: skip
 @click.option(
-    "--resume",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
-    default=None,
+    "--resume", type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="Go on in this campaign folder.",
-)
-@click.option("--number", type=click.IntRange(1), default=None, help="Number of experiments, instead of the config's.")
+)  # fmt: skip
+@click.option("--number", type=click.IntRange(1), help="Number of experiments, instead of the config's.")
 @click.option(
-    "--experiment", "only", metavar="K", type=click.IntRange(0), default=None,
+    "--experiment", "only", metavar="K", type=click.IntRange(0),
     help="Run only experiment K, and print its row, or where it fails. No file is written.",
 )  # fmt: skip
-@click.option("--jobs", type=click.IntRange(1, 1024), default=None, help="Number of processes. Default: one per core.")
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Number of processes. Default: one per core.")
 @click.option("--backend", type=click.Choice(["joblib", "dask"]), default="joblib", show_default=True,
     help="What runs the processes.",
 )  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", default=None, help="Dask cluster to join. Default: start one here.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster to join. Default: start one here.")
 @JSON
 def campaign(
     config_path: Path,
@@ -50,7 +44,6 @@ def campaign(
     jobs: int | None,
     backend: Literal["joblib", "dask"],
     scheduler: str | None,
-    as_json: bool,
 ) -> None:
     """Simulate and identify thousands of random experiments.
 
@@ -78,7 +71,7 @@ def campaign(
             )
         folder = resume or results.folder_for(out, asked)
         jobs = jobs or os.cpu_count() or 1
-        with progress(f"campaign {asked.name}", as_json) as on_progress:
+        with progress(f"campaign {asked.name}", asks_json()) as on_progress:
             done = session.run(asked, folder, jobs=jobs, backend=backend, scheduler=scheduler, on_progress=on_progress)
     except OSError as error:
         fail(
@@ -94,7 +87,7 @@ def campaign(
             "the same command goes on from there",
             status=EXIT_FAILED,
         )
-    if as_json:
+    if asks_json():
         say_json(done.summary | {"folder": str(folder)})
     else:
         show_campaign(done.summary, folder)

@@ -8,15 +8,14 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.cli.ending import fail_config
-from rig.cli.options import CONFIG, JSON
+from rig.cli.shared import CONFIG, JSON, asks_json, fail_config
 from rig.running import preflight
 
 
 @click.command()
 @CONFIG
 @JSON
-def check(config_path: Path, as_json: bool) -> None:
+def check(config_path: Path) -> None:
     """Check a config; no device is needed, nothing moves.
 
     Checks keys, units, limits, stopping distance and link budget, and prints what a run would do.
@@ -31,7 +30,7 @@ def check(config_path: Path, as_json: bool) -> None:
         fail_config(error, f"verdict: refused, {_counted(len(error.problems), 'problem')}; nothing would be run")
     notes = sum(line.startswith("note: ") for line in lines)
     verdict = f"ok with {_counted(notes, 'note')}" if notes else "ok"
-    if as_json:
+    if asks_json():
         click.echo(json.dumps({"ok": True, "verdict": verdict, "lines": lines}))
     else:
         click.echo("\n".join([*lines, f"verdict: {verdict}"]))

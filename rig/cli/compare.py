@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from rig.cli.ending import say_json
-from rig.cli.options import JSON, require_new
+from rig.cli.shared import FILE, JSON, PATH, asks_json, require_new, say_json
 from rig.terminal import patience, show_comparison
 
 
@@ -30,18 +29,18 @@ class Percents(click.ParamType):  # type: ignore[type-arg]
 
 
 @click.command()
-@click.argument("folders", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
+@click.argument("folders", nargs=-1, required=True, metavar="RUN...", type=PATH)
 @click.option(
-    "--scatter", "percent", type=Percents(), metavar="TAU,K,FC", default=None,
+    "--scatter", "percent", type=Percents(), metavar="TAU,K,FC",
     help="Scatter of tau, K and f_c from run to run of one motor: standard deviations, %. Default: that of the other "
     "runs where there are five or more; else what 2.5 K do to copper and magnet: 2,0.5,1.5.",
 )  # fmt: skip
 @click.option(
-    "--temperature", "temperatures", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    "--temperature", "temperatures", type=FILE, metavar="FILE",
     help="CSV file with the columns run (name of the folder) and temperature_C, for the trend over temperature.",
 )  # fmt: skip
 @click.option(
-    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    "--to", "file", type=FILE, metavar="FILE",
     help="Write the report, a page of HTML: cycles, residuals and tracking of the runs laid over each other.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace FILE if it is there already.")
@@ -52,7 +51,6 @@ def compare(
     temperatures: Path | None,
     file: Path | None,
     force: bool,
-    as_json: bool,
 ) -> None:
     """Tell whether several runs are of one motor.
 
@@ -79,7 +77,7 @@ def compare(
 
         with patience("drawing the report"):
             write_page(found, file)
-    if as_json:
+    if asks_json():
         report = None if file is None else str(file)
         say_json({"ok": True, **found.result.as_json(), "report": report})
         return

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.ending import written
+from rig.cli.shared import FILE, written
 
 
 @click.group("config")
@@ -29,7 +29,7 @@ def list_configs() -> None:
 @ready_configs.command("copy")
 @click.argument("name", metavar="NAME")
 @click.option(
-    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    "--to", "file", type=FILE, metavar="FILE",
     help="File to write. Default: NAME.yaml here.",
 )  # fmt: skip
 def copy_config(name: str, file: Path | None) -> None:

@@ -9,18 +9,17 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked, say_chip_starts
-from rig.cli.ending import EXIT_FAILED, fail
-from rig.cli.options import JSON, OUT, FiniteRange
+from rig.cli.shared import EXIT_FAILED, JSON, OUT, PATH, FiniteRange, asks_json, fail
 from rig.terminal import show_finding
 
 
 @click.command()
-@click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
+@click.argument("config_path", metavar="[CONFIG]", required=False, type=PATH)
 @click.option(
     "--seconds", type=FiniteRange(0.2, 3600.0), default=3.0, show_default=True, help="How long to measure ticks, s."
 )
 @click.option(
-    "--loopback", metavar="PORT", default=None,
+    "--loopback", metavar="PORT",
     help="A bare Uno or Pico at this port, with three wires between its pins and no motor: does the real chip keep "
     "what the firmware promises? Or emulated-chip, emulated-pico.",
 )  # fmt: skip
@@ -30,7 +29,7 @@ from rig.terminal import show_finding
 )  # fmt: skip
 @OUT
 @JSON
-def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud: str, out: Path, as_json: bool) -> None:
+def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud: str, out: Path) -> None:
     """Measure whether this machine and the link hold the period.
 
     Without CONFIG: this machine. With CONFIG: also the link to its device. Says what is in the way, and what to type.
@@ -44,7 +43,7 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
     if loopback is not None:
         if config_path is not None:
             fail("--loopback is for a bare board, which no config describes", "leave CONFIG out")
-        _loop_back(loopback, int(baud), out, as_json=as_json)
+        _loop_back(loopback, int(baud), out)
         return
 
     findings = []
@@ -56,21 +55,21 @@ def doctor(config_path: Path | None, seconds: float, loopback: str | None, baud:
         visit = with_config(experiment, out, seconds)
     for finding in visit:
         findings.append(finding)
-        if not as_json:
+        if not asks_json():
             show_finding(finding)
     ok = all(finding.state != "bad" for finding in findings)
-    if as_json:
+    if asks_json():
         click.echo(json.dumps({"ok": ok, "findings": [finding.as_dict() for finding in findings]}))
     sys.exit(0 if ok else EXIT_FAILED)
 
 
-def _loop_back(port: str, baud: int, out: Path, *, as_json: bool) -> None:
+def _loop_back(port: str, baud: int, out: Path) -> None:
     from datetime import datetime
 
-    from rig.run_folder.live.unrecorded import told
+    from rig.run_folder.live.running import told
     from rig.running.doctor import loopback
 
-    if not as_json:
+    if not asks_json():
         click.echo(loopback.DRAWING + "\n")
     with told(out, "doctor") as flag, loopback.bare_board(port, baud) as board:
         visit = loopback.visit_board(board, flag=flag)
@@ -81,7 +80,7 @@ def _loop_back(port: str, baud: int, out: Path, *, as_json: bool) -> None:
     except OSError as error:
         unwritten = f"{out}: no report can be written there: {error.strerror}"
         click.echo(f"rig: {unwritten}", err=True)
-    if as_json:
+    if asks_json():
         click.echo(json.dumps(loopback.as_dict(visit, port, now)))
     else:
         for finding in visit.findings:

@@ -12,7 +12,7 @@ import click
 from rich.console import Console
 
 from rig.backends.serial.ports import CHIP_PORTS
-from rig.cli.ending import EXIT_FAILED, fail, say_json
+from rig.cli.shared import EXIT_FAILED, asks_json, fail, say_json
 from rig.config import Experiment, read
 from rig.running import preflight
 from rig.terminal import show_run
@@ -57,7 +57,7 @@ def say_chip_starts(port: str | None) -> None:
         click.echo("starting the emulated chip: some ten seconds, longer on a busy machine ...", err=True)
 
 
-def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool = True) -> Outcome:
+def perform(start: Callable[[OnStart], Outcome], *, verbose: bool = True) -> Outcome:
     """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
     from rig.run_folder.recording.follow import following
 
@@ -66,17 +66,17 @@ def perform(start: Callable[[OnStart], Outcome], as_json: bool, *, verbose: bool
         def on_start(folder: Path, notes: tuple[str, ...]) -> None:
             for note in notes:
                 click.echo(f"rig: {note}", err=True)
-            if not as_json:
+            if not asks_json():
                 stack.enter_context(following(folder))
 
         outcome = start(on_start)
-    if not as_json:
+    if not asks_json():
         show_run(outcome, verbose=verbose)
     return outcome
 
 
-def finish(outcome: Outcome, as_json: bool) -> NoReturn:
+def finish(outcome: Outcome) -> NoReturn:
     """End the command with the run: its result as JSON if that is asked for, and the exit status."""
-    if as_json:
+    if asks_json():
         say_json(outcome.as_json())
     sys.exit(EXIT_FAILED if outcome.failure else 0)

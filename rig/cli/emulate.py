@@ -9,21 +9,13 @@ from shlex import quote
 import click
 
 from rig.cli.driving import checked, say_chip_starts
-from rig.cli.ending import fail
-from rig.cli.options import CONFIG
+from rig.cli.shared import CONFIG, PATH, fail
 
 
 @click.command()
 @CONFIG
-@click.option(
-    "--link", type=click.Path(path_type=Path), default=None, help="Make a symbolic link to the port with this name."
-)
-@click.option(
-    "--trace",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="Write the drive at the pin over time to this CSV file.",
-)
+@click.option("--link", type=PATH, help="Make a symbolic link to the port with this name.")
+@click.option("--trace", type=PATH, help="Write the drive at the pin over time to this CSV file.")
 @click.option("--chip", is_flag=True, help="Emulate the Uno's chip, and run its firmware on it at daq.baud.")
 def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool) -> None:
     """Run the emulated device of a config until Ctrl-C."""

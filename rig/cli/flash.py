@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.ending import fail
+from rig.cli.shared import PATH, fail
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.serial.emulated.firmware_build import Variant
@@ -33,31 +33,31 @@ def _inputs_of(context: click.Context, parameter: click.Parameter, value: str | 
 
 
 @click.command()
-@click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
+@click.argument("config_path", metavar="[CONFIG]", required=False, type=PATH)
 @click.option(
-    "--board", type=click.Choice(["uno", "pico"]), default=None,
+    "--board", type=click.Choice(["uno", "pico"]),
     help="Arduino Uno, or Raspberry Pi Pico. Default: as CONFIG's converter tells, else the Uno.",
 )  # fmt: skip
 @click.option(
-    "--port", default=None,
+    "--port",
     help="Serial port. Default: that of CONFIG, else the Uno or clone, if just one is plugged in. A Pico is only asked "
     "there who it is.",
 )  # fmt: skip
 @click.option(
-    "--usb-serial", metavar="NUMBER", default=None,
+    "--usb-serial", metavar="NUMBER",
     help="Refuse another board than the one with this serial number on USB: daq.usb_serial of the config. Without "
     "--port: find it.",
 )  # fmt: skip
 @click.option(
-    "--drive", type=click.Path(path_type=Path), default=None,
+    "--drive", type=PATH,
     help="Folder where the Pico's drive is mounted. Default: the only one there is.",
 )  # fmt: skip
 @click.option(
-    "--baud", type=click.Choice(["115200", "1000000"]), default=None,
+    "--baud", type=click.Choice(["115200", "1000000"]),
     help="Baud rate of the firmware; the config's daq.baud must be the same. Default: daq.baud of CONFIG, else 115200.",
 )  # fmt: skip
 @click.option(
-    "--bridge", metavar="[pwm-dir|in1-in2|MODULE]", default=None, callback=_inputs_of,
+    "--bridge", metavar="[pwm-dir|in1-in2|MODULE]", callback=_inputs_of,
     help="Kind of inputs that the H-bridge has (docs/real-bench.md), or a module as `rig init` knows it, such as "
     "l298n. Default: drive.bridge of CONFIG, else pwm-dir.",
 )  # fmt: skip
@@ -66,30 +66,23 @@ def _inputs_of(context: click.Context, parameter: click.Parameter, value: str | 
 @click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6 (Pico: GP12 and GP13).")
 @click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3 (Pico: GP2 and GP3).")
 @click.option(
-    "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
+    "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Write this file to the Uno. Default: the one that came with rig for the options above; without one it is "
     "built here.",
 )  # fmt: skip
 @click.option(
-    "--uf2", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
+    "--uf2", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Write this file to the Pico. Default: as of --hex.",
 )  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print what would be done; touch no board.")
 def flash(
     config_path: Path | None,
-    board: str | None,
-    port: str | None,
-    usb_serial: str | None,
     drive: Path | None,
-    baud: str | None,
-    bridge: str | None,
-    tachometer: bool,
     supply: bool,
-    end_switches: bool,
-    encoder: bool,
     hex_file: Path | None,
     uf2: Path | None,
     dry_run: bool,
+    **may_be_in_config: str | bool | None,
 ) -> None:
     """Write the firmware to a board.
 
@@ -104,16 +97,8 @@ def flash(
     """
     from rig.backends.serial.emulated.firmware_build import Variant
 
-    asked: _Options = {
-        "board": board,
-        "port": port,
-        "usb_serial": usb_serial,
-        "baud": None if baud is None else int(baud),
-        "bridge": bridge,
-        "tachometer": tachometer or None,
-        "end_switches": end_switches or None,
-        "encoder": encoder or None,
-    }
+    asked: _Options = {name: value or None for name, value in may_be_in_config.items()}
+    asked["baud"] = None if asked["baud"] is None else int(asked["baud"])
     told = asked if config_path is None else _told(config_path, asked)
     board = str(told["board"] or "uno")
     port, usb_serial = (None if told[name] is None else str(told[name]) for name in ("port", "usb_serial"))
@@ -127,7 +112,7 @@ def flash(
     )
     given, name = (hex_file, "--hex") if board == "uno" else (uf2, "--uf2")
     _refuse_the_other_boards(board, hex_file, uf2, drive)
-    if given is not None and (bridge or tachometer or supply or end_switches or encoder):
+    if given is not None and (supply or any(asked[one] for one in ("bridge", "tachometer", "end_switches", "encoder"))):
         fail(
             f"with {name} only --baud has an effect: the file is built already",
             f"leave out the other options, or {name}",

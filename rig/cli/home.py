@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench
-from rig.cli.ending import fail, say_json
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, JSON, OUT, PACE, asks_json, fail, say_json
 
 
 @click.command()
@@ -18,7 +17,7 @@ from rig.cli.options import CONFIG, JSON, OUT, PACE
 @OUT
 @PACE
 @JSON
-def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | None, as_json: bool) -> None:
+def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | None) -> None:
     """Set the zero of an encoder.
 
     It counts from wherever it was switched on. By hand: turn the shaft to its zero, and press Enter. With an end
@@ -64,7 +63,7 @@ def home(config_path: Path, at_rad: float, here: bool, out: Path, pace: float | 
             err=True,
         )
     found = zero.by_switch(experiment, out) if by_switch else zero.by_hand(experiment, at_rad)
-    if as_json:
+    if asks_json():
         say_json({"y_rad": found.y_rad, "y_counts": found.y_counts, "from_counts": found.from_counts})
         return
     click.echo(

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, fail, say_json
 from rig.cli.log_options import log_options
-from rig.cli.options import JSON, ROWS, Positive, require_new
+from rig.cli.shared import EXIT_FAILED, FILE, JSON, PATH, ROWS, Positive, asks_json, fail, require_new, say_json
 from rig.core.estimators import ESTIMATORS
 from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.log_format import LogFormat
@@ -25,41 +24,29 @@ if TYPE_CHECKING:  # it loads slowly
 
 
 @click.command()
-@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path))
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=PATH)
 @click.option(
-    "--method",
-    "methods",
-    multiple=True,
-    type=click.Choice([entry.name for entry in ESTIMATORS]),
+    "--method", "methods", multiple=True, type=click.Choice([entry.name for entry in ESTIMATORS]),
     help="Repeat for several. Default: all that the data allows. "
     "least-squares takes two CSV files, each of a hysteretic relay.",
-)
+)  # fmt: skip
 @click.option(
-    "--without",
-    multiple=True,
-    metavar="STAGE",
+    "--without", multiple=True, metavar="STAGE",
     help="A stage of the run that is not read: breakaway, search, relay-1, relay-2, ... Repeat for several.",
-)
+)  # fmt: skip
 @ROWS
 @click.option(
-    "--slew",
-    "slew_V_s",
-    metavar="V/S",
-    type=Positive(),
+    "--slew", "slew_V_s", metavar="V/S", type=Positive(),
     help="How fast the device of a log ramps its drive, V/s; an XL330 as shipped: 277. Default: no ramp.",
-)
+)  # fmt: skip
 @click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.png",
+    "--picture", type=FILE, metavar="FILE.png",
     help="Draw measured against simulated position, the residual, and the fit in %.",
-)
+)  # fmt: skip
 @click.option(
-    "--report",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
+    "--report", type=FILE, metavar="FILE.html",
     help="Write a page with the answer, that picture, each method and the uncertainty.",
-)
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace these files if they are there already.")
 @click.option("--verbose", is_flag=True, help="Show notes, each method, and what the uncertainty is made of, too.")
 @log_options
@@ -75,7 +62,6 @@ def identify(
     force: bool,
     verbose: bool,
     log: LogFormat | None,
-    as_json: bool,
 ) -> None:
     """Identify gain, time constant and friction from recordings.
 
@@ -121,7 +107,7 @@ def identify(
         click.echo(f"rig: {unsaved}", err=True)
     result = found.as_result()
     ok = result.answer is not None and not result.answer.is_refused and not unsaved
-    if as_json:
+    if asks_json():
         files = {"picture": None if undrawn or picture is None else str(picture), "report": report and str(report)}
         say_json({"ok": ok, "records": records, **files, **result.as_json()})
         sys.exit(0 if ok else EXIT_FAILED)

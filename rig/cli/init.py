@@ -12,7 +12,7 @@ from typing import Any, Final, NoReturn
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, fail, fail_config, written
+from rig.cli.shared import EXIT_FAILED, FILE, fail, fail_config, written
 from rig.config import ConfigError, new_bench
 from rig.config.bridges import BRIDGES, RUNS_FREE
 
@@ -21,14 +21,13 @@ _SERVO: Final = "servo"
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False), default=Path("bench.yaml"))
+@click.argument("file", type=FILE, default=Path("bench.yaml"))
 @click.option("--board", type=click.Choice([*new_bench.BOARDS, _SERVO]), help="The board; a servo: --servo MODEL.")
 @click.option("--sensor", type=click.Choice(list(new_bench.SENSORS)), help="The position sensor.")
 @click.option(
-    "--bridge",
-    type=click.Choice([*BRIDGES, *RUNS_FREE]),
+    "--bridge", type=click.Choice([*BRIDGES, *RUNS_FREE]),
     help="The bridge, as it is sold, or by its inputs.",
-)
+)  # fmt: skip
 @click.option(
     "--limits", type=click.Choice(list(new_bench.LIMITS)), help="What bounds the shaft's travel. Default: stops."
 )
@@ -134,34 +133,23 @@ def init(
         limits = _chosen("limits", limits, new_bench.LIMITS) if is_encoder else limits or "stops"
         _refuse_unused({} if limits == "turns" else {"--turns": turns}, "--limits turns", limits)
         port = port or _asked("port of the board", _port(board), asks)
-        number = partial(_number, partial(new_bench.possible, board, sensor, bridge, limits))
         told |= {"board": board, "sensor": sensor, "bridge": bridge, "limits": limits, "port": port}
-        numbers: dict[str, float] = {
-            "supply_V": number("supply_V", "motor supply, V", supply_V, 12.0, asks),
-            "counts_per_turn": int(
-                number(
-                    "counts_per_turn",
-                    "counts for a turn of the encoder's own shaft (4 x PPR)",
-                    counts_per_turn if is_encoder else 64,
-                    None,
-                    asks,
-                )
-            ),
-            "gear": number(
-                "gear", "turns of the encoder for one of the measured shaft", gear, 1.0, asks and is_encoder
-            ),
-            "travel_deg": number(
-                "travel_deg",
-                "free travel from the centre to a stop, on each side, degrees",
-                travel_deg,
-                103.0,
-                asks and limits == "stops",
-            ),
-            "turns": number("turns", "turns either way, at most", turns, 10.0, asks and limits == "turns"),
-            "no_load_rpm": number(
-                "no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, asks
-            ),
+        counts = counts_per_turn if is_encoder else 64
+        wanted_numbers = (  # name, in words, as given, default, and whether it means anything here
+            ("supply_V", "motor supply, V", supply_V, 12.0, True),
+            ("counts_per_turn", "counts for a turn of the encoder's own shaft (4 x PPR)", counts, None, True),
+            ("gear", "turns of the encoder for one of the measured shaft", gear, 1.0, is_encoder),
+            ("travel_deg", "free travel from the centre to a stop, on each side, degrees", travel_deg, 103.0,
+             limits == "stops"),
+            ("turns", "turns either way, at most", turns, 10.0, limits == "turns"),
+            ("no_load_rpm", "speed of the measured shaft without load, at that supply, rpm", no_load_rpm, None, True),
+        )  # fmt: skip
+        possible = partial(new_bench.possible, board, sensor, bridge, limits)
+        numbers = {
+            name: _number(possible, name, words, given, default, asks and counts_here)
+            for name, words, given, default, counts_here in wanted_numbers
         }
+        numbers["counts_per_turn"] = int(numbers["counts_per_turn"])
         told |= numbers
         told["tests"] = tests = tests or (_chosen("tests", None, new_bench.TESTS, "full") if asks else "full")
         number_on_usb = usb_port(port).serial_number

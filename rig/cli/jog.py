@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.ending import fail
-from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE, FiniteRange
+from rig.cli.shared import AS_CHECKED, CONFIG, JSON, OUT, PACE, FiniteRange, asks_json, fail
 from rig.config import Experiment
 from rig.run_folder.results import known
 
@@ -21,11 +20,10 @@ USUAL_LEASED_S, LONGEST_LEASED_S = 60.0, 600.0
 @click.option("--u-V", "u_V", type=float, help="Drive, V; its sign is the direction.")
 @click.option("--leased", is_flag=True, help="For programs: drive only while a lease in the run folder is renewed.")
 @click.option(
-    "--seconds",
-    type=FiniteRange(0.01, LONGEST_LEASED_S),
+    "--seconds", type=FiniteRange(0.01, LONGEST_LEASED_S),
     help=f"How long: {USUAL_S:g} by default, at most {LONGEST_S:g}; with --leased at the longest: {USUAL_LEASED_S:g} "
     f"by default, at most {LONGEST_LEASED_S:g}.",
-)
+)  # fmt: skip
 @OUT
 @PACE
 @AS_CHECKED
@@ -38,7 +36,6 @@ def jog(
     out: Path,
     pace: float | None,
     as_checked: str | None,
-    as_json: bool,
 ) -> None:
     """Drive the shaft for a moment, within the limits.
 
@@ -57,16 +54,16 @@ def jog(
     from rig.running.experiment import script
 
     if u_V is None:
-        outcome = perform(lambda on_start: script.jog_leased(experiment, duration_s, out, on_start), as_json)
+        outcome = perform(lambda on_start: script.jog_leased(experiment, duration_s, out, on_start))
     else:
         drive_V = _within(experiment, u_V)
-        outcome = perform(lambda on_start: script.jog(experiment, drive_V, duration_s, out, on_start), as_json)
+        outcome = perform(lambda on_start: script.jog(experiment, drive_V, duration_s, out, on_start))
     moved = outcome.result.jog
-    if moved is not None and not as_json:
+    if moved is not None and not asks_json():
         click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
         if moved.refused_ticks:
             click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: it drove outward; try the other sign")
-    finish(outcome, as_json)
+    finish(outcome)
 
 
 def _within(experiment: Experiment, u_V: float) -> float:

@@ -9,8 +9,7 @@ from typing import Any
 
 import click
 
-from rig.cli.ending import fail
-from rig.cli.options import Positive
+from rig.cli.shared import Positive, fail
 from rig.run_folder.recording.log_format import UNITS, LogColumn, LogFormat, parse_period
 from rig.run_folder.recording.servo_law import ServoLaw, scale_of
 
@@ -39,15 +38,9 @@ class Gains(click.ParamType):  # type: ignore[type-arg]
         return gains
 
 
-def _servo_law(
-    model: str | None,
-    gain: tuple[float, ...] | None,
-    scale: float | None,
-    age: str | None,
-    rest: dict[str, Any],
-    texts: dict[str, Any],
-) -> ServoLaw | None:
+def _servo_law(given: dict[str, Any], rest: dict[str, Any], texts: dict[str, Any]) -> ServoLaw | None:
     """The law of --servo and the options of its loop; None without them. Counts of its position are the servo's own."""
+    model, gain, scale, age = (given.pop(name) for name in ("servo_model", "gain", "p_scale", "position_age"))
     if model is None:
         if (gain, scale, age) != (None, None, None):
             fail("--gain, --p-scale and --position-age are for the log of a servo's own loop", "add --servo MODEL")
@@ -122,18 +115,11 @@ def log_options(command: Callable[..., Any]) -> Callable[..., Any]:
         period = given.pop("period")
         rest = {name: given.pop(name) for name in ("counts_per_turn", "full", "supply_V", "drive_row", "time_row")}
         rest |= {"run": given.pop("run_column"), "reversed": given.pop("is_reversed")}
-        model, gain, scale = given.pop("servo_model"), given.pop("gain"), given.pop("p_scale")
-        servo = _servo_law(model, gain, scale, given.pop("position_age"), rest, texts)
+        servo = _servo_law(given, rest, texts)
         log = None
-        if (
-            servo is not None
-            or period is not None
-            or any(value is not None for value in texts.values())
-            or any(rest.values())
-        ):
-            columns: dict[str, Any] = {
-                name: LogColumn.parse(name, text) for name, text in texts.items() if text is not None
-            }
+        said = {name: text for name, text in texts.items() if text is not None}
+        if servo is not None or period is not None or said or any(rest.values()):
+            columns: dict[str, Any] = {name: LogColumn.parse(name, text) for name, text in said.items()}
             period_s = None if period is None else parse_period(period)
             log = LogFormat(**columns, **rest, period_s=period_s, servo=servo)
         return command(log=log, **given)

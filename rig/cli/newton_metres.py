@@ -9,8 +9,7 @@ from typing import Any
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, fail, say_json
-from rig.cli.options import JSON, FiniteRange
+from rig.cli.shared import EXIT_FAILED, JSON, PATH, FiniteRange, asks_json, fail, say_json
 from rig.output.newton_metres import Load, NewtonMetres, Quantity, newton_metres
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG
@@ -43,7 +42,7 @@ class Measured(click.ParamType):  # type: ignore[type-arg]
 
 
 @click.command("newton-metres")
-@click.argument("loaded", metavar="LOADED", type=click.Path(path_type=Path))
+@click.argument("loaded", metavar="LOADED", type=PATH)
 @click.option(
     "--mass-kg", type=Measured(percent=_PERCENT), metavar="KG[,ERROR]",
     help="Of the mass at the end of the arm, and how far it may be off at 95 %. Default of that: 1 %; of the mass: "
@@ -55,7 +54,7 @@ class Measured(click.ParamType):  # type: ignore[type-arg]
 )  # fmt: skip
 @click.option("--rod-kg", type=FiniteRange(min=0.0), default=0.0, help="Of the arm itself, an even rod.")
 @click.option(
-    "--bare", type=click.Path(path_type=Path), metavar="FREE",
+    "--bare", type=PATH, metavar="FREE",
     help="The same motor without the load: then inertia tells, too, and both ways are compared.",
 )  # fmt: skip
 @click.option(
@@ -70,7 +69,6 @@ def newton_metres_command(
     rod_kg: float,
     bare: Path | None,
     R_ohm: Quantity | None,
-    as_json: bool,
 ) -> None:
     """Tell a motor in newton metres, by a mass on an arm.
 
@@ -87,7 +85,7 @@ def newton_metres_command(
         found = newton_metres(answer_in(loaded), load, None if bare is None else answer_in(bare), R_ohm)
     except ValueError as error:
         fail(str(error), "correct the numbers of the load")
-    if as_json:
+    if asks_json():
         say_json(found.as_json())
     else:
         for line in _lines(found):

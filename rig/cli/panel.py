@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, fail
-from rig.cli.options import OUT
+from rig.cli.shared import EXIT_FAILED, OUT, PATH, fail
 
 if TYPE_CHECKING:  # the server's packages may be missing
     from rig.panel.app import Panel
@@ -19,16 +18,16 @@ PORT = 8470
 
 
 @click.command()
-@click.argument("path", metavar="[CONFIG|RUN]", required=False, type=click.Path(path_type=Path))
+@click.argument("path", metavar="[CONFIG|RUN]", required=False, type=PATH)
 @OUT
 @click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="0: any that is free.")
 @click.option("--bind", default="127.0.0.1", show_default=True, help="Address of the interface to serve on.")
 @click.option(
     "--name", "names", multiple=True, help="A host name of this machine, as users type it. Repeat for several."
 )
-@click.option("--tls-cert", type=click.Path(path_type=Path), help="Certificate with its chain, PEM.")
-@click.option("--tls-key", type=click.Path(path_type=Path), help="Its key, PEM.")
-@click.option("--password-file", type=click.Path(path_type=Path), help="One line: who knows it may drive.")
+@click.option("--tls-cert", type=PATH, help="Certificate with its chain, PEM.")
+@click.option("--tls-key", type=PATH, help="Its key, PEM.")
+@click.option("--password-file", type=PATH, help="One line: who knows it may drive.")
 def panel(
     path: Path | None,
     out: Path,

@@ -7,31 +7,24 @@ from pathlib import Path
 
 import click
 
-from rig.cli.ending import fail, say_json
 from rig.cli.log_options import log_options
-from rig.cli.options import JSON, ROWS, require_new
+from rig.cli.shared import FILE, JSON, PATH, ROWS, asks_json, fail, require_new, say_json
 from rig.run_folder.recording.log_format import LogFormat
 from rig.run_folder.results.answer_words import of_all
 from rig.terminal import patience
 
 
 @click.command("predict-run")
-@click.argument("path", metavar="LOG", type=click.Path(path_type=Path))
+@click.argument("path", metavar="LOG", type=PATH)
 @click.option(
-    "--model",
-    "model",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="FOUND",
+    "--model", "model", required=True, type=PATH, metavar="FOUND",
     help="Run folder, or what `rig identify --json` printed into a file.",
-)
+)  # fmt: skip
 @ROWS
 @click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.png",
+    "--picture", type=FILE, metavar="FILE.png",
     help="Draw measured against predicted position, the residual, and the fit in %.",
-)
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace this file if it is there already.")
 @log_options
 @JSON
@@ -42,7 +35,6 @@ def predict_run(
     picture: Path | None,
     force: bool,
     log: LogFormat | None,
-    as_json: bool,
 ) -> None:
     """Predict a record of a motor by the answer of another.
 
@@ -67,7 +59,7 @@ def predict_run(
     except AbsentError as absent:
         fail(f"{model}: {absent}", "see why: `rig identify` of what it comes from; or give another")
     remarks = [beyond(answer, recording) for recording in recordings]
-    if as_json:
+    if asks_json():
         found = [
             {
                 "record": str(recording.source),

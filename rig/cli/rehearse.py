@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
 from rig import config
 from rig.cli.driving import finish, perform
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, JSON, OUT, PACE, asks_json
 from rig.running import preflight
 
 
@@ -34,32 +35,21 @@ from rig.running import preflight
 @OUT
 @PACE
 @JSON
-def rehearse(
-    config_path: Path,
-    no_load_rpm: float | None,
-    rated_V: float | None,
-    gear: float | None,
-    friction_V: float | None,
-    tau_s: float | None,
-    coasting: bool,
-    out: Path,
-    pace: float | None,
-    as_json: bool,
-) -> None:
+def rehearse(config_path: Path, out: Path, pace: float | None, **sheet: Any) -> None:
     """Run the whole experiment of a bench on an emulated motor.
 
     The checks, the experiment and the report are those of `rig run`; the device is emulated, in virtual time. The
     motor is made from the data sheet: from these options, else from motor.no_load_speed_rad_s and drive.supply_V. A
     config with a section `emulated` has a motor already; options change it. Every result says that it is a rehearsal.
     """
-    sheet = preflight.DataSheet(rated_V, no_load_rpm, gear, friction_V, tau_s, coasting or None)
+    given = preflight.DataSheet(**sheet | {"coasting": sheet["coasting"] or None})
     document = config.read(config_path, takes_pipe=True)
-    experiment = preflight.rehearsed(document, sheet, pace)
-    if not as_json:
+    experiment = preflight.rehearsed(document, given, pace)
+    if not asks_json():
         _show_motor(experiment)
     from rig.running.experiment import script
 
-    finish(perform(partial(script.run, experiment, out), as_json, verbose=False), as_json)
+    finish(perform(partial(script.run, experiment, out), verbose=False))
 
 
 def _show_motor(e: config.Experiment) -> None:

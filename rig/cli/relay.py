@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, JSON, OUT, PACE
 
 
 @click.command()
@@ -16,7 +16,7 @@ from rig.cli.options import CONFIG, JSON, OUT, PACE
 @OUT
 @PACE
 @JSON
-def relay(config_path: Path, out: Path, pace: float | None, as_json: bool) -> None:
+def relay(config_path: Path, out: Path, pace: float | None) -> None:
     """Run breakaway, gain search and relay tests, and identify.
 
     No tracking check follows.
@@ -24,4 +24,4 @@ def relay(config_path: Path, out: Path, pace: float | None, as_json: bool) -> No
     experiment = checked_bench(config_path, pace)
     from rig.running.experiment import script
 
-    finish(perform(partial(script.run_relay, experiment, out), as_json), as_json)
+    finish(perform(partial(script.run_relay, experiment, out)))

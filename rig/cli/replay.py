@@ -7,15 +7,14 @@ from pathlib import Path
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, say_json
-from rig.cli.options import JSON
+from rig.cli.shared import EXIT_FAILED, JSON, PATH, asks_json, say_json
 from rig.terminal import progress, show_replay
 
 
 @click.command()
-@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.argument("run_folder", metavar="RUN", type=PATH)
 @JSON
-def replay(run_folder: Path, as_json: bool) -> None:
+def replay(run_folder: Path) -> None:
     """Replay a run: compute each drive again and compare.
 
     The recorded samples go through laws and guard again. Prints that each drive is the same, tick for tick, or the
@@ -23,9 +22,9 @@ def replay(run_folder: Path, as_json: bool) -> None:
     """
     from rig.running.replay import replay as replay_run
 
-    with progress(f"replaying {run_folder.name}", as_json) as on_progress:
+    with progress(f"replaying {run_folder.name}", asks_json()) as on_progress:
         done = replay_run(run_folder, on_progress)
-    if as_json:
+    if asks_json():
         say_json(done.as_json())
     else:
         show_replay(done)

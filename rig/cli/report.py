@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from rig.cli.ending import EXIT_FAILED, fail
+from rig.cli.shared import EXIT_FAILED, PATH, fail
 from rig.terminal import patience
 
 
 @click.command()
-@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.argument("run_folder", metavar="RUN", type=PATH)
 def report(run_folder: Path) -> None:
     """Write the report of a run again, and print its path."""
     from rig.output.report import write_report

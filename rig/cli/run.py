@@ -10,8 +10,7 @@ import click
 from rich.console import Console
 
 from rig.cli.driving import checked_bench, perform
-from rig.cli.ending import EXIT_FAILED, fail, say_json
-from rig.cli.options import AS_CHECKED, CONFIG, JSON, OUT, PACE
+from rig.cli.shared import AS_CHECKED, CONFIG, EXIT_FAILED, JSON, OUT, PACE, PATH, asks_json, fail, say_json
 from rig.terminal import show_scatter
 
 
@@ -19,17 +18,13 @@ from rig.terminal import show_scatter
 @CONFIG
 @OUT
 @click.option(
-    "--repeat",
-    type=click.IntRange(1, 1000),
-    default=1,
+    "--repeat", type=click.IntRange(1, 1000), default=1,
     help="Run it N times and show the scatter between runs. An emulated bench takes seed, seed + 1, ...",
-)
+)  # fmt: skip
 @click.option(
-    "--model",
-    "model_run",
-    type=click.Path(path_type=Path),
+    "--model", "model_run", type=PATH,
     help="With relay.until: begin with the motor of this run folder, or of this result.json.",
-)
+)  # fmt: skip
 @PACE
 @AS_CHECKED
 @click.option("--verbose", is_flag=True, help="Show the tests, each method with its tracking, and the loop, too.")
@@ -42,7 +37,6 @@ def run(
     pace: float | None,
     as_checked: str | None,
     verbose: bool,
-    as_json: bool,
 ) -> None:
     """Run the whole experiment, identify the motor, write a report.
 
@@ -59,13 +53,13 @@ def run(
         from rig.identification.known_model import known_model
 
         known = known_model(model_run, experiment.drive.max_V)
-    if Console(stderr=True).is_terminal and not as_json:
+    if Console(stderr=True).is_terminal and not asks_json():
         click.echo("opening the bench ...", err=True)
     from rig.running.experiment import script
 
-    shown = partial(perform, as_json=as_json, verbose=verbose)
+    shown = partial(perform, verbose=verbose)
     outcomes = script.repeated(experiment, repeat, out, shown, known)
-    if as_json:
+    if asks_json():
         results = [outcome.as_json() for outcome in outcomes]
         ok = all(result["ok"] for result in results)
         say_json(results[0] if repeat == 1 else {"ok": ok, "runs": results})

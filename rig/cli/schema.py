@@ -7,16 +7,16 @@ from pathlib import Path
 import click
 
 from rig import config
-from rig.cli.ending import fail, written
+from rig.cli.shared import FILE, fail, written
 from rig.run_folder.results import RunMeta, RunResult
 
 
 @click.command()
 @click.option(
-    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    "--to", "file", type=FILE, metavar="FILE",
     help="File to write. Default: stdout.",
 )  # fmt: skip
-@click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
+@click.option("--out", "old_name", type=FILE, hidden=True)
 @click.option(
     "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
     help="What it describes: a config, a config of `rig campaign`, a run's meta.json, or its result.json.",
@@ -27,7 +27,7 @@ def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool)
     if of_campaign and of not in ("config", "campaign"):
         fail(f"--campaign and --of {of} name two schemas", "leave one of them out")
     if of in ("meta", "result"):
-        from rig.run_folder.results.json_schema import schema_text
+        from rig.run_folder.results.result import schema_text
 
         text = schema_text(RunMeta if of == "meta" else RunResult)
     else:

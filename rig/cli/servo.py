@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rig.cli.ending import fail, say_json, written
-from rig.cli.options import JSON, OUT, require_new
+from rig.cli.shared import FILE, JSON, OUT, asks_json, fail, require_new, say_json, written
 from rig.core.faults import Fault
 from rig.run_folder.recording.folder import json_text
 
@@ -39,7 +38,7 @@ def servo() -> None:
 @click.argument("port", required=False)
 @click.option("--baud", "bauds", type=int, multiple=True, help="Of the bus; default: 1000000, 57600, 115200.")
 @JSON
-def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
+def scan(port: str | None, bauds: tuple[int, ...]) -> None:
     """Show who is on a bus, and what a run would refuse. It changes nothing.
 
     Without PORT, each serial port on USB.
@@ -50,9 +49,9 @@ def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
     for name in [port] if port is not None else _ports():
         for seen in scan(lambda baud, name=name: opened(name, baud), bauds or USUAL_BAUDS):  # type: ignore[misc]
             found.append({"port": name, **_told(seen)})
-            if not as_json:
+            if not asks_json():
                 _say(name, seen)
-    if as_json:
+    if asks_json():
         say_json({"servos": found})
     elif not found:
         click.echo("no servo answers: check its supply, the wires and the port, or name another --baud")
@@ -63,14 +62,14 @@ def scan(port: str | None, bauds: tuple[int, ...], as_json: bool) -> None:
 @_ID
 @_BAUD
 @JSON
-def show(port: str, id: int, baud: int, as_json: bool) -> None:
+def show(port: str, id: int, baud: int) -> None:
     """Show every register of a servo. It changes nothing."""
     from rig.backends.servo.scan import all_registers, known_servo
 
     with opened(port, baud) as line:
         link = known_servo(line, id, baud)
         rows = list(all_registers(link))
-    if as_json:
+    if asks_json():
         say_json({"model": link.model.name, "registers": {name: value for name, _, value, _ in rows}})
         return
     click.echo(f"{link.model.name}, id {id}")
@@ -136,7 +135,7 @@ def restore(port: str, id: int, baud: int) -> None:
 @_PORT
 @_ID
 @_BAUD
-@click.option("--to", type=click.Path(path_type=Path, dir_okay=False), help="File to write. Default: facts-MODEL.json.")
+@click.option("--to", type=FILE, help="File to write. Default: facts-MODEL.json.")
 @OUT
 @_YES
 def facts(port: str, id: int, baud: int, to: Path | None, out: Path, yes: bool) -> None:
@@ -149,7 +148,7 @@ def facts(port: str, id: int, baud: int, to: Path | None, out: Path, yes: bool) 
     from rig.backends.servo.facts import facts as tried
     from rig.backends.servo.keeper import starter
     from rig.backends.servo.scan import known_servo
-    from rig.run_folder.live.unrecorded import told
+    from rig.run_folder.live.running import told
 
     def powered() -> None:
         click.prompt(

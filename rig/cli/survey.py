@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, JSON, OUT, PACE
 
 
 @click.command()
@@ -16,7 +16,7 @@ from rig.cli.options import CONFIG, JSON, OUT, PACE
 @OUT
 @PACE
 @JSON
-def survey(config_path: Path, out: Path, pace: float | None, as_json: bool) -> None:
+def survey(config_path: Path, out: Path, pace: float | None) -> None:
     """Sweep the travel slowly to and fro, and draw the friction map.
 
     The stages: breakaway, search, one relay test, survey, identify. The map shows the drive over speed and over
@@ -25,4 +25,4 @@ def survey(config_path: Path, out: Path, pace: float | None, as_json: bool) -> N
     experiment = checked_bench(config_path, pace)
     from rig.running.experiment import script
 
-    finish(perform(partial(script.run_survey, experiment, out), as_json), as_json)
+    finish(perform(partial(script.run_survey, experiment, out)))

@@ -8,23 +8,16 @@ from pathlib import Path
 import click
 
 from rig.cli.driving import checked_bench, finish, perform
-from rig.cli.ending import fail
-from rig.cli.options import CONFIG, JSON, OUT, PACE
+from rig.cli.shared import CONFIG, JSON, OUT, PACE, PATH, fail
 
 
 @click.command()
 @CONFIG
-@click.option(
-    "--model",
-    "model_run",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Run folder from which the models come.",
-)
+@click.option("--model", "model_run", required=True, type=PATH, help="Run folder from which the models come.")
 @OUT
 @PACE
 @JSON
-def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_json: bool) -> None:
+def track(config_path: Path, model_run: Path, out: Path, pace: float | None) -> None:
     """Run the tracking check with the models of an earlier run."""
     experiment = checked_bench(config_path, pace)
     from rig.identification import identify
@@ -35,4 +28,4 @@ def track(config_path: Path, model_run: Path, out: Path, pace: float | None, as_
     if experiment.tracking is None:
         fail(f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
     models = kept_models(model_run) or identify([read_run(model_run)]).as_result()
-    finish(perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)
+    finish(perform(partial(script.run_tracking, experiment, models, model_run, out)))

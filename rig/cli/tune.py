@@ -10,46 +10,44 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from rig.cli import shared
 from rig.cli.driving import checked_bench, perform
-from rig.cli.ending import EXIT_FAILED, fail, say_json
-from rig.cli.options import JSON, OUT, PACE, PICTURES, FiniteRange, Positive, require_new
 
 if TYPE_CHECKING:
-    from rig.config import Experiment
     from rig.running.session import Outcome
 
 
 @click.command()
-@click.argument("run_folder", metavar="MOTOR", type=click.Path(path_type=Path))
+@click.argument("run_folder", metavar="MOTOR", type=shared.PATH)
 @click.option(
     "--loop", type=click.Choice(["position", "velocity"]), default="position", show_default=True,
     help="What the loop controls.",
 )  # fmt: skip
 @click.option(
-    "--bandwidth", "bandwidth_1_s", type=Positive(), metavar="RAD/S",
+    "--bandwidth", "bandwidth_1_s", type=shared.Positive(), metavar="RAD/S",
     help="Where the response to the set-point is 3 dB down, rad/s. Default: the largest that keeps the margins.",
 )  # fmt: skip
 @click.option(
-    "--step", type=Positive(), metavar="SIZE",
+    "--step", type=shared.Positive(), metavar="SIZE",
     help="The step that the drive must have room for, rad; of a velocity loop rad/s. Default: a quarter of the travel, "
     "or of the largest speed.",
 )  # fmt: skip
 @click.option(
-    "--phase-margin", "phase_deg", type=FiniteRange(0.0, 90.0), default=45.0, show_default=True,
+    "--phase-margin", "phase_deg", type=shared.FiniteRange(0.0, 90.0), default=45.0, show_default=True,
     help="That every motor within the intervals keeps, degrees.",
 )  # fmt: skip
 @click.option(
-    "--gain-margin", "gain_dB", type=FiniteRange(0.0, 40.0), default=6.0, show_default=True,
+    "--gain-margin", "gain_dB", type=shared.FiniteRange(0.0, 40.0), default=6.0, show_default=True,
     help="The same, dB.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(39, 1000), default=79, show_default=True,
     help="Motors, drawn from the intervals, on which the loop is simulated.",
 )  # fmt: skip
-@click.option("--to", "file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+@click.option("--to", "file", type=shared.FILE, metavar="FILE",
     help="Write the picture: .png, .svg or .pdf.",
 )  # fmt: skip
-@click.option("--try", "config_path", type=click.Path(path_type=Path), metavar="CONFIG",
+@click.option("--try", "config_path", type=shared.PATH, metavar="CONFIG",
     help="Then drive the step and the tracking on the bench of this config, and show them beside the prediction.",
 )  # fmt: skip
 @click.option(
@@ -57,17 +55,17 @@ if TYPE_CHECKING:
     help="Instead: the gains of this servo's own position loop, duty = gain x error. It writes none of them.",
 )  # fmt: skip
 @click.option(
-    "--p-scale", type=Positive(), metavar="1/RAD",
+    "--p-scale", type=shared.Positive(), metavar="1/RAD",
     help="For --servo: the share of full duty that a gain of 1 makes of 1 rad, as `rig servo facts` measures it. "
     "Default: all that manuals and BAM say.",
 )  # fmt: skip
 @click.option(
-    "--supply-V", "supply_V", type=Positive(), metavar="V",
+    "--supply-V", "supply_V", type=shared.Positive(), metavar="V",
     help="For --servo: its supply. Default: as the run says; the answer of a log does not say it.",
 )  # fmt: skip
-@OUT
-@PACE
-@JSON
+@shared.OUT
+@shared.PACE
+@shared.JSON
 def tune(
     run_folder: Path,
     loop: str,
@@ -83,7 +81,6 @@ def tune(
     supply_V: float | None,
     out: Path,
     pace: float | None,
-    as_json: bool,
 ) -> None:
     """Tune a loop for an identified motor, and predict what it does.
 
@@ -93,12 +90,12 @@ def tune(
     sensor's noise and its steps. A run must hold its config; of a log its own period, drives, speeds and travel count.
     """
     if servo is not None:
-        _of_servo(run_folder, servo, p_scale, supply_V, (phase_deg, gain_dB), as_json)
+        _of_servo(run_folder, servo, p_scale, supply_V, (phase_deg, gain_dB))
         return
     for option, value in (("--p-scale", p_scale), ("--supply-V", supply_V)):
         if value is not None:
-            fail(f"{option} is for the loop of a servo", "add --servo MODEL")
-    require_new(file, PICTURES)
+            shared.fail(f"{option} is for the loop of a servo", "add --servo MODEL")
+    shared.require_new(file, shared.PICTURES)
     bench = None if config_path is None else checked_bench(config_path, pace)
     from rig.terminal import patience, progress, show_tuned
 
@@ -108,13 +105,15 @@ def tune(
         from rig.run_folder.results.meta import REHEARSAL
         from rig.running.run_tuning import Asked, tune_run, written_up
 
-    with progress("simulating motors", as_json) as on_progress:
+    with progress("simulating motors", shared.asks_json()) as on_progress:
         asked = Asked("position" if loop == "position" else "velocity", bandwidth_1_s, step, phase_deg, gain_dB)
         found = tune_run(run_folder, asked, draws, bench, on_progress)
     outcome: Outcome | None = None
     result = found.result()
     if bench is not None:
-        outcome = _tried(found.config_with_law(bench), out, as_json)
+        from rig.running.experiment import script
+
+        outcome = perform(partial(script.run, found.config_with_law(bench), out))
         try:
             record = found.record_of(outcome.folder)
         except RecordingError:
@@ -132,10 +131,10 @@ def tune(
             unsaved = str(error)
             click.echo(f"rig: {unsaved}", err=True)
     failure = "" if outcome is None else outcome.failure
-    if as_json:
+    if shared.asks_json():
         tried = {} if outcome is None else {"bench_run": str(outcome.folder), "bench_failure": failure}
         made_up = {"rehearsal": True} if found.made_up else {}
-        say_json({"ok": not (failure or unsaved), **made_up, **result.as_json(), **tried})
+        shared.say_json({"ok": not (failure or unsaved), **made_up, **result.as_json(), **tried})
     else:
         if found.made_up:
             click.echo(f"{run_folder.name}: {REHEARSAL}")
@@ -143,26 +142,21 @@ def tune(
         if file is not None and not unsaved:
             click.echo(f"picture: {file}")
     if failure or unsaved:
-        sys.exit(EXIT_FAILED)
+        sys.exit(shared.EXIT_FAILED)
 
 
 _ONLY_OF_RIGS_LOOP = ("loop", "bandwidth_1_s", "step", "draws", "file", "config_path")
 
 
 def _of_servo(
-    run_folder: Path,
-    model: str,
-    p_scale: float | None,
-    supply_V: float | None,
-    least: tuple[float, float],
-    as_json: bool,
+    run_folder: Path, model: str, p_scale: float | None, supply_V: float | None, least: tuple[float, float]
 ) -> None:
     """The gains of a servo's own loop; ``least``: its margins, degrees and dB."""
     context = click.get_current_context()
     for name in _ONLY_OF_RIGS_LOOP:
         if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
             option = next(one.opts[0] for one in context.command.params if one.name == name)
-            fail(f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out")
+            shared.fail(f"{option} is for rig's own loop, and --servo for the servo's", "leave one of them out")
     from rig.backends.servo.first_config import model_named
     from rig.design.tune.margins import Margins
     from rig.running.run_tuning import servo_loop_of
@@ -171,14 +165,7 @@ def _of_servo(
     servo = model_named(model)
     phase_deg, gain_dB = least
     found = servo_loop_of(run_folder, servo, Margins(gain_dB, phase_deg, 0.0), p_scale, supply_V)
-    if as_json:
-        say_json({"ok": True, "run": run_folder.resolve().name, **found.as_json()})
+    if shared.asks_json():
+        shared.say_json({"ok": True, "run": run_folder.resolve().name, **found.as_json()})
     else:
         show_servo_loop(found)
-
-
-def _tried(experiment: Experiment, out: Path, as_json: bool) -> Outcome:
-    """The run on the bench."""
-    from rig.running.experiment import script
-
-    return perform(partial(script.run, experiment, out), as_json)

@@ -6,26 +6,22 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.control.motion import Swings
 from rig.design.belief import Belief
 from rig.design.best_test import KINDS, Kind, best_test
 from rig.design.outlook import Task, law_of, told
-from rig.design.planned_test import Design, PlannedTest, RelayGains
-from rig.design.rest_noise import RestNoise
-from rig.design.room import Reading, Room
-from rig.design.stop_rule import StopRule
+from rig.design.planned_test import Design, PlannedTest, Reading, RelayGains, Room
+from rig.design.stop_rule import RestNoise, StopRule
 from rig.identification.breakaway import breakaway
 from rig.identification.estimate import PARAMETERS, Estimate
 from rig.identification.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
 from rig.identification.preprocessing import from_recording
+from rig.model.library import Array
 from rig.model.step import State
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.stage import Stage, StageKind
-
-Array = NDArray[np.float64]
 
 KNOWN_PERCENT = 20.0  # tau, K and f_c must be known so well before a test is designed
 WIDE = 0.15  # of the room: swings so wide show what a first test would meet

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.model.library import Array
 from rig.model.step import Numbers, Plant
-
-Array = NDArray[np.float64]
 
 RADIUS = 3.0  # standard deviations, along any direction, within which the motor is taken to be
 TOGETHER = math.sqrt(3.0)  # tau, K and fc may all be wrong at once

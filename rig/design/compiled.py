@@ -5,13 +5,9 @@ from __future__ import annotations
 import ctypes
 from ctypes import byref
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rig.model.library import LIBRARY, TestPlan, address, filled, given, numbers, require_size, room
+from rig.model.library import LIBRARY, Array, TestPlan, address, filled, given, numbers, require_size, room
 from rig.model.step import Numbers
 
-Array = NDArray[np.float64]
 Law = tuple[bool, Array, Array]  # True, (h1, h2), (); or False, drives of the strokes, their turning points
 Timing = tuple[float, float]  # sampling period, and from a sample until its drive acts, s
 

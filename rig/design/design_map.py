@@ -7,20 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rig.control.strokes import Stroke
+from rig.design.best_test import GainGrid, best_of, best_strokes, gain_grid
 from rig.design.outlook import AT_REST, Task, driven, law_of, told
 from rig.design.planned_test import Design, RelayGains, Strokes
-from rig.design.relay_search import GainGrid, best_of, gain_grid
-from rig.design.stroke_search import best_strokes
-from rig.run_folder.results.design import (
-    BelievedMotor,
-    DesignedGains,
-    DesignedMap,
-    DesignedMotion,
-    DesignedSeconds,
-    DesignedStroke,
-    DesignResult,
-    DesignRoom,
-)
+from rig.run_folder.results import design as results
 
 SIZE = 20  # gains of each axis
 PERCENTS = (10.0, 3.0, 1.0, 0.5)  # half widths to say the time for, %
@@ -29,7 +19,7 @@ SHOWN = 1.1  # of the strokes' time: as much of their motion is shown
 
 def design_map(
     task: Task, doubt_percent: float, size: int = SIZE, percents: Sequence[float] = PERCENTS
-) -> DesignResult:
+) -> results.DesignResult:
     """Try ``size`` by ``size`` pairs of gains, and search strokes for each interval: some seconds. Deterministic.
 
     doubt_percent  by which ``task.belief`` may be wrong, to be told with the result
@@ -37,9 +27,9 @@ def design_map(
     grid = gain_grid(task, size)
     gains, strokes = best_of(task, grid), best_strokes(task)
     pair = () if gains is None else gains.pair or (gains.single,)
-    return DesignResult(
+    return results.DesignResult(
         motor=_motor(task, doubt_percent),
-        room=DesignRoom(
+        room=results.DesignRoom(
             low_rad=task.room.low_rad,
             high_rad=task.room.high_rad,
             max_V=task.room.max_V,
@@ -47,7 +37,7 @@ def design_map(
             horizon_s=task.room.horizon_s,
         ),
         wanted_percent=task.wanted_percent,
-        strokes=tuple(DesignedStroke(u_V=one.u_V, turn_rad=one.turn_rad) for one in _strokes_of(strokes)),
+        strokes=tuple(results.DesignedStroke(u_V=one.u_V, turn_rad=one.turn_rad) for one in _strokes_of(strokes)),
         gains=tuple(_gains(one.gains) for one in pair),
         single=None if gains is None else _gains(gains.single.gains),
         until=tuple(_until(task, grid, strokes, percent) for percent in sorted({*percents, task.wanted_percent})[::-1]),
@@ -56,9 +46,9 @@ def design_map(
     )
 
 
-def _motor(task: Task, doubt_percent: float) -> BelievedMotor:
+def _motor(task: Task, doubt_percent: float) -> results.BelievedMotor:
     b = task.belief
-    return BelievedMotor(
+    return results.BelievedMotor(
         tau_s=b.tau_s,
         K_rad_s_V=b.K_rad_s_V,
         fc_V=b.fc_V,
@@ -70,20 +60,20 @@ def _motor(task: Task, doubt_percent: float) -> BelievedMotor:
     )
 
 
-def _gains(gains: RelayGains) -> DesignedGains:
-    return DesignedGains(h1_V=gains.h1_V, h2_V=gains.h2_V)
+def _gains(gains: RelayGains) -> results.DesignedGains:
+    return results.DesignedGains(h1_V=gains.h1_V, h2_V=gains.h2_V)
 
 
 def _strokes_of(design: Design | None) -> tuple[Stroke, ...]:
     return design.test.strokes if design is not None and isinstance(design.test, Strokes) else ()
 
 
-def _map(task: Task, grid: GainGrid) -> DesignedMap:
+def _map(task: Task, grid: GainGrid) -> results.DesignedMap:
     rows = [
         [told(task, law_of(one.gains)).seconds if one is not None and one.is_inside else math.nan for one in row]
         for row in grid.tried
     ]
-    return DesignedMap(
+    return results.DesignedMap(
         h1_V=tuple(grid.h1_V.tolist()),
         h2_V=tuple(grid.h2_V.tolist()),
         seconds=tuple(map(tuple, rows)),
@@ -91,12 +81,12 @@ def _map(task: Task, grid: GainGrid) -> DesignedMap:
     )
 
 
-def _until(task: Task, grid: GainGrid, strokes: Design | None, percent: float) -> DesignedSeconds:
+def _until(task: Task, grid: GainGrid, strokes: Design | None, percent: float) -> results.DesignedSeconds:
     wish = replace(task, wanted_percent=percent)
     gains = best_of(wish, grid)
     # strokes that are good for one interval are not the best for another
     plan = strokes if percent == task.wanted_percent else best_strokes(wish)
-    return DesignedSeconds(
+    return results.DesignedSeconds(
         interval_percent=percent,
         strokes_s=None if plan is None else plan.seconds,
         pair_s=None if gains is None else gains.pair_s,
@@ -104,9 +94,9 @@ def _until(task: Task, grid: GainGrid, strokes: Design | None, percent: float) -
     )
 
 
-def _motion(task: Task, design: Design | None) -> DesignedMotion | None:
+def _motion(task: Task, design: Design | None) -> results.DesignedMotion | None:
     strokes = _strokes_of(design)
     if design is None or not strokes:
         return None
     t_s, y_rad, u_V = driven(replace(task, start=AT_REST), law_of(strokes), SHOWN * design.seconds)
-    return DesignedMotion(t_s=tuple(t_s.tolist()), y_rad=tuple(y_rad.tolist()), u_V=tuple(u_V.tolist()))
+    return results.DesignedMotion(t_s=tuple(t_s.tolist()), y_rad=tuple(y_rad.tolist()), u_V=tuple(u_V.tolist()))

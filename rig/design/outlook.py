@@ -9,16 +9,13 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.control.strokes import Stroke
 from rig.design import compiled
 from rig.design.belief import NORMAL_95, Belief
-from rig.design.planned_test import Reach, RelayGains
-from rig.design.room import Reading, Room
+from rig.design.planned_test import Reach, Reading, RelayGains, Room
+from rig.model.library import Array
 from rig.model.step import State
-
-Array = NDArray[np.float64]
 
 AT_REST = State()
 LOOKED_S = 0.1  # between two looks at the information

@@ -6,12 +6,11 @@ sockets   what one WebSocket may cost
 messages  all that a page is told, as types
 watch     what the pages are told of a run, 25 times a second
 bench     checks, starts, calibrates, jogs and stops
-calibration  a calibration that a page goes through; calibrating: the process that does it
-attendance  the panel's promise to be there, without which a calibration drives nothing
+calibration  a calibration that a page goes through, and the panel's promise to be there, without which it drives
+          nothing; calibrating: the process that does it
 processes the commands that were started, found again by a later panel
 aside     what takes a second, in a process of low priority
 prospect  what `rig check` says of a config, as JSON
-runs      past runs; series: one of them, thin enough to draw
-compared  whether several of them are of one motor
+runs      past runs; series: one of them, thin enough to draw, and whether several are of one motor
 serve     the server: address, certificate, the process itself
 """

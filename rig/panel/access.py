@@ -20,7 +20,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Final, Literal
 
 from rig.core.errors import CauseError
-from rig.panel.errors import RefusedError
+from rig.panel.messages import RefusedError
 
 Kind = Literal["read", "write", "socket"]
 RawHeaders = Iterable[tuple[bytes, bytes]]

@@ -27,9 +27,9 @@ from rig.core.package import FOLDER, VERSION
 from rig.panel.access import Access, Kind, security_headers
 from rig.panel.aside import answer_of
 from rig.panel.bench import Bench
-from rig.panel.errors import RefusedError
-from rig.panel.messages import Answer, Refusal, Refused, State, Stop
+from rig.panel.messages import Answer, Refusal, Refused, RefusedError, State, Stop
 from rig.panel.past_runs import Runs
+from rig.panel.series import compared, drawn
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S, MOST_SOCKETS, Meter
 from rig.panel.watch import Follower, Watch
 from rig.run_folder.results import JsonObject
@@ -259,8 +259,8 @@ class _Pages:
         runs = self._panel.runs
         async with self._readers.turn():
             folder = await _read(runs.find, request.path_params["name"])
-            drawn = await answer_of("rig.panel.series", folder)
-            return _Json({**await _read(runs.row, folder), **drawn})
+            curves = await answer_of(drawn, folder)
+            return _Json({**await _read(runs.row, folder), **curves})
 
     async def compare(self, request: Request) -> Response:
         """Whether past runs are of one motor: ``?run=NAME&run=NAME``."""
@@ -270,7 +270,7 @@ class _Pages:
             raise RefusedError(400, f"two to {_MOST_COMPARED} runs can be compared here", "rig compare takes more")
         async with self._readers.turn():
             folders = [await _read(self._panel.runs.find, name) for name in names]
-            return _Json(await answer_of("rig.panel.compared", *folders))
+            return _Json(await answer_of(compared, *folders))
 
     async def report(self, request: Request) -> Response:
         """A run's report, in a sandbox."""

@@ -1,4 +1,7 @@
-"""What takes a second is done aside, by a process of low priority: a Stop must not wait for it, and no loop either."""
+"""What takes a second is done aside, by a process of low priority: a Stop must not wait for it, and no loop either.
+
+``python -m rig.panel.aside MODULE FUNCTION PATH...`` prints as JSON what that function of the panel gives.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +11,23 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import Final, Literal, overload
+from typing import Final, TypeVar
 
-from rig.panel.errors import RefusedError
-from rig.panel.messages import Compared, Drawn, Prospect, Refusal
+from rig.panel.messages import Refusal, RefusedError
 from rig.run_folder.recording.errors import RecordingError
 
 _PATIENCE_S: Final = 60.0
 _LESS_URGENT: Final = 10
+_Answer = TypeVar("_Answer")
 
 
-@overload
-async def answer_of(module: Literal["rig.panel.prospect"], *paths: Path) -> Prospect: ...
-@overload
-async def answer_of(module: Literal["rig.panel.series"], *paths: Path) -> Drawn: ...
-@overload
-async def answer_of(module: Literal["rig.panel.compared"], *paths: Path) -> Compared: ...
-async def answer_of(module: str, *paths: Path) -> Prospect | Drawn | Compared:
-    """What ``python -m MODULE PATH...`` gives. Raises RefusedError if that is nothing of use, or an error."""
+async def answer_of(asked: Callable[..., _Answer], *paths: Path) -> _Answer:
+    """What a function gives for these paths. Raises RefusedError if that is nothing of use, or an error."""
     name = paths[-1].name
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-P", "-m", module, *map(str, paths),
+        sys.executable, "-P", "-m", __name__, asked.__module__, asked.__name__, *map(str, paths),
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
     try:
@@ -47,16 +45,20 @@ async def answer_of(module: str, *paths: Path) -> Prospect | Drawn | Compared:
         raise RefusedError(503, f"{name} cannot be read: {last}", "look at it with rig") from None
     if "error" in given:
         raise RefusedError(409, **given["error"])
-    answer: Prospect | Drawn | Compared = given
+    answer: _Answer = given
     return answer
 
 
-def give(answer: Callable[..., Prospect | Drawn | Compared]) -> None:
+def main(module: str, asked: str, *paths: str) -> None:
     """As such a process: print the answer for the paths that were asked for, or what is wrong with a recording."""
     with contextlib.suppress(AttributeError, OSError):  # Windows has no such call
         os.nice(_LESS_URGENT)
     try:
-        given: Prospect | Drawn | Compared | Refusal = answer(*map(Path, sys.argv[1:]))
+        given: object = getattr(import_module(module), asked)(*map(Path, paths))
     except RecordingError as error:
-        given = {"error": {"what": f"{error.path}: {error.cause}", "cure": error.cure}}
+        given = Refusal(error={"what": f"{error.path}: {error.cause}", "cure": error.cure})
     sys.stdout.write(json.dumps(given, allow_nan=False))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -18,12 +18,12 @@ from typing import Final
 
 from rig.config.yaml12 import MOST_BYTES
 from rig.core.plain_file import read_plain
-from rig.panel import attendance, processes
+from rig.panel import processes
 from rig.panel.aside import answer_of
-from rig.panel.calibration import Calibration
-from rig.panel.errors import RefusedError
-from rig.panel.messages import Checked, Started
+from rig.panel.calibration import EVERY_S, Calibration
+from rig.panel.messages import Checked, RefusedError, Started
 from rig.panel.processes import Ended, StartedProcess
+from rig.panel.prospect import prospect
 from rig.run_folder.live.lease import Leaser
 from rig.run_folder.live.running import Lookout, Running, Seen, running
 from rig.run_folder.live.stop_flag import Runner, StopError, command_of, is_recorded, request_stop, runner_of
@@ -171,7 +171,7 @@ class Bench:
 
     async def check(self) -> Checked:
         """What `rig check` says of the config, and a ``confirmation`` with which it may be started."""
-        found = await answer_of("rig.panel.prospect", self._own_config())
+        found = await answer_of(prospect, self._own_config())
         confirmation = None
         if found["plan"] is not None:
             confirmation = secrets.token_urlsafe(12)
@@ -210,7 +210,7 @@ class Bench:
         while True:
             if self.calibration is not None:
                 self.calibration.attend()
-            await asyncio.sleep(attendance.EVERY_S)
+            await asyncio.sleep(EVERY_S)
 
     def _calibration_changed(self) -> None:
         self.calibration_changes = next(self._changes)  # from several threads: no two changes look like one
@@ -285,7 +285,7 @@ class Bench:
         Raises RefusedError if anything is in the way.
         """
         config = self._own_config()
-        found = await answer_of("rig.panel.prospect", config)
+        found = await answer_of(prospect, config)
         if found["plan"] is None:
             raise RefusedError(409, "rig refuses this config", "press Check and start…: the check says why")
         self._jog_V = found["plan"]["jog_V"]

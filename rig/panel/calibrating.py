@@ -21,12 +21,11 @@ from rig.backends.emulated.errors import EmulationError
 from rig.config.problems import ConfigError
 from rig.control.loop.stop_request import Gone
 from rig.core.faults import Fault
-from rig.panel.attendance import watched
+from rig.panel.calibration import watched
 from rig.panel.messages import Answer, CalibrationEnd, Doing, Question, Said
-from rig.run_folder.live.unrecorded import BusyError, told
+from rig.run_folder.live.running import BusyError, told
 from rig.run_folder.recording.errors import RecordingError
-from rig.running.calibrate.dialogue import Ask, Hold, Motion, Read, Say, Skipped, Strokes
-from rig.running.calibrate.refusal import Refusal
+from rig.running.calibrate.dialogue import Ask, Hold, Motion, Read, Refusal, Say, Skipped, Strokes
 from rig.running.calibrate.session import NotWrittenError, calibrate, open_config
 from rig.running.calibrate.steps import steps_for
 from rig.running.calibrate.wiring import svg

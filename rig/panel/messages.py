@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NotRequired, TypedDict
 
-from rig.run_folder.live.view import Estimate, SeenFault
+from rig.core.errors import RigError
+from rig.run_folder.live.view import Estimate, LiveNumbers, SeenFault
 from rig.run_folder.results import JsonObject
 
 
@@ -186,32 +187,13 @@ class Idle(TypedDict):
     words: str
 
 
-class Live(TypedDict):
-    """The numbers of a run, and its newest rows, column by column.
-
-    limits  soft_rad, hard_rad and drive_V, as the config has them; null: not known, or endless
-    planes  y_rad and z_rad_s, at which the relay switches, by h1_V and h2_V
-    """
+class Live(LiveNumbers):
+    """The numbers of a run, and its newest rows, column by column."""
 
     type: Literal["live"]
     n: int
     run: str
-    command: str | None
-    pid: int | None
-    age_ms: int | None
     rows: dict[str, list[float | None]]
-    stage: str | None
-    words: str
-    stage_left_s: float | None
-    run_left_s: float | None
-    cycles: int | None
-    amplitude_rad: float | None
-    period_s: float | None
-    drive_is_off: bool
-    is_over: bool
-    loop: dict[str, float | None]
-    limits: dict[str, list[float] | float | None]
-    planes: dict[str, list[float] | float] | None
 
 
 class LiveEstimate(Estimate):
@@ -269,3 +251,11 @@ class Refused(TypedDict):
 
 News = RunEnded | Stop | Trouble
 Message = Operator | CalibrationChanged | Idle | Live | LiveEstimate | LiveFault | News
+
+
+class RefusedError(RigError):
+    """An answer that is no: HTTP status, what is wrong, what to do."""
+
+    def __init__(self, status: int, what: str, cure: str) -> None:
+        self.status, self.what, self.cure = status, what, cure
+        super().__init__(f"{what}\n{cure}")

@@ -17,8 +17,7 @@ from typing import Final
 
 from rig.core.plain_file import read_plain
 from rig.core.signals import plain
-from rig.panel.errors import RefusedError
-from rig.panel.messages import RunRow
+from rig.panel.messages import RefusedError, RunRow
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, META, RESULT
 from rig.run_folder.recording.path_kind import is_run

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Final
 
 from rig.core.signals import plain
-from rig.panel.errors import RefusedError
-from rig.run_folder.live.born import born
+from rig.panel.messages import RefusedError
 from rig.run_folder.live.own_folder import START_LOCK, HeldError, NotOwnError, OwnFolder
+from rig.run_folder.live.stop_flag import born
 
 _LAST_WORDS_BYTES: Final = 2000
 _LAST_WORDS_LINES: Final = 12

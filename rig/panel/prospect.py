@@ -1,14 +1,10 @@
-"""What a run of a config would do: the verdict of `rig check`, and numbers for the page that asks before a start.
-
-``python -m rig.panel.prospect CONFIG`` prints it as JSON.
-"""
+"""What a run of a config would do: the verdict of `rig check`, and numbers for the page that asks before a start."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from rig.config import ConfigError, Experiment, is_campaign, read
-from rig.panel.aside import give
 from rig.panel.messages import Plan, Prospect
 from rig.running import preflight
 from rig.running.preflight.plan import lasts_s
@@ -44,7 +40,3 @@ def _plan(e: Experiment) -> Plan:
         "hard_rad": None if endless else list(e.limits.hard_rad),
         "max_speed_rad_s": e.limits.max_speed_rad_s, "lasts_s": lasts_s(e),
     }  # fmt: skip
-
-
-if __name__ == "__main__":
-    give(prospect)

@@ -1,4 +1,4 @@
-"""One recorded run, thin enough to draw: ``python -m rig.panel.series FOLDER`` prints it as JSON."""
+"""Recorded runs for a page: one, thin enough to draw; and whether several are of one motor."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.panel.aside import give
-from rig.panel.messages import Drawn
+from rig.panel.messages import Compared, Drawn
 from rig.run_folder.recording.reader import read_run
-from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.recording import Floats, Recording
 from rig.run_folder.recording.stage import kind_of
 from rig.run_folder.results import JsonObject, RunEvent
-
-Array = NDArray[np.float64]
 
 MOST_POINTS: Final = 4000
 _DRIVEN: Final = ("relay", "strokes", "hysteretic", "track")
@@ -40,7 +37,17 @@ def drawn(folder: Path) -> Drawn:
     }
 
 
-def thinned(y_rad: Array, most: int) -> NDArray[np.intp]:
+def compared(*folders: Path) -> Compared:
+    """What `rig compare` says of these runs. Raises RecordingError."""
+    from rig.output.compare.comparison import CompareError, compare  # the panel itself compares nothing
+
+    try:
+        return {"comparison": compare(folders).result.as_json(), "why": ""}
+    except CompareError as error:
+        return {"comparison": None, "why": f"{error.cause}: {error.cure}"}
+
+
+def thinned(y_rad: Floats, most: int) -> NDArray[np.intp]:
     """At most ``most`` row numbers, rising: of each stretch its lowest and its highest row, so that no peak is lost."""
     rows = len(y_rad)
     if rows <= most:
@@ -70,9 +77,5 @@ def _of(event: RunEvent, *keys: str) -> JsonObject:
     return {"t_s": event.t_s, **{key: event.detail.get(key) for key in keys}}
 
 
-def _numbers(values: Array, digits: int) -> list[float | None]:
+def _numbers(values: Floats, digits: int) -> list[float | None]:
     return [round(value, digits) if np.isfinite(value) else None for value in values.tolist()]
-
-
-if __name__ == "__main__":
-    give(drawn)

@@ -20,7 +20,7 @@ from rig.panel.messages import Live, Message, News, RunEnded, Stop
 from rig.panel.past_runs import Runs
 from rig.panel.processes import Ended
 from rig.run_folder.live.stop_flag import Unrecorded, command_of, is_recorded
-from rig.run_folder.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot
+from rig.run_folder.live.view import KEPT_ROWS, LiveRow, LiveView, Snapshot, rounded
 
 PERIOD_S: Final = 0.04
 ALIVE_S: Final = 0.25  # a page that hears nothing for longer says that it is not connected
@@ -28,7 +28,6 @@ _LOOK_EVERY: Final = 6  # ticks between two looks at which runs go on
 _MOST_UNSEEN: Final = 10  # live messages on their way to a page that says what it has seen
 _MOST_NEWS: Final = 20
 _MOST_TICKS_TO_EXIT: Final = 100
-_LATE_SHARE: Final = 0.1  # of the period, beyond which a tick counts as late
 _ZERO_WITHIN_S: Final = 1.0
 STARTING: Final = "the run that was starting"
 _NOT_CONFIRMED: Final = "the device has not confirmed 0 V"
@@ -357,46 +356,16 @@ class Follower:
 
 def live(run: str, number: int, snapshot: Snapshot, rows: Sequence[LiveRow]) -> Live:
     """The numbers of a run, and its newest rows."""
-    limits, planes, cycle, health = snapshot.limits, snapshot.planes, snapshot.cycle, snapshot.loop
-    runner = snapshot.runner
     return {
-        "type": "live", "n": number, "run": run, "command": snapshot.command,
-        "pid": None if runner is None else runner.pid,
-        "age_ms": None if snapshot.age_s is None else round(1e3 * snapshot.age_s),
+        "type": "live", "n": number, "run": run,
         "rows": {
-            "t_s": [_rounded(row.t_s, 4) for row in rows],
-            "y_rad": [_rounded(row.y_rad, 5) for row in rows],
-            "u_V": [_rounded(row.u_V, 4) for row in rows],
-            "z_rad_s": [_rounded(row.z_rad_s, 5) for row in rows],
+            "t_s": [rounded(row.t_s, 4) for row in rows],
+            "y_rad": [rounded(row.y_rad, 5) for row in rows],
+            "u_V": [rounded(row.u_V, 4) for row in rows],
+            "z_rad_s": [rounded(row.z_rad_s, 5) for row in rows],
         },
-        "stage": snapshot.stage, "words": snapshot.words,
-        "stage_left_s": _rounded(snapshot.left.stage_s, 1), "run_left_s": _rounded(snapshot.left.run_s, 1),
-        "cycles": None if cycle is None else cycle.number,
-        "amplitude_rad": None if cycle is None else _rounded(cycle.amplitude_rad, 5),
-        "period_s": None if cycle is None else _rounded(cycle.period_s, 5),
-        "drive_is_off": snapshot.drive_is_off, "is_over": snapshot.is_over,
-        "loop": {
-            "late": _late(snapshot), "latest_us": _rounded(health.latest_us, 0), "skipped": health.skipped,
-            "link_errors": health.link_errors,
-        },
-        "limits": {
-            "soft_rad": None if limits is None else _finite(limits.soft_rad),
-            "hard_rad": None if limits is None else _finite(limits.hard_rad),
-            "drive_V": None if limits is None else limits.max_u_V,
-        },
-        "planes": None if planes is None else {
-            "y_rad": [0.0], "z_rad_s": [0.0], "h1_V": planes.h1_V, "h2_V": planes.h2_V,
-        },
+        **snapshot.numbers,
     }  # fmt: skip
-
-
-def _late(snapshot: Snapshot) -> int | None:
-    """How many of the kept ticks began late; None where the period is not known."""
-    runner = snapshot.runner
-    if runner is None or math.isnan(runner.period_s):
-        return None
-    late_us = _LATE_SHARE * 1e6 * runner.period_s
-    return sum(row.late_us > late_us for row in snapshot.rows)
 
 
 def _first_after(rows: Sequence[LiveRow], number: int) -> int:
@@ -416,11 +385,3 @@ def _stop_message(run: str | None, drive_zero: bool | None, why: str, after_ms: 
     return {
         "type": "stop", "received": True, "run": run, "drive_zero": drive_zero, "after_ms": after_ms, "why": why,
     }  # fmt: skip
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return round(value, digits) if value is not None and math.isfinite(value) else None
-
-
-def _finite(pair: tuple[float, float]) -> list[float] | None:
-    return list(pair) if all(map(math.isfinite, pair)) else None

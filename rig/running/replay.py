@@ -35,32 +35,16 @@ from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Stro
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
+from rig.run_folder import results
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, META
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.writer import EVENTS
-from rig.run_folder.results import (
-    Decided,
-    DrivenModel,
-    DrivenStroke,
-    DrivenSurvey,
-    DrivenSweep,
-    FurtherTest,
-    JoggedLease,
-    JsonObject,
-    KnownModel,
-    Part,
-    RealTimeReport,
-    RunEvent,
-    RunMeta,
-    ScriptCall,
-)
 from rig.run_folder.results.reading import DamagedError, parsed
 from rig.running.experiment import stages
 from rig.running.experiment.script import BREAKAWAY_LAW, SEARCH_LAW, configured_law
-from rig.running.experiment.survey import survey, sweep
-from rig.running.experiment.thorough import test_once_more
+from rig.running.experiment.survey import survey, sweep, test_once_more
 from rig.running.experiment.until import drive_until
 from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.run_summary import Findings
@@ -68,7 +52,7 @@ from rig.running.session import Script, Session
 
 Ending = Literal["its end", "a fault", "no end"]
 
-_P = TypeVar("_P", bound=Part)
+_P = TypeVar("_P", bound=results.Part)
 
 _KNOWS_OLDER_LAWS = "599afeb2"  # the last commit of rig that replays breakaway laws of older versions
 _KNOWS_OLDER_SEARCH = "0d61cc00"  # and of the gain search that tried the gains of the first test alone
@@ -109,7 +93,7 @@ class Replay:
         """Whether the replay gave the drive that was recorded."""
         return self.difference is None
 
-    def as_json(self) -> JsonObject:
+    def as_json(self) -> results.JsonObject:
         """For ``rig replay --json``."""
         return {
             "ok": self.is_same,
@@ -164,7 +148,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         comparison,
         loop,
         recording.meta,
-        Findings(real_time=RealTimeReport()),  # a replay asks the machine for nothing
+        Findings(real_time=results.RealTimeReport()),  # a replay asks the machine for nothing
         delay=recording.delay or BenchDelay(),  # nor does it measure
     )
     comparison.delay_s = session.delay.reported_s if session.delay and loop.waits(session.delay.reported_s) else 0.0
@@ -248,7 +232,7 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     tracked = _models(recording)
     models = {method: model for method, (model, _) in tracked.items()}
     further_delay_s = max((further_s for _, further_s in tracked.values()), default=0.0)
-    further = _events(recording, "further_test", FurtherTest)
+    further = _events(recording, "further_test", results.FurtherTest)
     sweeps = _sweeps(recording, e)
     if what is None:
         raise _unknown(recording, "script", None)
@@ -325,10 +309,10 @@ def _decisions(recording: Recording) -> dict[int, Advice]:
     strokes: list[Stroke] = []
     for event in recording.events:
         if event.kind == "stroke":
-            one = _parsed(recording, event, DrivenStroke)
+            one = _parsed(recording, event, results.DrivenStroke)
             strokes.append(Stroke(one.u_V, one.turn_rad))
         elif event.kind == "decided":
-            decided = _parsed(recording, event, Decided)
+            decided = _parsed(recording, event, results.Decided)
             if decided.by == "advice":
                 try:
                     found[decided.row] = _advice(decided, tuple(strokes))
@@ -338,7 +322,7 @@ def _decisions(recording: Recording) -> dict[int, Advice]:
     return found
 
 
-def _advice(decided: Decided, strokes: tuple[Stroke, ...]) -> Advice:
+def _advice(decided: results.Decided, strokes: tuple[Stroke, ...]) -> Advice:
     """A decision as advice. Raises ValueError where its event lacks a number."""
     test: PlannedTest
     if decided.what == "stop":
@@ -358,7 +342,7 @@ def _known(recording: Recording) -> FramedMotor | None:
     """The model that the run began with; None if it knew none."""
     for event in recording.events:
         if event.kind == "known":
-            known = _parsed(recording, event, KnownModel)
+            known = _parsed(recording, event, results.KnownModel)
             try:
                 return FramedMotor.of(known.numbers)
             except ValueError as error:
@@ -366,7 +350,7 @@ def _known(recording: Recording) -> FramedMotor | None:
     return None
 
 
-def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLaw | None) -> Timed:
+def _users_law(recording: Recording, what: results.ScriptCall, e: Experiment, own: OwnLaw | None) -> Timed:
     """The law of the user's own that ran: the one that is given, or the one that the config names."""
     if own is not None and what.duration_s is not None:
         return Timed(own, what.duration_s, what.law or type(own).__name__)
@@ -412,7 +396,7 @@ def _models(recording: Recording) -> dict[Method, tuple[Motor | FramedMotor, flo
     for event in recording.events:
         if event.kind == "model":
             try:
-                model = parsed(DrivenModel, event.detail)
+                model = parsed(results.DrivenModel, event.detail)
                 motor = (
                     Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
                     if model.half_travel_rad is None
@@ -428,7 +412,7 @@ def _models(recording: Recording) -> dict[Method, tuple[Motor | FramedMotor, flo
 
 def _leases(recording: Recording) -> Callable[[int], float | None]:
     """The drive of a jog by leases, V, by its row; None from its end on."""
-    leases = _events(recording, "lease", JoggedLease)
+    leases = _events(recording, "lease", results.JoggedLease)
     rows = [lease.row for lease in leases]
 
     def drive_V(row: int) -> float | None:
@@ -440,11 +424,11 @@ def _leases(recording: Recording) -> Callable[[int], float | None]:
 
 def _sweeps(recording: Recording, e: Experiment) -> Sweeps | None:
     """The sweeps of the survey that ran; None if none did."""
-    planned = _events(recording, "survey", DrivenSurvey)
+    planned = _events(recording, "survey", results.DrivenSurvey)
     if not planned:
         return None
     of = planned[0]
-    speeds = tuple(one.speed_rad_s for one in _events(recording, "sweep", DrivenSweep))
+    speeds = tuple(one.speed_rad_s for one in _events(recording, "sweep", results.DrivenSweep))
     return Sweeps(
         CrudeMotor(of.tau_s, of.K_rad_s_V, of.plus_V, of.minus_V),
         SweepPlan(of.low_rad, of.high_rad, speeds, of.bandwidth_1_s),
@@ -457,18 +441,18 @@ def _events(recording: Recording, kind: str, part: type[_P]) -> list[_P]:
     return [_parsed(recording, event, part) for event in recording.events if event.kind == kind]
 
 
-def _parsed(recording: Recording, event: RunEvent, part: type[_P]) -> _P:
+def _parsed(recording: Recording, event: results.RunEvent, part: type[_P]) -> _P:
     try:
         return parsed(part, event.detail)
     except (DamagedError, ValueError) as error:
         raise _broken_event(recording, event, error) from error
 
 
-def _broken_event(recording: Recording, event: RunEvent, error: Exception) -> RecordingError:
+def _broken_event(recording: Recording, event: results.RunEvent, error: Exception) -> RecordingError:
     return RecordingError(recording.source / EVENTS, f"event {event.kind} is broken ({error})", _RECORD_AGAIN)
 
 
-def _meta_with(recording: Recording, *names: str) -> RunMeta:
+def _meta_with(recording: Recording, *names: str) -> results.RunMeta:
     """meta.json. Raises RecordingError if it lacks one of the keys ``names``, which a replay needs."""
     for name in names:
         if not recording.meta.says(name):

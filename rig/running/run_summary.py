@@ -25,29 +25,8 @@ from rig.identification import Identification
 from rig.identification.departures import DEPARTURES
 from rig.model.bench import BenchParameters
 from rig.model.real_motor import FramedMotor, plain
+from rig.run_folder import results
 from rig.run_folder.recording.stage import Stage
-from rig.run_folder.results import (
-    Answer,
-    BreakawayResult,
-    DeviceSeen,
-    EstimateResult,
-    FaultReport,
-    HystereticResult,
-    JogResult,
-    LoopResult,
-    RealTimeReport,
-    RunMeta,
-    RunResult,
-    RunTime,
-    ScriptCall,
-    SearchStepResult,
-    SensorBelieved,
-    StoppedResult,
-    SupplyBelieved,
-    TrackingResult,
-    TrueLaw,
-    TrueMotor,
-)
 from rig.run_folder.results.identification import Answered
 from rig.run_folder.results.meta import REHEARSAL
 from rig.run_folder.results.part import VERSION
@@ -73,7 +52,7 @@ class Findings:
     notes           what else there is to know, in words
     """
 
-    real_time: RealTimeReport | None = None
+    real_time: results.RealTimeReport | None = None
     breakaway: BreakawayCheck | None = None
     search: GainSearch | RisingGains | None = None
     gains_V: tuple[tuple[float, float], ...] = ()
@@ -82,11 +61,11 @@ class Findings:
     identification: Identification | None = None
     models: Answered | None = None
     models_from: Path | None = None
-    jog: JogResult | None = None
-    tracking: dict[str, TrackingResult] = field(default_factory=dict)
+    jog: results.JogResult | None = None
+    tracking: dict[str, results.TrackingResult] = field(default_factory=dict)
     real_motors: dict[str, FramedMotor] = field(default_factory=dict)
     shaft: ShaftPath | None = None
-    stopped: StoppedResult | None = None
+    stopped: results.StoppedResult | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -97,12 +76,12 @@ class Findings:
         return self.breakaway
 
 
-def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: datetime) -> RunMeta:
+def run_meta(experiment: Experiment, bench: Bench, script: results.ScriptCall, started: datetime) -> results.RunMeta:
     """meta.json of a run that begins on an open bench."""
     info = bench.info
     measures_supply = not math.isnan(info.supply_V)
     watchdog_s = device_watchdog_s(experiment.device)
-    return RunMeta(
+    return results.RunMeta(
         version=VERSION,
         name=experiment.name,
         backend=_backend(bench, experiment),
@@ -111,7 +90,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         period_s=experiment.period_s,
         drive_units=info.drive_units,
         times_error_s=backend_of(experiment.device).times_error_s(experiment.device),
-        firmware=DeviceSeen(
+        firmware=results.DeviceSeen(
             board=info.board,
             build=info.build,
             reset_cause=info.reset_cause,
@@ -119,12 +98,12 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
             supply_V=info.supply_V if measures_supply else None,
             supply_at_least=info.supply_at_least if measures_supply else None,
         ),
-        drive=SupplyBelieved(
+        drive=results.SupplyBelieved(
             supply_V=experiment.drive.supply_V,
             bridge_drop_V=experiment.drive.bridge_drop_V,
             supply_error_percent=experiment.drive.supply_error_percent,
         ),
-        sensor=SensorBelieved(
+        sensor=results.SensorBelieved(
             linearity_percent=experiment.sensor.linearity_percent,
             full_range_rad=experiment.sensor.full_range_rad,
             calibration_error_rad=experiment.sensor.calibration_error_rad,
@@ -145,21 +124,23 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
     )
 
 
-def run_time(bench: Bench) -> RunTime:
+def run_time(bench: Bench) -> results.RunTime:
     """The time of an open bench, with its stalls so far."""
     clock = bench.clock
     if isinstance(clock, PacedClock):
-        return RunTime(kind="virtual", pace=clock.pace, stalls=clock.stalls, longest_stall_s=clock.longest_stall_s)
-    return RunTime(kind="real" if isinstance(clock, MonotonicClock) else "virtual")
+        return results.RunTime(
+            kind="virtual", pace=clock.pace, stalls=clock.stalls, longest_stall_s=clock.longest_stall_s
+        )
+    return results.RunTime(kind="real" if isinstance(clock, MonotonicClock) else "virtual")
 
 
 def run_result(
     experiment: Experiment, bench: Bench, statistics: LoopStatistics, found: Findings, fault: Fault | None
-) -> RunResult:
+) -> results.RunResult:
     """result.json of a run that has come to its end or to a fault."""
     own = found.identification
     link, not_counts = _link_counts(bench.driver.link_statistics)
-    return RunResult(
+    return results.RunResult(
         version=VERSION,
         backend=_backend(bench, experiment),
         rehearsal=is_rehearsal(bench, experiment) or None,
@@ -180,7 +161,7 @@ def run_result(
         jog=found.jog,
         search=None
         if found.search is None
-        else tuple(SearchStepResult(**step._asdict()) for step in found.search.steps),
+        else tuple(results.SearchStepResult(**step._asdict()) for step in found.search.steps),
         stopped=found.stopped,
         truth=true_motor(bench),
     )
@@ -198,9 +179,9 @@ def _backend(bench: Bench, e: Experiment) -> str:
 
 def least_result(
     bench: Bench, experiment: Experiment, statistics: LoopStatistics, notes: list[str], fault: Fault | None
-) -> RunResult:
+) -> results.RunResult:
     """result.json of a run whose findings cannot be written: backend, loop, fault and notes."""
-    return RunResult(
+    return results.RunResult(
         version=VERSION,
         backend=_backend(bench, experiment),
         rehearsal=is_rehearsal(bench, experiment) or None,
@@ -216,7 +197,7 @@ def least_result(
     )
 
 
-def true_motor(bench: Bench) -> TrueMotor | None:
+def true_motor(bench: Bench) -> results.TrueMotor | None:
     """The emulated motor's parameters, under an estimate's names; None if the motor is real.
 
     With viscous friction, tau_s and K_rad_s_V include it, as the motion shows them. The values without it stand beside.
@@ -226,7 +207,7 @@ def true_motor(bench: Bench) -> TrueMotor | None:
     motor = bench.truth.motor
     friction = motor.friction
     has_viscous = friction.viscous_V_s_rad > 0.0
-    return TrueMotor(
+    return results.TrueMotor(
         tau_s=motor.tau_eff_s,
         K_rad_s_V=motor.K_eff_rad_s_V,
         fc_V=friction.fc_V,
@@ -241,7 +222,7 @@ def true_motor(bench: Bench) -> TrueMotor | None:
     )
 
 
-def true_laws(bench: BenchParameters) -> tuple[TrueLaw, ...] | None:
+def true_laws(bench: BenchParameters) -> tuple[results.TrueLaw, ...] | None:
     """What the bench's motor has beyond tau, K and Coulomb friction, as the laws that `rig identify` finds.
 
     None where its static friction or Stribeck effect differs by direction: no law has that.
@@ -256,11 +237,11 @@ def true_laws(bench: BenchParameters) -> tuple[TrueLaw, ...] | None:
         if any(values):
             size = values[0] if len(values) == 1 else math.hypot(*values)
             numbers = {name: getattr(motor, name) for name in (*law.numbers, *law.shape)}
-            found.append(TrueLaw(name=law.name, value=size, unit=law.unit, numbers=numbers))
+            found.append(results.TrueLaw(name=law.name, value=size, unit=law.unit, numbers=numbers))
     return tuple(found)
 
 
-def _estimates(found: Findings) -> dict[str, EstimateResult]:
+def _estimates(found: Findings) -> dict[str, results.EstimateResult]:
     """The estimates; those of another run have no rows in this one."""
     if found.identification is not None:
         return {method: estimate.as_result() for method, estimate in found.identification.estimates.items()}
@@ -268,7 +249,7 @@ def _estimates(found: Findings) -> dict[str, EstimateResult]:
     return {method: estimate.model_copy(update={"rows": None}) for method, estimate in others.items()}
 
 
-def _answer(found: Findings) -> Answer | None:
+def _answer(found: Findings) -> results.Answer | None:
     """The answer; that of another run has no rows in this one."""
     if found.identification is not None:
         return found.identification.answer
@@ -276,12 +257,12 @@ def _answer(found: Findings) -> Answer | None:
     return None if answer is None else answer.model_copy(update={"rows": None})
 
 
-def _loop(statistics: LoopStatistics, real_time: RealTimeReport | None) -> LoopResult:
+def _loop(statistics: LoopStatistics, real_time: results.RealTimeReport | None) -> results.LoopResult:
     return statistics.summary().model_copy(update={"real_time": real_time})
 
 
-def _faults(fault: Fault | None) -> tuple[FaultReport, ...]:
-    return () if fault is None else (FaultReport(**fault.as_dict()),)
+def _faults(fault: Fault | None) -> tuple[results.FaultReport, ...]:
+    return () if fault is None else (results.FaultReport(**fault.as_dict()),)
 
 
 def _link_counts(told: Mapping[str, object]) -> tuple[dict[str, int], list[str]]:
@@ -303,16 +284,16 @@ def _notes(found: Findings) -> tuple[str, ...]:
     return (*found.notes, *([] if found.identification is None else found.identification.notes))
 
 
-def _hysteretic(own: Identification, experiment: Experiment) -> tuple[HystereticResult, ...] | None:
+def _hysteretic(own: Identification, experiment: Experiment) -> tuple[results.HystereticResult, ...] | None:
     """The hysteretic runs, with the hysteresis that the config asked for; None if there are none."""
     eps_rad = {str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
     runs = tuple(run.model_copy(update={"eps_rad": eps_rad.get(run.stage)}) for run in own.hysteretic)
     return runs or None
 
 
-def _breakaway(check: BreakawayCheck, own: Identification | None) -> BreakawayResult:
+def _breakaway(check: BreakawayCheck, own: Identification | None) -> results.BreakawayResult:
     """What the breakaway check saw, and what was identified from it."""
-    seen = BreakawayResult(seen_plus_V=check.plus_V, seen_minus_V=check.minus_V, noise_rad=check.noise_rad)
+    seen = results.BreakawayResult(seen_plus_V=check.plus_V, seen_minus_V=check.minus_V, noise_rad=check.noise_rad)
     if own is None or own.breakaway is None:
         return seen
     static = own.breakaway

@@ -34,7 +34,7 @@ from rig.run_folder.recording.reader import read_meta, read_result, read_run
 from rig.run_folder.recording.recording import Recording
 from rig.run_folder.recording.servo_law import scale_of
 from rig.run_folder.recording.stage import StageKind
-from rig.run_folder.results import Answer, HoldsResult, IdentificationResult, JsonObject, RunResult, known
+from rig.run_folder.results import HoldsResult, IdentificationResult, JsonObject, RunResult, known
 from rig.run_folder.results.answer_words import beyond_drive
 from rig.run_folder.results.tuned import TunedResult
 
@@ -167,19 +167,27 @@ def tune_run(
     Raises RecordingError where the folder has no result or config, ConfigError for a config that cannot be read, and
     TuneError where no such loop is possible, or where its trial would leave the soft limits of ``bench``.
     """
+    found: IdentificationResult | RunResult
     if is_printed(folder):
-        found = printed(folder)
+        found, latency_s = printed(folder), 0.0
         place = _Place.of_log(folder, found) if bench is None else _Place.of(bench, None)
-        return _tuned(folder, found.answer, bool(found.rehearsal), place, 0.0, asked, draws, bench, on_progress)
-    result = _result_of(folder)
-    if bench is None and not (folder / CONFIG).exists():
-        raise RecordingError(
-            folder / CONFIG, "is missing: nothing says the bench's period, sensor and limits", "give --try CONFIG"
-        )
-    e = config.load(folder / CONFIG, follows_links=False) if bench is None else bench
-    place = _Place.of(e, result if bench is None or _same_sensor(folder, bench) else None)
-    latency_s = _latency_s(read_run(folder))
-    return _tuned(folder, result.answer, bool(result.rehearsal), place, latency_s, asked, draws, bench, on_progress)
+    else:
+        found = result = _result_of(folder)
+        if bench is None and not (folder / CONFIG).exists():
+            raise RecordingError(
+                folder / CONFIG, "is missing: nothing says the bench's period, sensor and limits", "give --try CONFIG"
+            )
+        e = config.load(folder / CONFIG, follows_links=False) if bench is None else bench
+        place = _Place.of(e, result if bench is None or _same_sensor(folder, bench) else None)
+        latency_s = _latency_s(read_run(folder))
+    answer = found.answer
+    motor = motor_of(answer)
+    tuned, trial = _that_fits(place, asked, motor)
+    prediction = predict(tuned, trial, draws, on_progress=on_progress)
+    if bench is not None:
+        _require_inside(bench, prediction)
+    holds = None if answer is None else answer.holds
+    return TunedRun(folder, tuned, trial, prediction, min(latency_s, motor.delay_s), holds, bool(found.rehearsal))
 
 
 def _result_of(folder: Path) -> RunResult:
@@ -189,27 +197,6 @@ def _result_of(folder: Path) -> RunResult:
         require_run(folder)
         raise RecordingError(folder / RESULT, "is missing", "`rig tune` reads the run folder of an identified motor")
     return result
-
-
-def _tuned(
-    path: Path,
-    answer: Answer | None,
-    made_up: bool,
-    place: _Place,
-    latency_s: float,
-    asked: Asked,
-    draws: int,
-    bench: Experiment | None,
-    on_progress: Callable[[int, int], None] | None,
-) -> TunedRun:
-    """The loop for the motor of an answer; ``latency_s``: of its delay, what the device reports. Raises TuneError."""
-    motor = motor_of(answer)
-    tuned, trial = _that_fits(place, asked, motor)
-    prediction = predict(tuned, trial, draws, on_progress=on_progress)
-    if bench is not None:
-        _require_inside(bench, prediction)
-    holds = None if answer is None else answer.holds
-    return TunedRun(path, tuned, trial, prediction, min(latency_s, motor.delay_s), holds, made_up)
 
 
 def servo_loop_of(
@@ -224,18 +211,18 @@ def servo_loop_of(
     for a config that cannot be read; TuneError as ``servo_loop``.
     """
     if is_printed(folder):
-        if supply_V is None:
-            raise RecordingError(folder, "does not say the supply: a duty is a share of it", "add --supply-V, in volts")
-        return servo_loop(motor_of(printed(folder).answer), position_mode_of(model, p_scale), supply_V, least)
-    result = _result_of(folder)
-    own = config.load(folder / CONFIG, follows_links=False).daq.servo if (folder / CONFIG).exists() else None
-    if own is not None and own.model != model.name:
-        raise RecordingError(folder, f"is a run of a {own.model}, not of a {model.name}", f"type --servo {own.model}")
-    meta, _ = read_meta(folder)
-    supply_V = supply_V or (None if meta is None or meta.drive is None else meta.drive.supply_V)
+        answer = printed(folder).answer
+    else:
+        answer = _result_of(folder).answer
+        own = config.load(folder / CONFIG, follows_links=False).daq.servo if (folder / CONFIG).exists() else None
+        if own is not None and own.model != model.name:
+            cure = f"type --servo {own.model}"
+            raise RecordingError(folder, f"is a run of a {own.model}, not of a {model.name}", cure)
+        meta, _ = read_meta(folder)
+        supply_V = supply_V or (None if meta is None or meta.drive is None else meta.drive.supply_V)
     if not supply_V:
         raise RecordingError(folder, "does not say the supply: a duty is a share of it", "add --supply-V, in volts")
-    return servo_loop(motor_of(result.answer), position_mode_of(model, p_scale), supply_V, least)
+    return servo_loop(motor_of(answer), position_mode_of(model, p_scale), supply_V, least)
 
 
 def position_mode_of(model: ServoModel, p_scale: float | None = None) -> PositionMode:

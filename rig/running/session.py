@@ -14,7 +14,6 @@ from pathlib import Path
 from shlex import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.backends.clock import MonotonicClock, PacedClock
 from rig.backends.driver import Clock
@@ -36,15 +35,13 @@ from rig.run_folder.recording.errors import CannotWriteError, RecordingError
 from rig.run_folder.recording.folder import create_run, write_config, write_meta, write_result
 from rig.run_folder.recording.reader import read_run
 from rig.run_folder.recording.recorder import Recorder
-from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.recording import Floats, Recording
 from rig.run_folder.recording.sink import JsonScalar, RowSink
 from rig.run_folder.recording.stage import Stage, StageKind
 from rig.run_folder.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
 from rig.run_folder.results.answer_words import NOTHING_TO_IDENTIFY
 from rig.running.preflight.loop_settings import guard_settings_of
 from rig.running.run_summary import Findings, is_rehearsal, least_result, run_meta, run_result, run_time
-
-Array = NDArray[np.float64]
 
 COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
 MOST_TESTS = 40  # designed tests of one run
@@ -419,7 +416,7 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
             tracking[method] = tracking[method].model_copy(update=errors)
 
 
-def _true_position(session: Session, t_s: Array) -> Array | None:
+def _true_position(session: Session, t_s: Floats) -> Floats | None:
     """Where the emulated shaft was at these times, by the config's calibration (docs/theory.md 11.4); None: unknown.
 
     Also None where the device told less than all of that time.

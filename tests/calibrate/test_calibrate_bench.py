@@ -19,8 +19,7 @@ from rig.core.faults import Fault
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.running.calibrate import bench as module
 from rig.running.calibrate.bench import HandBench
-from rig.running.calibrate.dialogue import Hold, Read
-from rig.running.calibrate.refusal import Refusal
+from rig.running.calibrate.dialogue import Hold, Read, Refusal
 
 
 @pytest.fixture(scope="module")

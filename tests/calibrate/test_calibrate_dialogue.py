@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,27 +16,36 @@ from rig.core.faults import Fault
 from rig.running.calibrate.dialogue import (
     Ask,
     Hold,
+    Motion,
     Read,
     Reading,
-    Request,
+    Refusal,
     Say,
     SetZero,
     Skipped,
     Strokes,
     StrokesSeen,
+    Talk,
 )
 from rig.running.calibrate.draft import Draft
-from rig.running.calibrate.refusal import Refusal
 from rig.running.calibrate.steps import calibration
 from rig.running.calibrate.wiring import drive, sensor, svg, swapped_motor, text
 
 
 @dataclass
-class Talk:
-    """A dialogue that has come to its end: what was shown, what the motor was asked for, the draft."""
+class Talked:
+    """Gone through: what was shown, what the motor was asked for, the draft. As ``Front``, and for a bench, meanwhile.
 
+    answers   in turn; `(skip)` leaves the step out
+    readings  in turn, a Refusal for one that fails; strokes: the same; turned_rad: by each hold
+    """
+
+    answers: Iterator[str]
+    readings: Iterator[float | Reading | Refusal]
+    strokes: Iterator[StrokesSeen]
+    turned_rad: float
     said: list[Say] = field(default_factory=list)
-    driven: list[Request] = field(default_factory=list)
+    driven: list[Motion] = field(default_factory=list)
     draft: Draft | None = None
 
     @property
@@ -48,6 +57,37 @@ class Talk:
         assert self.draft is not None
         return {".".join(map(str, path)): value for path, value in self.draft.changes.items()}
 
+    def say(self, what: Say) -> None:
+        self.said.append(what)
+
+    def ask(self, question: Ask) -> str:
+        answer = next(self.answers, None)
+        assert answer is not None, f"no answer to: {question.words}"
+        if answer == "(skip)":
+            raise Skipped("skipped")
+        return answer
+
+    def does(self, motion: Motion) -> None:
+        if not isinstance(motion, Read):
+            self.driven.append(motion)
+
+    def writes(self) -> None:
+        raise AssertionError("no step writes")
+
+    def perform(self, motion: Motion) -> Any:
+        match motion:
+            case Read():
+                one = next(self.readings, None)
+                assert one is not None, "one reading too few"
+                if isinstance(one, Refusal):
+                    raise one
+                return one if isinstance(one, Reading) else Reading(one, 0.5, 0.0, "uno")
+            case Strokes():
+                return next(self.strokes, SEEN)
+            case Hold():
+                return self.turned_rad
+        return None
+
 
 def talk(
     config: str,
@@ -56,42 +96,13 @@ def talk(
     readings: Iterable[float | Reading | Refusal] = (),
     strokes: Iterable[StrokesSeen] = (),
     turned_rad: float = 0.0,
-) -> Talk:
-    """The whole step, or steps, with these answers; `(skip)` leaves it out."""
-    done = Talk()
+) -> Talked:
+    """The whole step, or steps, with these answers."""
+    done = Talked(iter(answers), iter(readings), iter(strokes), turned_rad)
     experiment = load(parse(config, "config").data)
-    dialogue = calibration(Draft(experiment, parse(config, "config").data), step.split())
-    said, read, seen = iter(answers), iter(readings), iter(strokes)
-    reply: Any = None
-    try:
-        request = next(dialogue)
-        while True:
-            reply = None
-            match request:
-                case Say():
-                    done.said.append(request)
-                case Ask():
-                    reply = next(said, None)
-                    assert reply is not None, f"no answer to: {request.words}"
-                    if reply == "(skip)":
-                        request = dialogue.throw(Skipped("skipped"))
-                        continue
-                case Read():
-                    one = next(read, None)
-                    assert one is not None, "one reading too few"
-                    if isinstance(one, Refusal):
-                        request = dialogue.throw(one)
-                        continue
-                    reply = one if isinstance(one, Reading) else Reading(one, 0.5, 0.0, "uno")
-                case SetZero():
-                    done.driven.append(request)
-                case Strokes() | Hold():
-                    done.driven.append(request)
-                    reply = next(seen, SEEN) if isinstance(request, Strokes) else turned_rad
-            request = dialogue.send(reply)
-    except StopIteration as end:
-        done.draft = end.value
-    assert next(said, None) is None, "an answer nobody asked for"
+    draft = Draft(experiment, parse(config, "config").data)
+    done.draft = calibration(Talk(done, done.perform), draft, step.split())
+    assert next(done.answers, None) is None, "an answer nobody asked for"
     return done
 
 

@@ -10,7 +10,7 @@ import pytest
 from rig.config import ready
 from rig.config.edit import EditError, Value
 from rig.run_folder.recording.errors import CannotWriteError
-from rig.running.calibrate.save import read_text, save
+from rig.running.calibrate.draft import read_text, save
 from rig.running.calibrate.session import open_config
 
 TEXT = "\ufeffdrive:  # the bridge\r\n  max_V: 3.0  # little\r\n"

@@ -10,11 +10,11 @@ from evidence import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.running.calibrate.refusal import Refusal
-from rig.running.calibrate.sums.angles import Angle, Belief, objection, sensor_fit
-from rig.running.calibrate.sums.bridge import Volts, dead_band
-from rig.running.calibrate.sums.travel import travel
-from rig.running.calibrate.sums.turn import turn
+from rig.running.calibrate.dialogue import Refusal
+from rig.running.calibrate.steps.angles import Angle, Belief, objection, sensor_fit
+from rig.running.calibrate.steps.dead_band import Volts, dead_band
+from rig.running.calibrate.steps.travel import travel
+from rig.running.calibrate.steps.turn import turn
 
 DEGREE = math.radians(1.0)
 FULL_RAD = math.radians(270.0)  # of the usual potentiometer, 10 bits

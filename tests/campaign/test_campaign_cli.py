@@ -12,7 +12,7 @@ import pytest
 from command_line import rig
 from small_campaign import small
 
-from rig.campaign import picture, results, trial
+from rig.campaign import report, results, trial
 from rig.campaign.trial import Row, run_trial
 from rig.config import Campaign, ConfigError, dump, load_campaign
 
@@ -202,7 +202,7 @@ def test_a_full_disk_leaves_the_old_report_whole(
     largest_file: Callable[[int], AbstractContextManager[None]],
 ) -> None:
     """What the page needs does not fit any more; rows still do."""
-    monkeypatch.setattr(picture, "draw", lambda *_: bytes(30_000))
+    monkeypatch.setattr(report, "drawn", lambda *_: bytes(30_000))
     folder = results.folder_for(tmp_path, small(3))
     assert rig("campaign", config, "--out", tmp_path, "--jobs", 1, "--number", 2).exit_code == 0
     before = {path.name: path.read_bytes() for path in folder.iterdir()}

@@ -15,7 +15,7 @@ import pytest
 from evidence import evidence
 from small_campaign import small, table
 
-from rig.campaign import picture, summary
+from rig.campaign import report, summary
 from rig.campaign.report import HEADINGS, sentences, table_rows, write_report
 from rig.config import Campaign
 from rig.identification.estimate import PARAMETERS
@@ -37,9 +37,9 @@ def scattered(rows: int, **columns: Any) -> dict[str, np.ndarray]:
 
 def test_cells_hold_the_rows_of_their_tau_and_fc() -> None:
     rows = scattered(500)
-    tau, fc = picture.grid_edges(GRID, 500)
+    tau, fc = report.grid_edges(GRID, 500)
     assert (tau[0], tau[-1], fc[0], fc[-1]) == pytest.approx((0.08, 0.5, 0.1, 0.5))
-    values, counts = picture.cells(rows, (tau, fc), lambda inside: float(np.sum(inside)))
+    values, counts = report.cells(rows, (tau, fc), lambda inside: float(np.sum(inside)))
     assert counts.sum() == 500
     for i in range(fc.size - 1):
         for j in range(tau.size - 1):
@@ -51,13 +51,13 @@ def test_cells_hold_the_rows_of_their_tau_and_fc() -> None:
 
 
 def test_cells_with_few_experiments_say_nothing() -> None:
-    values, counts = picture.cells(scattered(20), picture.grid_edges(GRID, 20), lambda inside: 1.0)
-    assert np.array_equal(np.isfinite(values), counts >= picture.FEWEST_IN_CELL)
+    values, counts = report.cells(scattered(20), report.grid_edges(GRID, 20), lambda inside: 1.0)
+    assert np.array_equal(np.isfinite(values), counts >= report.FEWEST_IN_CELL)
 
 
 def test_a_motor_that_does_not_vary_still_has_a_cell() -> None:
     fixed = small(motor={"tau_s": (0.17, 0.17), "fc_V": (0.5, 0.5)})
-    tau, fc = picture.grid_edges(fixed, 100)
+    tau, fc = report.grid_edges(fixed, 100)
     assert tau[0] < 0.17 < tau[-1]
     assert fc[0] < 0.5 < fc[-1]
 
@@ -67,7 +67,7 @@ ALL_VERDICTS = scattered(30, verdict=["ok", "doubtful", "refused"] * 10)
 
 @cache
 def drawn_all_verdicts() -> bytes:
-    return picture.draw(GRID, ALL_VERDICTS)
+    return report.drawn(GRID, ALL_VERDICTS)
 
 
 @pytest.mark.parametrize(
@@ -75,9 +75,9 @@ def drawn_all_verdicts() -> bytes:
     [
         drawn_all_verdicts,
         *evidence(
-            lambda: picture.draw(GRID, table(3, verdict="refused", **dict.fromkeys(PARAMETERS, math.nan))),
-            lambda: picture.draw(GRID, scattered(40, **{f"bound_{name}": math.nan for name in PARAMETERS})),
-            lambda: picture.draw(GRID, table(1)),
+            lambda: report.drawn(GRID, table(3, verdict="refused", **dict.fromkeys(PARAMETERS, math.nan))),
+            lambda: report.drawn(GRID, scattered(40, **{f"bound_{name}": math.nan for name in PARAMETERS})),
+            lambda: report.drawn(GRID, table(1)),
         ),
     ],
     ids=["all verdicts", "no estimate", "no bound", "exact"],
@@ -93,7 +93,7 @@ def test_there_is_a_picture_whatever_came_out(tmp_path: Path, drawn: Callable[[]
 @pytest.mark.evidence
 def test_the_same_rows_give_the_same_picture() -> None:
     """Of the case that has most to draw."""
-    assert picture.draw(GRID, ALL_VERDICTS) == drawn_all_verdicts()
+    assert report.drawn(GRID, ALL_VERDICTS) == drawn_all_verdicts()
 
 
 @pytest.mark.evidence

@@ -19,7 +19,7 @@ import pytest
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from small_campaign import UNREPEATABLE, small
 
-from rig.campaign import results, runner, session
+from rig.campaign import results, session
 from rig.campaign.grid import BrokenOffError, CampaignError
 from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import Campaign, dump
@@ -59,13 +59,13 @@ def test_processes_give_the_rows_of_none(tmp_path: Path) -> None:
 def test_what_is_there_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session.run(small(10), tmp_path, jobs=1)
     asked = []
-    stream = runner.stream_trials
+    stream = session.stream_trials
 
     def noted(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[Row]]:
         asked.append(list(numbers))
         return stream(campaign, numbers)
 
-    monkeypatch.setattr(runner, "stream_trials", noted)
+    monkeypatch.setattr(session, "stream_trials", noted)
     more = session.run(small(14), tmp_path, jobs=1)
     again = session.run(small(14), tmp_path, jobs=1)
     assert asked == [[10, 11, 12, 13]]
@@ -86,8 +86,8 @@ def test_ctrl_c_keeps_the_rows_so_far(tmp_path: Path) -> None:
 
     done = session.run(small(COUNT), tmp_path, jobs=1, on_progress=interrupt)
     assert done.interrupted
-    assert done.done == done.added == runner.CHUNK
-    assert session.run(small(COUNT), tmp_path, jobs=1).added == COUNT - runner.CHUNK
+    assert done.done == done.added == session.CHUNK
+    assert session.run(small(COUNT), tmp_path, jobs=1).added == COUNT - session.CHUNK
     assert_rows(tmp_path)
 
 
@@ -177,13 +177,13 @@ def test_a_cluster_that_is_there_is_joined_and_left_running(tmp_path: Path) -> N
 
 
 def test_no_cluster_at_an_address_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "JOIN_S", 0.5)
+    monkeypatch.setattr(session, "JOIN_S", 0.5)
     with pytest.raises(CampaignError, match="no dask scheduler at tcp://127"):
         session.run(small(1), tmp_path, jobs=1, backend="dask", scheduler="tcp://127.0.0.1:9")
 
 
 def test_a_killed_worker_is_said_and_keeps_the_rows_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = [run_trial(small(), k) for k in range(runner.CHUNK)]
+    first = [run_trial(small(), k) for k in range(session.CHUNK)]
 
     def chunks(*_: object) -> Iterator[list[Row]]:
         yield first
@@ -193,7 +193,7 @@ def test_a_killed_worker_is_said_and_keeps_the_rows_so_far(tmp_path: Path, monke
     with pytest.raises(BrokenOffError, match="a worker process was killed") as caught:
         session.run(small(COUNT), tmp_path, jobs=2)
     assert "run the command again" in caught.value.cure
-    assert_rows(tmp_path, runner.CHUNK)
+    assert_rows(tmp_path, session.CHUNK)
 
 
 def failing(*numbers: int) -> Callable[[Campaign, int], Row]:
@@ -253,5 +253,5 @@ def test_where_all_fail_it_ends_at_once_and_keeps_no_row(
     assert len(seen) < 40
     assert results.read(tmp_path)["number"].size == 0
     monkeypatch.undo()
-    with runner.workers("joblib", jobs=1):
-        assert len(list(runner.stream_trials(small(), [0]))) == 1
+    with session.workers("joblib", jobs=1):
+        assert len(list(session.stream_trials(small(), [0]))) == 1

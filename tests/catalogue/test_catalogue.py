@@ -11,7 +11,7 @@ import pytest
 from command_line import rig
 from compared_runs import Told, write_run
 
-from rig.run_folder.catalogue.index import INDEX, catalogue
+from rig.run_folder.catalogue import INDEX, catalogue
 
 
 @pytest.fixture

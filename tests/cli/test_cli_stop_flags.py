@@ -25,9 +25,8 @@ from rig.config import ready
 from rig.core.faults import Fault
 from rig.panel import processes
 from rig.panel.bench import Bench
-from rig.run_folder.live.running import Running, running
+from rig.run_folder.live.running import BusyError, Running, running, told
 from rig.run_folder.live.stop_flag import NAME, StopFlag, command_of, is_recorded, runner_of
-from rig.run_folder.live.unrecorded import BusyError, told
 
 # What of each command that drives is tried: its arguments, and how many armings of its device are looked at
 DRIVES: dict[str, tuple[int, str]] = {
@@ -193,7 +192,7 @@ def test_the_flag_of_a_killed_command_stands_in_nobodys_way_and_is_cleared(tmp_p
 def test_a_command_that_records_nothing_begins_beside_nothing_and_not_while_a_panel_starts_something(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.run_folder.live.unrecorded._WAIT_S", 0.05)
+    monkeypatch.setattr("rig.run_folder.live.running._WAIT_S", 0.05)
     with processes.one_at_a_time(tmp_path), pytest.raises(BusyError, match="starts something"), told(tmp_path, "home"):
         pass
     (folder := tmp_path / "20260101T000000Z-run-bench").mkdir()

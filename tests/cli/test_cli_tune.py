@@ -160,7 +160,7 @@ def test_what_was_found_is_told_whatever_becomes_of_the_picture(
     assert done.exit_code == 1 and "x.png: No space left on device" in done.stderr
     said = json.loads(done.stdout)
     assert not said["ok"] and said["margins"]["worst"]["phase_deg"] >= 45.0
-    monkeypatch.setattr("rig.cli.options.os.access", lambda path, mode: mode != os.W_OK)
+    monkeypatch.setattr("rig.cli.shared.os.access", lambda path, mode: mode != os.W_OK)
     done = command("tune", run, "--to", tmp_path / "x.png", "--try", tmp_path / "not read")
     assert done.exit_code == 2 and "takes no file of yours" in done.stderr
 

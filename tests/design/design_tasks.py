@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.design.belief import Belief
 from rig.design.outlook import Task
-from rig.design.room import Reading, Room
+from rig.design.planned_test import Reading, Room
 
 NOTHING = np.zeros((5, 5))  # no information
 ROOM = Room(-0.55, 0.55, 3.0, 4.9)

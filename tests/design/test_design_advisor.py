@@ -16,8 +16,7 @@ from rig.design import advisor as module
 from rig.design.advisor import Advice, Advisor, AdvisorSettings
 from rig.design.best_test import Kind
 from rig.design.outlook import Task
-from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
-from rig.design.room import Reading, Room
+from rig.design.planned_test import Design, PlannedTest, Reach, Reading, RelayGains, Room, Strokes
 from rig.identification.live import LiveEstimate, LiveSettings
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.run_folder.recording.recording import Recording, assembled

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from rig.design.rest_noise import RestNoise
+from rig.design.stop_rule import RestNoise
 
 RNG = np.random.default_rng(7)
 

@@ -22,8 +22,7 @@ from rig.core.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED
 from rig.design.belief import Belief
 from rig.design.best_test import Kind, best_test
 from rig.design.outlook import Task
-from rig.design.planned_test import Design, RelayGains
-from rig.design.room import Reading, Room
+from rig.design.planned_test import Design, Reading, RelayGains, Room
 from rig.model.friction import Friction
 from rig.model.motor import Motor
 

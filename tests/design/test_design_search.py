@@ -12,12 +12,9 @@ from design_tasks import DEMO, NOTHING, ROOM, task
 from evidence import evidence
 
 from rig.design.belief import Belief
-from rig.design.best_test import best_test
+from rig.design.best_test import best_gains, best_of, best_strokes, best_test, gain_grid, seconds_of
 from rig.design.outlook import Task, information_of, law_of, told
-from rig.design.planned_test import RelayGains, Strokes
-from rig.design.relay_search import best_gains, best_of, gain_grid, seconds_of
-from rig.design.room import Room
-from rig.design.stroke_search import best_strokes
+from rig.design.planned_test import RelayGains, Room, Strokes
 
 MOTORS = {
     "demo": DEMO,

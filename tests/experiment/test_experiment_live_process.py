@@ -14,8 +14,7 @@ import pytest
 from processes import PATIENCE_S
 
 from rig.design.advisor import Advice, AdvisorSettings
-from rig.design.planned_test import Design, Reach, RelayGains
-from rig.design.room import Reading, Room
+from rig.design.planned_test import Design, Reach, Reading, RelayGains, Room
 from rig.identification.live import LiveSettings
 from rig.run_folder.recording.writer import SAMPLES
 from rig.running.experiment import live_process

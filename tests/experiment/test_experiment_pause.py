@@ -49,12 +49,14 @@ def in_the_pause(monkeypatch: pytest.MonkeyPatch, happens: Callable[[Any], None]
     """Let it happen to the device behind the bench, just after the record has been identified; the device."""
     devices: list[Any] = []
 
+    identifies = stages.identify_recorded
+
     def identify_recorded(run: Session) -> None:
-        stages.identify_recorded(run)
+        identifies(run)
         devices.append(run.bench.clock)
         happens(run.bench.clock)
 
-    monkeypatch.setattr(script, "identify_recorded", identify_recorded)
+    monkeypatch.setattr(stages, "identify_recorded", identify_recorded)
     return devices
 
 

@@ -12,7 +12,7 @@ from intervals import reaches
 from survey_config import written
 
 from rig.run_folder.recording.reader import read_run
-from rig.running.experiment.thorough import starts_from_rest
+from rig.running.experiment.survey import starts_from_rest
 
 pytestmark = [pytest.mark.long, pytest.mark.laws]
 

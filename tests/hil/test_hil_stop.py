@@ -43,11 +43,10 @@ from rig.panel.bench import Bench as PanelBench
 from rig.panel.past_runs import Runs
 from rig.panel.watch import Watch
 from rig.run_folder.live.lease import LONGEST_NS, HeldLease, Leaser
+from rig.run_folder.live.running import told
 from rig.run_folder.live.stop_flag import StopFlag, request_stop
-from rig.run_folder.live.unrecorded import told
 from rig.running.calibrate.bench import HandBench
-from rig.running.calibrate.dialogue import Hold, Strokes, StrokesSeen
-from rig.running.calibrate.refusal import ALONE, Refusal
+from rig.running.calibrate.dialogue import ALONE, Hold, Refusal, Strokes, StrokesSeen
 from rig.running.experiment import zero
 from rig.testing.line import on_device
 

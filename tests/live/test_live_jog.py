@@ -49,7 +49,7 @@ def test_a_jog_drives_while_it_is_renewed_and_stands_when_the_one_who_jogs_is_go
             time.sleep(0.05)
         # no more renewed: as from a panel that was killed, frozen or cut off
         seen = await_(view, lambda seen: seen.rows[-1].u_V == 0.0 and any(row.u_V for row in seen.rows), process)
-        assert seen.runner is not None and seen.command == "jog"
+        assert seen.runner is not None and seen.numbers["command"] == "jog"
         driven_s = max(row.t_s for row in seen.rows if row.u_V != 0.0)
         assert (port == "emulated") == math.isnan(seen.runner.zero_s)
         assert math.isnan(seen.runner.zero_s) or driven_s + seen.runner.zero_s <= 1e-9 * last.expires_ns

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from rig.panel import processes
-from rig.panel.attendance import Attendance, watched
-from rig.panel.errors import RefusedError
-from rig.run_folder.live.born import born
+from rig.panel.calibration import Attendance, watched
+from rig.panel.messages import RefusedError
 from rig.run_folder.live.lease import HeldLease, Leaser
 from rig.run_folder.live.own_folder import NAME, START_LOCK, HeldError, NotOwnError, OwnFolder
+from rig.run_folder.live.stop_flag import born
 
 NOTE = f"{'a' * 16}.json"
 OVER = json.dumps({"command": "run", "pid": 2**22 + 1, "born": "long ago"})  # no process has this number

@@ -7,12 +7,13 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rig.run_folder.live.running import Lookout, running
 from rig.run_folder.live.stop_flag import Runner, StopFlag
-from rig.run_folder.live.view import KEPT_ROWS, Cycle, Estimate, LiveView, Planes
+from rig.run_folder.live.view import KEPT_ROWS, Estimate, LiveView
 from rig.run_folder.recording.sample_columns import HEADER, SampleRow, format_row
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,6 +48,10 @@ def flag(folder: Path) -> Iterator[StopFlag]:
         yield held
 
 
+def planes(h1_V: float, h2_V: float) -> dict[str, Any]:
+    return {"y_rad": [0.0], "z_rad_s": [0.0], "h1_V": h1_V, "h2_V": h2_V}
+
+
 def write(folder: Path, name: str, *lines: str) -> None:
     with (folder / name).open("a") as file:
         file.writelines(lines)
@@ -55,11 +60,17 @@ def write(folder: Path, name: str, *lines: str) -> None:
 def test_rows_come_once_whole_and_with_their_age(folder: Path, flag: StopFlag) -> None:
     view = LiveView(folder)
     first = view.read()
-    assert (first.state, first.command, first.stage, first.rows, first.age_s) == ("runs", "run", None, (), None)
-    assert first.drive_is_off and first.limits is not None and first.limits.soft_rad == (-1.1, 1.1)
+    assert (first.state, first.numbers["command"], first.stage, first.rows, first.age_s) == (
+        "runs",
+        "run",
+        None,
+        (),
+        None,
+    )
+    assert first.drive_is_off and first.numbers["limits"]["soft_rad"] == [-1.1, 1.1]
     flag.tell(time.monotonic() - 10.0, 0.01)
     write(folder, "samples.csv", row(100), row(101), row(102)[:20])
-    seen = view.read(-1)
+    seen = view.read()
     assert [one.number for one in seen.rows] == [0, 1]
     assert seen.rows[1][1:6] == (101, 1.01, 0.3, 0.9, 0.02)
     assert math.isnan(seen.rows[1].yd_rad) and seen.rows[1].stage == "relay-1"
@@ -67,10 +78,11 @@ def test_rows_come_once_whole_and_with_their_age(folder: Path, flag: StopFlag) -
     write(
         folder, "samples.csv", row(102)[20:], "no, row\n", row(105, flags=4, late_us=700.0), row(106, late_us=math.nan)
     )
-    seen = view.read(after_row=1)
-    assert [one.tick for one in seen.rows] == [102, 105, 106]
+    seen = view.read()
+    assert [one.tick for one in seen.rows[2:]] == [102, 105, 106]
     assert seen.damaged == 1
-    assert seen.loop == (700.0, 700.0, 2, None)  # of the loop's ticks the newest and the latest; those skipped; no link
+    # none of the loop's ticks began a tenth of a period late; the latest; those skipped; no link
+    assert seen.numbers["loop"] == {"late": 0, "latest_us": 700.0, "skipped": 2, "link_errors": None}
     write(folder, "samples.csv", *(row(tick) for tick in range(200, 200 + KEPT_ROWS)))
     assert len(view.read().rows) == KEPT_ROWS
 
@@ -84,10 +96,10 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("search", 4.0, h1_V=0.3, h2_V=0.7, period_s=None, amplitude_rad=None, outcome="no oscillation"),
     )
     seen = view.read()
-    assert (seen.stage, seen.planes, seen.drive_is_off) == ("search", Planes(0.3, 0.7), False)
-    assert "no oscillation" in seen.words
-    assert seen.left.stage_s == pytest.approx(60.0)  # relay.until.longest_s, and no row has come
-    assert seen.left.run_s is not None and seen.left.run_s > 60.0  # tracking follows
+    assert (seen.stage, seen.numbers["planes"], seen.drive_is_off) == ("search", planes(0.3, 0.7), False)
+    assert "no oscillation" in seen.numbers["words"]
+    assert seen.numbers["stage_left_s"] == pytest.approx(60.0)  # relay.until.longest_s, and no row has come
+    assert (seen.numbers["run_left_s"] or 0.0) > 60.0  # tracking follows
     live = {"tau_s": 0.17, "tau_percent": 2.0, "K_rad_s_V": 6.5, "K_percent": None, "fc_V": 0.48, "fc_percent": 1.0}
     write(
         folder,
@@ -103,7 +115,8 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("stage", 7.6),
     )
     seen = view.read()
-    assert (seen.stage, seen.planes, seen.cycle) == ("relay-1", Planes(0.42, 0.85), Cycle(2, 0.58, 1.0))
+    assert (seen.stage, seen.numbers["planes"]) == ("relay-1", planes(0.42, 0.85))
+    assert [seen.numbers[name] for name in ("cycles", "amplitude_rad", "period_s")] == [2, 0.58, 1.0]
     assert seen.estimates == (
         Estimate(
             t_s=7.0,
@@ -113,7 +126,7 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
             remark="with sag",
         ),
     )
-    assert (seen.loop.link_errors, seen.damaged) == (3, 3)
+    assert (seen.numbers["loop"]["link_errors"], seen.damaged) == (3, 3)
     write(
         folder,
         "events.jsonl",
@@ -121,11 +134,12 @@ def test_the_story_of_a_run_is_told_by_its_events(folder: Path, flag: StopFlag) 
         event("fault", 8.1, code="INTERRUPTED", cause="the run was interrupted", cure="again", detail="Stop by panel"),
     )
     seen = view.read()
-    assert (seen.drive_is_off, seen.planes, seen.is_over) == (True, None, False)
+    assert (seen.drive_is_off, seen.numbers["planes"], seen.is_over) == (True, None, False)
     assert (seen.faults[0]["code"], seen.faults[0]["detail"]) == ("INTERRUPTED", "Stop by panel")
     write(folder, "events.jsonl", event("end", 8.2))
     seen = view.read()
-    assert (seen.state, seen.is_over, seen.left.run_s) == ("runs", True, None)  # it identifies, and writes its report
+    assert (seen.state, seen.is_over) == ("runs", True)  # it identifies, and writes its report
+    assert seen.numbers["run_left_s"] is None
     assert [name for _, name in seen.stages] == ["search", "relay-1"]
     for stage, is_off in (("identify", True), ("rest", False), ("identify", False)):
         write(folder, "events.jsonl", event("stage", 9.0, name=stage))
@@ -149,7 +163,8 @@ def test_a_long_recording_begins_with_its_last_rows_and_a_broken_folder_with_wha
     (folder / "meta.json").write_text('{"script": 3}')
     seen = LiveView(folder).read()
     assert seen.rows[-1].tick == 900_000 and seen.rows[-1].number < 4_000_000 // len(line) + 1
-    assert (seen.damaged, seen.limits, seen.command, seen.left) == (0, None, None, (None, None))
+    assert (seen.damaged, seen.numbers["command"], seen.numbers["stage_left_s"]) == (0, None, None)
+    assert set(seen.numbers["limits"].values()) == {None}
 
 
 def test_a_file_that_has_grown_by_gigabytes_is_read_piece_by_piece(folder: Path) -> None:

@@ -7,7 +7,7 @@ import base64
 import pytest
 
 from rig.panel.access import Access, AccessError, Address, password_of, require_safe
-from rig.panel.errors import RefusedError
+from rig.panel.messages import RefusedError
 
 HERE = Address("127.0.0.1", 8470)
 HOST = (b"host", b"127.0.0.1:8470")

@@ -24,12 +24,12 @@ from rig.panel.app import Panel, make_app
 from rig.panel.bench import StopAnswer
 from rig.panel.messages import Checked, Compared, Drawn, RunRow, State, Stop
 from rig.panel.processes import StartedProcess
+from rig.panel.prospect import prospect
 from rig.panel.sockets import LARGEST_MESSAGE, MOST_MESSAGES_S
 from rig.panel.watch import Follower
-from rig.run_folder.live.born import born
 from rig.run_folder.live.own_folder import NAME
 from rig.run_folder.live.running import Running, Seen
-from rig.run_folder.live.stop_flag import Runner, StopFlag
+from rig.run_folder.live.stop_flag import Runner, StopFlag, born
 
 HERE = Address("127.0.0.1", 8470)
 ORIGIN = {"origin": "http://127.0.0.1:8470"}
@@ -274,8 +274,8 @@ def test_whoever_reads_much_keeps_neither_a_check_nor_a_stop_waiting(
     session = panel.access.redeem(panel.access.token or "") or ""
     headers = ORIGIN | {"cookie": panel.access.set_cookie(session).partition(";")[0]}
 
-    async def answer_of(module: str, *paths: Path) -> dict[str, Any]:
-        if module != "rig.panel.prospect":
+    async def answer_of(asked: object, *paths: Path) -> dict[str, Any]:
+        if asked is not prospect:
             await read.wait()
         return {"lines": [], "may_run": False, "plan": None}
 

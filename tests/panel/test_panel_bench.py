@@ -25,16 +25,14 @@ from rig.panel import processes
 from rig.panel.access import Access, Address
 from rig.panel.app import Panel
 from rig.panel.bench import HOLD_ENDS_S, Bench, StopAnswer
-from rig.panel.errors import RefusedError
-from rig.panel.messages import Stop
+from rig.panel.messages import RefusedError, Stop
 from rig.panel.processes import StartedProcess
 from rig.panel.watch import ALIVE_S, PERIOD_S, Follower
 from rig.run_folder.live import running as running_module
-from rig.run_folder.live.born import born
 from rig.run_folder.live.lease import HeldLease, Leaser
 from rig.run_folder.live.own_folder import NAME
 from rig.run_folder.live.running import Running, running
-from rig.run_folder.live.stop_flag import Runner, StopFlag
+from rig.run_folder.live.stop_flag import Runner, StopFlag, born
 
 SILENCE = Path(__file__).parent / "browser" / "silence.mjs"
 

@@ -16,10 +16,10 @@ from rig.config import ready
 from rig.panel import calibrating, processes
 from rig.panel.bench import CALIBRATION, Bench
 from rig.panel.calibration import Calibration
-from rig.panel.errors import RefusedError
+from rig.panel.messages import RefusedError
 from rig.run_folder.live.stop_flag import command_of
 from rig.running.calibrate import session
-from rig.running.calibrate.save import save
+from rig.running.calibrate.draft import save
 
 
 def begun(bench: Bench) -> Calibration:

@@ -15,7 +15,7 @@ from rig.config import Experiment, load
 from rig.config.schema import Emulated, EmulatedPotentiometer
 from rig.model.bench import BenchModel
 from rig.model.real_motor import Frame, MovingMotor, plain
-from rig.running.preflight.differences import differences
+from rig.running.preflight.plan import differences
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTE_ON_PARTS = "the emulated motor has parts that tau, K and f_c leave out (emulated.motor.parts"

@@ -22,7 +22,7 @@ from rig.output.compare.comparison import CompareError, compare
 from rig.output.report.source import load as load_for_report
 from rig.panel.past_runs import Runs
 from rig.panel.watch import Follower, Scene
-from rig.run_folder.catalogue.index import INDEX, catalogue
+from rig.run_folder.catalogue import INDEX, catalogue
 from rig.run_folder.live.view import LiveView
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.reader import read_meta, read_result, read_run
@@ -156,7 +156,8 @@ def test_a_wrong_number_in_an_event_is_damage_and_reaches_no_page(tmp_path: Path
     folder = run_of(tmp_path)
     (folder / "events.jsonl").write_text(json.dumps(event) + "\n")
     seen = LiveView(folder).read()
-    assert (seen.damaged, seen.cycle, seen.planes, seen.loop.link_errors) == (1, None, None, None)
+    told = seen.numbers
+    assert (seen.damaged, told["cycles"], told["planes"], told["loop"]["link_errors"]) == (1, None, None, None)
 
 
 @pytest.mark.parametrize(
@@ -314,7 +315,7 @@ def test_a_folder_that_cannot_be_looked_into_hides_no_run(tmp_path: Path, monkey
             raise PermissionError(errno.EACCES, "Permission denied", str(path))
         return path.name == NAME
 
-    monkeypatch.setattr("rig.run_folder.catalogue.index.is_run", looks)
+    monkeypatch.setattr("rig.run_folder.catalogue.is_run", looks)
     found = catalogue(tmp_path)
     assert [run.name for run in found.runs] == [NAME]
     assert len(found.notes) == 1 and "locked cannot be looked into: Permission denied" in found.notes[0]

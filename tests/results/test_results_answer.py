@@ -21,7 +21,7 @@ from rig.output.export.whole_run import ExportedRun
 from rig.output.report.source import load
 from rig.output.report.words import headline
 from rig.panel.past_runs import Runs
-from rig.run_folder.catalogue.entry import read_entry
+from rig.run_folder.catalogue import read_entry
 from rig.run_folder.recording.reader import read_result, read_run
 from rig.run_folder.results import (
     Answer,

@@ -15,9 +15,9 @@ from rig.control.set_point import PositionStep
 from rig.control.state_feedback import DriveLimits, Loop, StateFeedback
 from rig.control.trajectory import Reference
 from rig.core.signals import Sample
-from rig.design.tune.gains import gains_for
 from rig.design.tune.margins import Matrices, controller_matrices, margins, motor_matrices, noise_V
 from rig.design.tune.trial import Sensing, driven
+from rig.design.tune.tuning import gains_for
 from rig.design.tune.uncertain import LinearMotor
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, MovingPlainMotor

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.benchmark import options, tell
-from rig.run_folder.catalogue.index import INDEX, catalogue
+from rig.run_folder.catalogue import INDEX, catalogue
 from rig.run_folder.recording.folder import META, RESULT, write_meta, write_result
 from rig.run_folder.results import (
     BudgetEntry,

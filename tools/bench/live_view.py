@@ -59,10 +59,10 @@ def view(folder: Path) -> int:
     last_s = next_s = time.monotonic()
     while not select.select([sys.stdin], [], [], max(next_s - time.monotonic(), 0.0))[0]:
         next_s = max(next_s + EVERY_S, time.monotonic())
-        seen = live.read(after)
+        seen = live.read()
         is_paced = time.monotonic() - last_s < 2.0 * EVERY_S  # else it stood still, and nobody looked
         last_s = time.monotonic()
-        if seen.rows and seen.age_s is not None:
+        if seen.rows and seen.rows[-1].number > after and seen.age_s is not None:
             after = seen.rows[-1].number
             ages_ms += [1e3 * seen.age_s] if is_paced else []
     print(" ".join(f"{age:.2f}" for age in ages_ms))

@@ -12,10 +12,10 @@ from unittest.mock import patch
 
 from faults.injector import FaultInjector
 from rig.panel.bench import Bench
-from rig.panel.errors import RefusedError
+from rig.panel.messages import RefusedError
 from rig.panel.past_runs import Runs
 from rig.panel.watch import Follower, Watch
-from rig.run_folder.catalogue.index import catalogue
+from rig.run_folder.catalogue import catalogue
 from rig.run_folder.live.own_folder import NAME
 
 _NOTE = {"command": "run", "pid": 2**22 + 1, "born": "long ago"}  # of a process that there is not

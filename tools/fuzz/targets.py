@@ -30,7 +30,7 @@ from rig.identification import IdentifyError, identify
 from rig.output.report.source import load as load_report
 from rig.panel.past_runs import Runs
 from rig.panel.watch import Follower, Scene
-from rig.run_folder.catalogue.index import catalogue
+from rig.run_folder.catalogue import catalogue
 from rig.run_folder.live.view import LiveView
 from rig.run_folder.recording.csv_file import read_csv
 from rig.run_folder.recording.curves import read_curves

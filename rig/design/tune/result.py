@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.design.tune.gains import as_pid
 from rig.design.tune.margins import Margins
 from rig.design.tune.prediction import MEASURES, Prediction, shown_of, speed_of
 from rig.design.tune.trial import Record, smoothed
-from rig.design.tune.tuning import Tuned
+from rig.design.tune.tuning import Tuned, as_pid
+from rig.model.library import Array
 from rig.run_folder.results import JsonObject
 from rig.run_folder.results.tuned import (
     TunedCurve,
@@ -22,8 +22,6 @@ from rig.run_folder.results.tuned import (
     TunedResponse,
     TunedResult,
 )
-
-Array = NDArray[np.float64]
 
 INNER = (2.5, 50.0, 97.5)  # percentiles of a curve
 BEFORE_S = 0.1  # of the step that a curve shows

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from rig.control.law import OwnLaw
 from rig.control.state_feedback import Loop
 from rig.core.signals import Sample
 from rig.design.tune.margins import periods_of
-from rig.model.motor import MovingPlainMotor
+from rig.model.motor import Array, MovingPlainMotor
 from rig.model.real_motor import FramedMotor, MovingMotor
-
-Array = NDArray[np.float64]
 
 BAND = 0.05  # of the step: within it the shaft has settled
 SMOOTHED = {"position": 5, "velocity": 9}  # samples that a quadratic is fitted to

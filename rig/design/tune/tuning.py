@@ -1,4 +1,4 @@
-"""Tune a loop: the gains of a wanted bandwidth, or of the largest that keeps the margins (docs/theory.md 15.3)."""
+"""Tune a loop: the gains of a wanted bandwidth, or the largest that keeps the margins (docs/theory.md 15.1, 15.3)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,43 @@ from rig.control.observer import MotorObserver
 from rig.control.set_point import BANDWIDTH_OF_SECOND_ORDER, PositionStep, Program, SpeedSteps
 from rig.control.state_feedback import DriveLimits, Gains, Loop, StateFeedback
 from rig.core.errors import CauseError
-from rig.design.tune.gains import gains_for
 from rig.design.tune.margins import Margins, controller_matrices, margins, motor_matrices, noise_V, open_loop, worst
 from rig.design.tune.trial import Sensing
 from rig.design.tune.uncertain import OF, UncertainMotor
 from rig.identification.known_model import model_of
 from rig.run_folder.results import Answer
+from rig.run_folder.results.tuned import TunedPid
+
+INTEGRAL_POLE = 0.2  # the integral's pole over the others: it must not shape the step
+
+
+def gains_for(loop: Loop, bandwidth_1_s: float, tau_s: float) -> Gains:
+    """Gains of a loop whose response to its set-point is 3 dB down at ``bandwidth_1_s``, rad/s, > 0.
+
+    The poles of a position loop are (s + w)^2 (s + a w), w = bandwidth / 0.6436; those of a velocity loop
+    (s + w)(s + a w), w = bandwidth.
+    A slower loop than the motor itself (w tau < 1) gets w = 1/tau: the reference model alone makes its set-point slow.
+    A feedback that slow would first have to undo the motor's own damping, and would be fragile.
+    """
+    a = INTEGRAL_POLE
+    w = max(bandwidth_1_s / (BANDWIDTH_OF_SECOND_ORDER if loop == "position" else 1.0), 1.0 / tau_s)
+    if loop == "position":
+        return Gains(loop, w * (2.0 + a), w * w * (1.0 + 2.0 * a), a * w**3)
+    return Gains(loop, w * (1.0 + a), 0.0, a * w * w)
+
+
+def as_pid(gains: Gains, tau_s: float, K_rad_s_V: float) -> TunedPid:
+    """The same feedback as a PID controller of the position, or a PI controller of the velocity.
+
+    u = Kp e + Ki int e dt + Kd de/dt + kS sgn(v_ref) + kV v_ref + kA a_ref, with e = reference - measured.
+    """
+    per = tau_s / K_rad_s_V
+    speed = per * gains.speed_1_s - 1.0 / K_rad_s_V
+    if gains.loop == "position":
+        units = ("V/rad", "V/(rad s)", "V s/rad")
+        return TunedPid(Kp=per * gains.place_1_s2, Ki=per * gains.integral, Kd=speed, units=units)
+    return TunedPid(Kp=speed, Ki=per * gains.integral, Kd=0.0, units=("V s/rad", "V/rad", "V s2/rad"))
+
 
 LEAST = Margins(gain_dB=6.0, phase_deg=45.0, modulus=0.0)
 HIGHEST = 0.2  # bandwidth over the highest frequency of the sampling, pi / period

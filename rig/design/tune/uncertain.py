@@ -7,12 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.model.motor import Motor
+from rig.model.motor import Array, Motor
 from rig.model.real_motor import FramedMotor
-
-Array = NDArray[np.float64]
 
 OF = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")
 COVERAGE = 1.96  # half a 95 % interval over its standard deviation

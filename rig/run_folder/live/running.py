@@ -1,18 +1,19 @@
-"""What goes on at the moment: runs, and what drives without being recorded."""
+"""What goes on at the moment: runs, and what drives without being recorded, which begins alone in its folder."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Collection, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from rig.core import strict_json
+from rig.core.errors import CauseError
 from rig.core.plain_file import open_plain
-from rig.run_folder.live.born import born
-from rig.run_folder.live.stop_flag import NAME, Runner, Unrecorded, is_recorded, runner_of
+from rig.run_folder.live.own_folder import START_LOCK, HeldError, OwnFolder
+from rig.run_folder.live.stop_flag import NAME, Runner, StopFlag, Unrecorded, born, command_of, is_recorded, runner_of
 from rig.run_folder.recording.writer import EVENTS
 
 _NEWEST: Final = 50  # by name: a run has its flag soon after its folder
@@ -155,3 +156,40 @@ def _of(parent: Path, names: Iterable[str]) -> list[Running]:
             if (runner := runner_of(folder)) is not None:
                 found.append(Running(folder, runner))
     return found
+
+
+_WAIT_S: Final = 2.0  # for a panel that starts something
+
+
+class BusyError(CauseError):
+    """It cannot begin in this folder of runs."""
+
+    status = 1
+
+
+@contextmanager
+def told(runs: Path, command: str) -> Iterator[StopFlag]:
+    """The flag of a command that records nothing, for the block.
+
+    It begins under the lock under which panels start things: so neither begins while the other looks what goes on.
+    Raises BusyError if anything goes on in ``runs``, or a panel is starting it; or if there is no room for the flag.
+    """
+    with StopFlag() as flag:
+        try:
+            with OwnFolder(runs) as own, own.locked(START_LOCK, _WAIT_S):
+                if going := running(runs):
+                    last = going[-1].folder
+                    what = last.name if is_recorded(last) else command_of(last)
+                    raise BusyError(
+                        f"{what} goes on in {runs}",
+                        "wait for its end, or stop it; for another bench name another folder of runs: --out",
+                    )
+                flag.open(runs, command)
+        except HeldError as error:
+            raise BusyError(f"a panel of {runs} starts something", "wait for it, or end that panel") from error
+        except OSError as error:
+            raise BusyError(
+                f"no stop flag in {runs}, so nobody else could stop the drive: {error.strerror}",
+                "check the disk and its permissions, or name another folder of runs: --out",
+            ) from error
+        yield flag

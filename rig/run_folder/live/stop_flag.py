@@ -23,8 +23,20 @@ from typing import Final
 from rig.core.errors import RigError
 from rig.core.faults import Fault
 from rig.core.signals import plain
-from rig.run_folder.live.born import born
 from rig.run_folder.live.shared_page import SIZE, MappedPage, OthersPage
+
+
+def born(pid: int) -> str:
+    """What tells this process from a later one of the same number: the time at which it began; empty if there is none.
+
+    A process that has ended, but whose end nobody has asked for, is none. Systems without /proc tell of none.
+    """
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "" if fields[0] == "Z" else fields[19]
+
 
 NAME: Final = "stop.flag"
 _HEAD: Final = struct.Struct("=8sIIdd")  # magic, version, pid, zero_s, period_s

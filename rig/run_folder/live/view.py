@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypedDict
 
 from rig.config import ConfigError, Experiment, load
-from rig.core.signals import FLAG_SKIPPED, Limits, plain
+from rig.core.signals import FLAG_SKIPPED, plain
 from rig.run_folder.live.stop_flag import Runner, runner_of
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CONFIG, META
@@ -34,6 +34,7 @@ _MOST_FAULTS: Final = 200
 _MOST_STAGES: Final = 1000
 _LONGEST_WORD, _LONGEST_WORDS = 200, 2000  # characters of a name, and of a sentence, that the pages are told
 _LARGEST_COUNT: Final = 2**53  # a page's numbers are floats
+_LATE_SHARE: Final = 0.1  # of the period, beyond which a tick counts as late
 _COMPUTES: Final = "identify"  # the stage in which nothing drives
 _TESTS: Final = (StageKind.SEARCH, StageKind.RELAY, StageKind.STROKES)
 
@@ -83,41 +84,36 @@ class SeenFault(TypedDict):
     cure: str
 
 
-class Planes(NamedTuple):
-    """The relay that drives: it switches at y = 0 by h1, and at z = 0 by h2."""
+class LiveNumbers(TypedDict):
+    """What a page shows of a run beside its rows. null: not known, or there is none.
 
-    h1_V: float
-    h2_V: float
-
-
-class LoopHealth(NamedTuple):
-    """How the loop does.
-
-    late_us      how late the newest tick of the loop began; nan: none yet
-    latest_us    the latest of the kept rows
-    skipped      ticks skipped, of the rows that this view has seen
-    link_errors  what went wrong on the link so far, counted; None: the driver counts nothing
+    age_ms    since the newest row was sampled
+    words     what comes of the stage, as `rig run` shows it
+    stage_left_s, run_left_s   at most so many seconds
+    cycles    number of the newest cycle of the present stage, whose amplitude and period follow
+    drive_is_off  whether the device has confirmed 0 V and nothing was driven since; True, too, before the first stage
+    is_over   whether the run has its end: no stage follows
+    loop      late: how many of the kept ticks began late; latest_us: the latest of them; skipped: of the rows that were
+              seen; link_errors: what went wrong on the link so far
+    limits    soft_rad, hard_rad and drive_V, as the config has them; null: not known, or endless
+    planes    y_rad and z_rad_s, at which the relay that drives switches, by h1_V and h2_V
     """
 
-    late_us: float
-    latest_us: float
-    skipped: int
-    link_errors: int | None
-
-
-class Cycle(NamedTuple):
-    """The newest cycle of the present stage: its number from 1, amplitude and period."""
-
-    number: int
-    amplitude_rad: float
-    period_s: float
-
-
-class TimeLeft(NamedTuple):
-    """At most so many seconds, s; None: nothing bounds it, or nobody knows yet."""
-
-    stage_s: float | None
-    run_s: float | None
+    command: str | None
+    pid: int | None
+    age_ms: int | None
+    stage: str | None
+    words: str
+    stage_left_s: float | None
+    run_left_s: float | None
+    cycles: int | None
+    amplitude_rad: float | None
+    period_s: float | None
+    drive_is_off: bool
+    is_over: bool
+    loop: dict[str, float | None]
+    limits: dict[str, list[float] | float | None]
+    planes: dict[str, list[float] | float] | None
 
 
 @dataclass(frozen=True)
@@ -127,31 +123,21 @@ class Snapshot:
     state         absent: no run folder; runs: a process makes it; ended: it has come to its end; died: nobody makes
                   it, and it has no end
     runner        the process that makes it; None: none does
-    command       run, relay, jog, track...; None: unknown
-    rows          the rows after the one that was asked for, the oldest first; at most KEPT_ROWS
+    rows          the newest rows, the oldest first; at most KEPT_ROWS
     age_s         since the newest row was sampled; None: no row, or nobody knows
     stage         name of the present stage; None: none yet
-    words         what comes of the stage, as `rig run` shows it
-    drive_is_off  whether the device has confirmed 0 V and nothing was driven since; True, too, before the first stage
-    is_over       whether the run has its end: no stage follows
-    limits        as the config has them; None: it cannot be read
+    drive_is_off, is_over   as of ``LiveNumbers``
     damaged       lines of the folder's files that are no rows and no events
     """
 
     state: State
     runner: Runner | None
-    command: str | None
     rows: tuple[LiveRow, ...]
     age_s: float | None
     stage: str | None
-    words: str
     drive_is_off: bool
     is_over: bool
-    left: TimeLeft
-    loop: LoopHealth
-    cycle: Cycle | None
-    planes: Planes | None
-    limits: Limits | None
+    numbers: LiveNumbers
     estimates: tuple[Estimate, ...]
     faults: tuple[SeenFault, ...]
     stages: tuple[tuple[float, str], ...]
@@ -178,8 +164,8 @@ class LiveView:
         self._script = ScriptCall(name="")
         self._knows_folder = False
 
-    def read(self, after_row: int = -1, lost: Runner | None = None) -> Snapshot:
-        """The run now, with the rows after number ``after_row``. Raises OSError where its files cannot be read.
+    def read(self, lost: Runner | None = None) -> Snapshot:
+        """The run now. Raises OSError where its files cannot be read.
 
         lost  who is known to make it although its flag is gone; None: nobody
         """
@@ -189,31 +175,50 @@ class LiveView:
         for line in self._samples.lines():
             self._take_row(line)
         self._read_folder()
-        story, rows = self._story, self._rows
-        now_s = self._run_time(runner)
-        late = [row.late_us for row in rows if not math.isnan(row.late_us)]
+        story, now_s = self._story, self._run_time(runner)
+        age_s = None if not self._rows or now_s is None else max(now_s - self._rows[-1].t_s, 0.0)
         return Snapshot(
             state=self._state(runner),
             runner=runner,
-            command=_text(self._script.name, _LONGEST_WORD) or None,
-            rows=tuple(row for row in rows if row.number > after_row),
-            age_s=None if not rows or now_s is None else max(now_s - rows[-1].t_s, 0.0),
+            rows=tuple(self._rows),
+            age_s=age_s,
             stage=story.stages[-1][1] if story.stages else None,
-            words=_text(story.progress.detail, _LONGEST_WORDS),
             drive_is_off=story.drive_is_off,
             is_over=story.progress.ended,
-            left=self._left(now_s),
-            loop=LoopHealth(
-                late[-1] if late else math.nan, max(late, default=math.nan), self._skipped, story.link_errors
-            ),
-            cycle=story.cycle,
-            planes=story.planes,
-            limits=None if self._experiment is None else self._experiment.device.arming,
+            numbers=self._numbers(runner, now_s, age_s),
             estimates=tuple(story.estimates),
             faults=tuple(story.faults),
             stages=tuple(story.stages),
             damaged=self._damaged,
         )
+
+    def _numbers(self, runner: Runner | None, now_s: float | None, age_s: float | None) -> LiveNumbers:
+        story = self._story
+        limits = None if self._experiment is None else self._experiment.device.arming
+        stage_s, run_s = self._left(now_s)
+        late_us = [row.late_us for row in self._rows if not math.isnan(row.late_us)]
+        too_late_us = _LATE_SHARE * 1e6 * runner.period_s if runner is not None else math.nan
+        number, amplitude_rad, period_s = story.cycle or (None, None, None)
+        return {
+            "command": _text(self._script.name, _LONGEST_WORD) or None, "pid": None if runner is None else runner.pid,
+            "age_ms": None if age_s is None else round(1e3 * age_s),
+            "stage": story.stages[-1][1] if story.stages else None,
+            "words": _text(story.progress.detail, _LONGEST_WORDS),
+            "stage_left_s": rounded(stage_s, 1), "run_left_s": rounded(run_s, 1),
+            "cycles": number, "amplitude_rad": rounded(amplitude_rad, 5), "period_s": rounded(period_s, 5),
+            "drive_is_off": story.drive_is_off, "is_over": story.progress.ended,
+            "loop": {
+                "late": None if math.isnan(too_late_us) else sum(one > too_late_us for one in late_us),
+                "latest_us": rounded(max(late_us, default=None), 0), "skipped": self._skipped,
+                "link_errors": story.link_errors,
+            },
+            "limits": {
+                "soft_rad": None if limits is None else _finite(limits.soft_rad),
+                "hard_rad": None if limits is None else _finite(limits.hard_rad),
+                "drive_V": None if limits is None else limits.max_u_V,
+            },
+            "planes": story.planes,
+        }  # fmt: skip
 
     def _take_row(self, line: str) -> None:
         try:
@@ -250,10 +255,11 @@ class LiveView:
             return "ended"
         return "died" if self._seen or self._story.stages or (self.folder / META).exists() else "absent"
 
-    def _left(self, now_s: float | None) -> TimeLeft:
+    def _left(self, now_s: float | None) -> tuple[float | None, float | None]:
+        """At most so many seconds of stage and run, s; None: nothing bounds it, or nobody knows yet."""
         e, story = self._experiment, self._story
         if e is None or not story.stages or story.progress.ended:
-            return TimeLeft(None, None)
+            return None, None
         if now_s is None:
             now_s = self._rows[-1].t_s if self._rows else story.stages[-1][0]
         began_s, stage = story.stages[-1]
@@ -267,9 +273,9 @@ class LiveView:
             began_s = next(t_s for t_s, name in story.stages if kind_of(name) in _TESTS)
             stage_s = e.relay.until.longest_s
         if stage_s is None:
-            return TimeLeft(None, None)
+            return None, None
         stage_s = max(began_s + stage_s - now_s, 0.0)
-        return TimeLeft(stage_s, stage_s + self._tracking_after_s(e, stage))
+        return stage_s, stage_s + self._tracking_after_s(e, stage)
 
     def _tracking_after_s(self, e: Experiment, stage: str) -> float:
         """Of the tracking runs that follow this stage, at most."""
@@ -288,11 +294,11 @@ class _Story:
         self.stages: list[tuple[float, str]] = []
         self.estimates: deque[Estimate] = deque(maxlen=KEPT_ESTIMATES)
         self.faults: list[SeenFault] = []
-        self.cycle: Cycle | None = None
-        self.planes: Planes | None = None
+        self.cycle: tuple[int, float, float] | None = None  # number, amplitude, rad, and period, s, of the newest
+        self.planes: dict[str, list[float] | float] | None = None
         self.link_errors: int | None = None
         self.drive_is_off = True
-        self._gains: Planes | None = None  # of the stage that begins next
+        self._gains: dict[str, list[float] | float] | None = None  # of the stage that begins next
 
     def take(self, line: str) -> bool:
         """Take a line of events.jsonl. Returns False if it is no event."""
@@ -318,13 +324,13 @@ class _Story:
             self.drive_is_off = bool(event["confirmed"])
             self.planes = None
         elif kind in ("gains", "decided", "search"):
-            gains = Planes(real(event["h1_V"]), real(event["h2_V"])) if event.get("h1_V") is not None else None
+            gains = _planes(event) if event.get("h1_V") is not None else None
             if kind == "search":
                 self.planes = gains
             else:
                 self._gains = gains
         elif kind == "cycle":
-            self.cycle = Cycle(_count(event["number"]), real(event["amplitude_rad"]), real(event["period_s"]))
+            self.cycle = _count(event["number"]), real(event["amplitude_rad"]), real(event["period_s"])
         elif kind == "live":
             self.estimates.append(
                 {
@@ -354,6 +360,11 @@ def _row(seen: int, line: str) -> LiveRow:
     return LiveRow(seen, tick, **reals, stage=_text(row["stage"], _LONGEST_WORD), flags=flags)
 
 
+def _planes(event: JsonObject) -> dict[str, list[float] | float]:
+    """Where a relay with the gains of this event switches."""
+    return {"y_rad": [0.0], "z_rad_s": [0.0], "h1_V": real(event["h1_V"]), "h2_V": real(event["h2_V"])}
+
+
 def _with_half(event: JsonObject, name: str, percent: str) -> tuple[float, float] | None:
     value, half = number(event.get(name)), number(event.get(percent))
     return None if value is None or half is None else (value, abs(value) * half / 100.0)
@@ -369,3 +380,12 @@ def _count(value: object) -> int:
 def _text(value: object, longest: int) -> str:
     """A text for the pages; empty for what is none."""
     return plain(value[:longest]) if isinstance(value, str) else ""
+
+
+def rounded(value: float | None, digits: int) -> float | None:
+    """``value``, in whatever unit, as a number for the pages; None for what is none."""
+    return round(value, digits) if value is not None and math.isfinite(value) else None
+
+
+def _finite(pair: tuple[float, float]) -> list[float] | None:
+    return list(pair) if all(map(math.isfinite, pair)) else None

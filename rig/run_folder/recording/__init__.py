@@ -8,7 +8,7 @@ columns    the columns of samples.csv and their text
 folder     the run folder and its small files
 follow     live progress of a run
 recording  ``Recording``: the rows of a run folder or a CSV file as arrays
-reader     reads run folders and CSV files
+reader     reads run folders, CSV files, and what a program gives
 curves     the arrays behind a run's answer, written and read
 csv_file   reads a CSV file with the columns of samples.csv
 csv_table  a CSV file as lines, fields and columns

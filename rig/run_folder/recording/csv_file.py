@@ -62,7 +62,7 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
     Raises RecordingError.
     """
     columns, row_numbers, notes, header = _parsed(path, own, known)
-    return assembled(path, columns, row_numbers, notes=tuple(notes), columns_present=header)
+    return assembled(path, columns, row_numbers, header, notes)
 
 
 def read_csv_runs(path: Path) -> list[Recording]:
@@ -75,8 +75,8 @@ def read_csv_runs(path: Path) -> list[Recording]:
             path if len(runs) == 1 else path.with_name(f"{path.name} (run {number} of {len(runs)})"),
             {name: values[run] for name, values in columns.items()},
             row_numbers[run],
-            notes=tuple(notes) if number == 1 else (),
-            columns_present=header,
+            header,
+            notes if number == 1 else (),
         )
         for number, run in enumerate(runs, 1)
     ]

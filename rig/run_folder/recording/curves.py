@@ -12,20 +12,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.folder import CURVES, json_text, write_whole
 from rig.run_folder.recording.reader import MOST_BYTES, is_there, read_object
-from rig.run_folder.recording.recording import Recording
+from rig.run_folder.recording.recording import Floats, Recording
 from rig.run_folder.recording.sample_columns import COLUMNS
 from rig.run_folder.results import Answer, Part, known
 from rig.run_folder.results.estimates import LARGEST
 from rig.run_folder.results.part import VERSION, Count, Number, Text
 from rig.run_folder.results.reading import DamagedError, parsed
-
-Array = NDArray[np.float64]
 
 _SAME: Final = 1e-6  # relative: so near are the answers of two processors to the same rows
 _NUMBERS: Final = ("tau_s", "K_rad_s_V", "fc_V")
@@ -42,9 +39,9 @@ class Curves:
     """
 
     answer: Answer
-    residual_t_s: Array
-    residual_rad: Array
-    friction_V: Array
+    residual_t_s: Floats
+    residual_rad: Floats
+    friction_V: Floats
 
     def is_of(self, answer: Answer) -> bool:
         """Whether they are of this answer: the same method, laws and numbers."""
@@ -121,7 +118,7 @@ def read_curves(folder: Path, recording: Recording, answer: Answer | None) -> Cu
     return found
 
 
-def _floats(kept: _Kept, name: str) -> Array:
+def _floats(kept: _Kept, name: str) -> Floats:
     """An array of the file. Raises ValueError."""
     array = np.frombuffer(base64.b64decode(getattr(kept, name), validate=True), dtype="<f8")
     if not _is_drawn(name, array):
@@ -129,7 +126,7 @@ def _floats(kept: _Kept, name: str) -> Array:
     return array
 
 
-def _is_drawn(name: str, array: Array) -> bool:
+def _is_drawn(name: str, array: Floats) -> bool:
     small = np.abs(array) < LARGEST
     return bool(np.all(small | np.isnan(array) if name == "friction_V" else small))
 

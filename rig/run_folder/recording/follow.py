@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from rig.core import strict_json
 from rig.core.plain_file import open_plain
-from rig.run_folder.recording.end_of_input import EndOfInput, end_of_input
 from rig.run_folder.recording.sample_columns import COLUMNS
+from rig.run_folder.recording.writer import EndOfInput, end_of_input
 
 if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
     from rich.table import Table

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from rig.run_folder.recording import log_mends
 from rig.run_folder.recording.csv_table import CsvTable, CsvText, is_date, is_number, shown
 from rig.run_folder.recording.errors import RecordingError
 from rig.run_folder.recording.log_format import (
@@ -31,16 +32,6 @@ from rig.run_folder.recording.log_format import (
     units_said,
     usual_places,
     words_of,
-)
-from rig.run_folder.recording.log_mends import (
-    Summed,
-    has_no_sign,
-    runs_of,
-    signed,
-    summed_up,
-    unwrapped_clock,
-    unwrapped_position,
-    unwrapped_velocity,
 )
 from rig.run_folder.recording.recording import MIN_ROWS, Columns, Floats, Integers, Recording, assembled, require_rising
 from rig.run_folder.recording.servo_law import OwnLoop, ServoLaw
@@ -95,14 +86,14 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
             row = int(np.argmax(np.abs(values)))
             column = table.called[table.names.index(name)]
             raise RecordingError(path, f"column {column}: {values[row]:g} is too large", "correct this line", rows[row])
-    notes = [*text.notes, *notes, _taken(choices, {q: called[place] for q, place in places.items()}, log)]
+    notes = [*text.notes, *notes, _taken({q: called[place] for q, place in places.items()}, log)]
     if log.period_s is not None:
         raw["t_s"] = np.arange(len(rows), dtype=np.float64)
     supply_V = log.supply_V
     if log.servo is None:
         raw["u_V"] = _drive_V(path, raw["u_V"], choices["drive"], log, rows, notes)
     else:
-        supply_V = _supply_V(path, text, rows, first, has_names, log, notes)
+        supply_V = _supply_V(text, rows, first if has_names else (), log, notes)
     runs = _runs(path, text, numbers[0] if has_names else None, raw, rows, log)
     recordings = []
     for number, run in enumerate(runs, 1):
@@ -112,9 +103,9 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
         try:
             lines = [rows[k] for k in run]
             if log.servo is not None and supply_V is not None:
-                recordings.append(_of_servo(source, own, lines, choices, log, supply_V, heard))
+                recordings.append(_of_servo(source, own, lines, log, supply_V, heard))
             else:
-                recordings.append(_recording(source, own, lines, choices, log, heard))
+                recordings.append(_recording(source, own, lines, log, heard))
         except RecordingError as error:
             if has_names or any(one.column is not None for one in choices.values()):
                 raise
@@ -123,19 +114,12 @@ def read_log(path: Path, log: LogFormat) -> list[Recording]:
     return recordings
 
 
-def _recording(
-    source: Path,
-    raw: Columns,
-    rows: Sequence[int],
-    choices: Mapping[str, LogColumn],
-    log: LogFormat,
-    notes: Sequence[str],
-) -> Recording:
+def _recording(source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, notes: Sequence[str]) -> Recording:
     """One run as a recording: in s, V and rad, unwrapped; a velocity summed up to a position. Raises RecordingError."""
-    notes = list(notes)
+    notes, choices = list(notes), log.columns()
     raw = _in_place(_once(raw | {"line": np.array(rows)}, notes), log)
     rows = raw.pop("line").tolist()
-    t_s, u_V = _times_s(raw, choices, log, notes), raw["u_V"]
+    t_s, u_V = _times_s(raw, log, notes), raw["u_V"]
     require_rising(source, t_s, rows)
     steps = None
     if "velocity" in choices:
@@ -147,31 +131,23 @@ def _recording(
     else:
         unit = choices["position"].unit
         scale = log.scale("position", unit)
-        y_rad = scale * unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
+        y_rad = scale * log_mends.unwrapped_position(raw["y_rad"], unit == "counts", 2.0 * np.pi / abs(scale), notes)
     columns: Columns = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
-    recording = assembled(
-        source, columns, rows, notes=tuple(notes), columns_present=tuple(columns), units_stated=True, drive_steps=steps
-    )
+    recording = assembled(source, columns, rows, tuple(columns), notes)
     if "time" in choices:
         _refuse_other_clock(source, t_s, choices["time"])
-    return recording
+    return replace(recording, units_stated=True, drive_steps=steps)
 
 
 def _of_servo(
-    source: Path,
-    raw: Columns,
-    rows: Sequence[int],
-    choices: Mapping[str, LogColumn],
-    log: LogFormat,
-    supply_V: float,
-    notes: Sequence[str],
+    source: Path, raw: Columns, rows: Sequence[int], log: LogFormat, supply_V: float, notes: Sequence[str]
 ) -> Recording:
     """One run of a servo in its position mode: the drive by its law. Raises RecordingError."""
     assert log.servo is not None
     if log.servo.P is None:
         raise RecordingError(source, "does not say the servo's gain P", "give what its register held: --gain P")
-    notes, law = list(notes), replace(log.servo, goal_first=log.drive_row < 0)
-    t_s = _times_s(raw, choices, log, notes)
+    notes, law, choices = list(notes), replace(log.servo, goal_first=log.drive_row < 0), log.columns()
+    t_s = _times_s(raw, log, notes)
     require_rising(source, t_s, rows)
     y_rad, goal_rad = (
         np.asarray(log.scale(name, choices[name].unit) * raw[OWN_NAMES[name]]) for name in ("position", "goal")
@@ -211,41 +187,30 @@ def servo_recording(
     said = (
         f"the drive is that of the servo's own law, P {P:g}, {supply_V:.3g} V: 1 rad makes {scale.middle * P:.3g} of it"
     )
-    return assembled(
-        source,
-        {"t_s": t_s, "u_V": at_rows_V, "y_rad": y_rad},
-        rows,
-        notes=(*notes, f"{said} ({scale.source})"),
-        columns_present=("t_s", "u_V", "y_rad"),
+    own: Columns = {"t_s": t_s, "u_V": at_rows_V, "y_rad": y_rad}
+    return replace(
+        assembled(source, own, rows, tuple(own), (*notes, f"{said} ({scale.source})")),
         units_stated=True,
         drive_steps=(edges_s, u_V),
         own_loop=OwnLoop(scale, scale.middle * P * supply_V, servo.is_P_alone),
     )
 
 
-def _supply_V(
-    path: Path,
-    text: CsvText,
-    rows: Sequence[int],
-    first: Sequence[str],
-    has_names: bool,
-    log: LogFormat,
-    notes: list[str],
-) -> float:
+def _supply_V(text: CsvText, rows: Sequence[int], names: Sequence[str], log: LogFormat, notes: list[str]) -> float:
     """What --supply-V says, else the median of the only column that is called like a voltage. Raises RecordingError."""
     if log.supply_V is not None:
         return log.supply_V
-    places = [k for k, name in enumerate(first) if any(word in USUAL_SUPPLY for word in words_of(name)[:1])]
-    if not has_names or len(places) != 1:
+    places = [k for k, name in enumerate(names) if any(word in USUAL_SUPPLY for word in words_of(name)[:1])]
+    if len(places) != 1:
         raise RecordingError(
-            path, "has no column, or several, of the supply's voltage", "give the volts at the servo: --supply-V 5"
+            text.path, "has no column, or several, of the supply's voltage", "give the volts at the servo: --supply-V 5"
         )
     fields = [text.fields(row) for row in rows]
     values = [float(one[places[0]]) for one in fields if len(one) > places[0] and is_number(one[places[0]])]
     supply_V = float(np.median(values)) if values else 0.0
     if not 0.0 < supply_V < LARGEST:
-        raise RecordingError(path, f"column {shown(first[places[0]])} holds no voltage", "give --supply-V")
-    notes.append(f"the supply is the median of column {first[places[0]]}, {supply_V:.3g} V")
+        raise RecordingError(text.path, f"column {shown(names[places[0]])} holds no voltage", "give --supply-V")
+    notes.append(f"the supply is the median of column {names[places[0]]}, {supply_V:.3g} V")
     return supply_V
 
 
@@ -270,39 +235,41 @@ def _in_place(raw: Columns, log: LogFormat) -> Columns:
     }
 
 
-def _times_s(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat, notes: list[str]) -> Floats:
+def _times_s(raw: Columns, log: LogFormat, notes: list[str]) -> Floats:
     """The times in s, as they go on where the clock begins anew."""
     if log.period_s is not None:
         return np.asarray(log.period_s * raw["t_s"])
-    second_s = log.scale("time", choices["time"].unit)
+    second_s = log.scale("time", log.columns()["time"].unit)
     motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
-    return np.asarray(second_s * unwrapped_clock(raw["t_s"], motion, 1.0 / second_s, notes))
+    return np.asarray(second_s * log_mends.unwrapped_clock(raw["t_s"], motion, 1.0 / second_s, notes))
 
 
-def _summed(path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]) -> Summed:
+def _summed(
+    path: Path, raw: Columns, t_s: Floats, column: LogColumn, log: LogFormat, notes: list[str]
+) -> log_mends.Summed:
     """The position from velocities. Raises RecordingError."""
-    v, u_V = signed(raw["v_rad_per_s"], None, "velocities", notes), raw["u_V"]
-    if has_no_sign(v, u_V):
+    v, u_V = log_mends.signed(raw["v_rad_per_s"], None, "velocities", notes), raw["u_V"]
+    if log_mends.has_no_sign(v, u_V):
         raise RecordingError(
             path,
             "the velocity is never negative, and as large after negative drives as after positive ones: its sign is "
             "missing",
             "log the velocity with its sign, or better the position",
         )
-    unwrapped = unwrapped_velocity(v, u_V, notes)
+    unwrapped = log_mends.unwrapped_velocity(v, u_V, notes)
     if unwrapped is None:
         raise RecordingError(
             path,
             "the velocity jumps by most of what a number of 16 bits can be: it wraps, and nobody can tell how often",
             "log it as a number of 32 bits, or log the position",
         )
-    return summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
+    return log_mends.summed_up(log.scale("velocity", column.unit) * unwrapped, t_s, notes)
 
 
 def _drive_V(path: Path, u: Floats, one: LogColumn, log: LogFormat, rows: Sequence[int], notes: list[str]) -> Floats:
     """The drives in V, with their signs. Raises RecordingError for one that no bridge gives."""
     most = log.most(one.unit)
-    u = signed(u, most, "drives", notes)
+    u = log_mends.signed(u, most, "drives", notes)
     if most is not None and float(np.abs(u).max()) > most * _OVER + (one.unit == "pwm"):
         k = int(np.argmax(np.abs(u)))
         largest = abs(float(u[k]))
@@ -329,8 +296,8 @@ def _runs(
     if log.run is None:
         motion = raw["y_rad"] if "y_rad" in raw else raw["v_rad_per_s"]
         second = 1.0 if log.time is None else 1.0 / log.scale("time", log.time.unit)
-        times = unwrapped_clock(raw["t_s"], motion, second, [])
-        return [np.arange(run.start, run.stop) for run in runs_of(times)]
+        times = log_mends.unwrapped_clock(raw["t_s"], motion, second, [])
+        return [np.arange(run.start, run.stop) for run in log_mends.runs_of(times)]
     first = text.fields(rows[0] if header is None else header)
     place = _named_place(path, rows[0] if header is None else header, first, header is not None, "run", log.run)
     of_row = [text.fields(row) for row in rows]
@@ -450,7 +417,7 @@ def _numbered(choices: Mapping[str, LogColumn]) -> str:
     return " ".join(f"--{quantity} {k}:{one.unit}" for k, (quantity, one) in enumerate(choices.items(), 1))
 
 
-def _taken(choices: Mapping[str, LogColumn], called: Mapping[str, str], log: LogFormat) -> str:
+def _taken(called: Mapping[str, str], log: LogFormat) -> str:
     """One sentence: which column is what, in which unit."""
     beside = {
         "pwm": f"{log.full:g} is {log.supply_V:g} V" if log.full and log.supply_V else "",
@@ -460,7 +427,7 @@ def _taken(choices: Mapping[str, LogColumn], called: Mapping[str, str], log: Log
         "counts/s": f"{log.counts_per_turn:g} counts a turn" if log.counts_per_turn else "",
     }
     parts = [] if log.period_s is None else [f"each row is {log.period_s:g} s after the one before"]
-    for quantity, one in choices.items():
+    for quantity, one in log.columns().items():
         more = f" ({beside[one.unit]})" if beside.get(one.unit) else ""
         parts.append(f"{quantity} is column {called[quantity]}, {one.unit}{more}")
     parts += ["reversed"] if log.reversed else []

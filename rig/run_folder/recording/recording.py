@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,10 +66,10 @@ class Recording:
     stage: NDArray[np.str_]
     columns_present: tuple[str, ...]
     source: Path
-    meta: RunMeta
-    config_text: str | None
-    events: tuple[RunEvent, ...]
-    notes: tuple[str, ...]
+    meta: RunMeta = field(default_factory=RunMeta)
+    config_text: str | None = None
+    events: tuple[RunEvent, ...] = ()
+    notes: tuple[str, ...] = ()
     first_row: int = 0
     units_stated: bool = False
     drive_steps: tuple[Floats, Floats] | None = None
@@ -159,45 +159,24 @@ def from_columns(
     """
     given = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad, "t_u_s": t_u_s, "late_us": late_us}
     columns: Columns = {k: np.array(values, dtype=np.float64) for k, values in given.items() if values is not None}
-    return assembled(source, columns, range(1, t_s.size + 1), meta=meta, columns_present=tuple(columns))
+    recording = assembled(source, columns, range(1, t_s.size + 1), tuple(columns))
+    return recording if meta is None else replace(recording, meta=meta)
 
 
 def assembled(
-    source: Path,
-    columns: Columns,
-    numbers: Sequence[int],
-    *,
-    columns_present: tuple[str, ...],
-    meta: RunMeta | None = None,
-    notes: tuple[str, ...] = (),
-    units_stated: bool = False,
-    drive_steps: tuple[Floats, Floats] | None = None,
-    own_loop: OwnLoop | None = None,
+    source: Path, columns: Columns, numbers: Sequence[int], columns_present: tuple[str, ...], notes: Sequence[str] = ()
 ) -> Recording:
     """A recording from its known columns; it keeps these arrays and makes them read-only.
 
-    numbers       the line of each row, for messages
-    units_stated, drive_steps, own_loop  as in ``Recording``
+    numbers   the line of each row, for messages
     Raises RecordingError if times do not rise.
     """
     require_rising(source, columns["t_s"], numbers)
     _add_absent(columns, len(numbers))
     for array in columns.values():
         array.setflags(write=False)
-    return Recording(
-        **columns,
-        columns_present=columns_present,
-        source=source,
-        meta=meta or RunMeta(),
-        config_text=None,
-        events=(),
-        notes=notes,
-        first_row=0,
-        units_stated=units_stated,
-        drive_steps=drive_steps,
-        own_loop=own_loop,
-        slew_V_s=None,
-    )
+    arrays: dict[str, Any] = columns
+    return Recording(**arrays, source=source, columns_present=columns_present, notes=tuple(notes))
 
 
 def require_rising(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:

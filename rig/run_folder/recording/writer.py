@@ -24,17 +24,39 @@ import signal
 import stat
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from rig.core.memory_file import allocate
 from rig.core.plain_file import open_folder
 from rig.run_folder.recording import layout
-from rig.run_folder.recording.end_of_input import EndOfInput, end_of_input
 from rig.run_folder.recording.layout import ROW, SharedMemory
 from rig.run_folder.recording.sample_columns import HEADER, SampleRow, format_row
+
+
+class EndOfInput(Protocol):
+    """What can be waited for."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for the end, at most ``timeout`` seconds. Returns whether it has come."""
+
+
+def end_of_input() -> EndOfInput:
+    """The end of this process's standard input. A thread reads it, because not every system can poll a pipe."""
+    over = threading.Event()
+
+    def read() -> None:
+        with contextlib.suppress(OSError):
+            while os.read(0, 4096):
+                pass
+        over.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    return over
+
 
 SAMPLES: Final = "samples.csv"
 EVENTS: Final = "events.jsonl"

@@ -31,13 +31,13 @@ from rig.run_folder.results.event import DrivenSweep as DrivenSweep
 from rig.run_folder.results.event import FurtherTest as FurtherTest
 from rig.run_folder.results.event import JoggedLease as JoggedLease
 from rig.run_folder.results.event import KnownModel as KnownModel
+from rig.run_folder.results.event import LiveResult as LiveResult
 from rig.run_folder.results.event import MeasuredDelay as MeasuredDelay
 from rig.run_folder.results.event import RunEvent as RunEvent
+from rig.run_folder.results.event import StoppedResult as StoppedResult
 from rig.run_folder.results.identification import IdentificationResult as IdentificationResult
 from rig.run_folder.results.identification import MotorLawResult as MotorLawResult
 from rig.run_folder.results.identification import SamplingResult as SamplingResult
-from rig.run_folder.results.live import LiveResult as LiveResult
-from rig.run_folder.results.live import StoppedResult as StoppedResult
 from rig.run_folder.results.meta import DeviceSeen as DeviceSeen
 from rig.run_folder.results.meta import RealTimeReport as RealTimeReport
 from rig.run_folder.results.meta import RunMeta as RunMeta

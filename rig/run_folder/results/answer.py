@@ -6,11 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Protocol, TypeVar
 
-from pydantic import Field
-
 from rig.core.estimators import ESTIMATORS, LEADING
 from rig.run_folder.results.estimates import EstimateResult, FoundLawResult, LawFrameResult, known
-from rig.run_folder.results.part import Count, Number, Part, Text
+from rig.run_folder.results.part import Count, Number, Part, Text, key
 
 
 class GradedNumber(Part):
@@ -20,51 +18,47 @@ class GradedNumber(Part):
     fc_less_bias_V is what friction and bias together take from the drive that way.
     """
 
-    value: Number = Field(None, description="the number; null: not known")
-    u95: Number = Field(None, description="half width at 95 %, in the number's unit; null: not known")
-    grade: Text = Field(
-        "not known", description="exact: at most 2.5 %; good: at most 10 %; rough: at most 25 %; else not known"
-    )
+    value: Number = key("the number; null: not known")
+    u95: Number = key("half width at 95 %, in the number's unit; null: not known")
+    grade: Text = key("exact: at most 2.5 %; good: at most 10 %; rough: at most 25 %; else not known", "not known")
 
 
 class PredictsResult(Part):
     """How well the answer predicts blocks of the records that it was not fitted to, in four folds."""
 
-    error: Number = Field(None, description="RMS error over that of 'it stays as it was'; 0: exact")
-    linear_error: Number = Field(None, description="the same of a linear model without friction, in the same folds")
-    block_s: Number = Field(None, description="length of a block, s; its first 0.1 s shows its start")
-    blocks: Count | None = Field(None, description="number of blocks")
+    error: Number = key("RMS error over that of 'it stays as it was'; 0: exact")
+    linear_error: Number = key("the same of a linear model without friction, in the same folds")
+    block_s: Number = key("length of a block, s; its first 0.1 s shows its start")
+    blocks: Count | None = key("number of blocks")
 
 
 class HoldsResult(Part):
     """What the records hold: beyond it nothing was measured."""
 
-    drive_V: tuple[Number, Number] | None = Field(None, description="smallest and largest size of the drive, V")
-    speed_rad_s: tuple[Number, Number] | None = Field(None, description="smallest and largest speed in motion, rad/s")
-    travel_rad: tuple[Number, Number] | None = Field(None, description="lowest and highest position, rad")
-    ways: Text = Field("both", description="both, forward (rising positions) or backward")
+    drive_V: tuple[Number, Number] | None = key("smallest and largest size of the drive, V")
+    speed_rad_s: tuple[Number, Number] | None = key("smallest and largest speed in motion, rad/s")
+    travel_rad: tuple[Number, Number] | None = key("lowest and highest position, rad")
+    ways: Text = key("both, forward (rising positions) or backward", "both")
 
 
 class Answer(EstimateResult):
     """The numbers to use, by the most trusted method: with the laws that the tests show, where they show some."""
 
-    method: Text = Field("", description="the method that they come from")
-    law: tuple[FoundLawResult, ...] | None = Field(
-        None, description="what the motor has beyond tau, K and friction; []: nothing; null: nobody looked"
+    method: Text = key("the method that they come from", "")
+    law: tuple[FoundLawResult, ...] | None = key(
+        "what the motor has beyond tau, K and friction; []: nothing; null: nobody looked"
     )
-    law_frame: LawFrameResult | None = Field(None, description="what the numbers of these laws refer to")
-    u95: dict[str, Number] | None = Field(
-        None,
-        description="expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "
-        "seconds: the scatter of `ci95`, and what the tests do not exclude; null: not known",
+    law_frame: LawFrameResult | None = key("what the numbers of these laws refer to")
+    u95: dict[str, Number] | None = key(
+        "expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "
+        "seconds: the scatter of `ci95`, and what the tests do not exclude; null: not known"
     )
-    u95_absolute: dict[str, Number] | None = Field(
-        None,
-        description="the same in true volts, radians and seconds: with the errors of supply, calibration and clock",
+    u95_absolute: dict[str, Number] | None = key(
+        "the same in true volts, radians and seconds: with the errors of supply, calibration and clock"
     )
-    grade: dict[str, GradedNumber] | None = Field(None, description="how good each number is; null: nobody looked")
-    predicts: PredictsResult | None = Field(None, description="how well it predicts unseen motion; null: nobody looked")
-    holds: HoldsResult | None = Field(None, description="the drives, speeds and travel that the records hold")
+    grade: dict[str, GradedNumber] | None = key("how good each number is; null: nobody looked")
+    predicts: PredictsResult | None = key("how well it predicts unseen motion; null: nobody looked")
+    holds: HoldsResult | None = key("the drives, speeds and travel that the records hold")
 
     def at_95(self, name: str) -> tuple[float, float] | None:
         """As of an estimate, and as wide as u95 where that is known: what the tests do not exclude is in it, too."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from rig.run_folder.results.estimates import FoundLawResult, Interval, known
-from rig.run_folder.results.part import Count, Flag, Number, Part, Real, Text
+from rig.run_folder.results.part import Count, Flag, Number, Part, Real, Text, key
 
 
 class ComparedRunResult(Part):
@@ -13,15 +13,15 @@ class ComparedRunResult(Part):
 
     name: Text = Field(description="the run in messages and pictures")
     folder: Text = Field(description="its folder")
-    started_utc: Text | None = Field(None, description="when it started: ISO 8601, UTC")
-    temperature_C: Number = Field(None, description="given by `--temperature`")
+    started_utc: Text | None = key("when it started: ISO 8601, UTC")
+    temperature_C: Number = key("given by `--temperature`")
     bench: Count = Field(description="runs with one number are of one bench: what is common to them cancels")
     verdict: Text = Field(description="of its answer")
     tau_s: Real = Field(description="time constant, s")
     K_rad_s_V: Real = Field(description="gain, (rad/s)/V")
     fc_V: Real = Field(description="friction, V")
     ci95: dict[str, Interval] = Field(description="their 95 % intervals by Type A alone: low, high")
-    laws: tuple[FoundLawResult, ...] = Field((), description="laws of the motor that it shows")
+    laws: tuple[FoundLawResult, ...] = key("laws of the motor that it shows", ())
     off_percent: dict[str, Real] = Field(description="how far each parameter is off the others, % of their mean")
     off_ci95_percent: dict[str, Interval] = Field(
         description="its 95 % interval by Type A, and by what the runs do not share"
@@ -81,10 +81,10 @@ class ComparisonResult(Part):
     """The JSON of `rig compare`."""
 
     runs: tuple[ComparedRunResult, ...] = Field(description="the runs, by their start")
-    left_out: tuple[LeftOutResult, ...] = Field((), description="folders that could not be compared, and why")
+    left_out: tuple[LeftOutResult, ...] = key("folders that could not be compared, and why", ())
     level: Real = Field(description="probability of a false alarm of each answer")
     measurably: Difference = Field(description="whether they differ by more than the noise explains (Type A)")
     beyond_scatter: Difference = Field(description="whether they differ by more than one motor does from run to run")
     scatter: ScatterResult
-    trends: tuple[TrendResult, ...] = Field((), description="empty with fewer than three runs")
-    notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
+    trends: tuple[TrendResult, ...] = key("empty with fewer than three runs", ())
+    notes: tuple[Text, ...] = key("what else there is to know, in words", ())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rig.run_folder.results.part import Count, Number, Part, Real
+from rig.run_folder.results.part import Count, Number, Part, Real, key
 
 Row = tuple[Number, ...]
 
@@ -27,9 +27,9 @@ class DesignedSeconds(Part):
     """Seconds of test until the 95 % intervals of tau, K and f_c are so narrow; null: there is no such test."""
 
     interval_percent: Real = Field(description="half width of the intervals, % of the value")
-    strokes_s: Number = Field(None, description="of the strokes that are best for it, s")
-    pair_s: Number = Field(None, description="of the best two pairs of gains in turn, half of the time each, s")
-    single_s: Number = Field(None, description="of the best single pair of gains, s")
+    strokes_s: Number = key("of the strokes that are best for it, s")
+    pair_s: Number = key("of the best two pairs of gains in turn, half of the time each, s")
+    single_s: Number = key("of the best single pair of gains, s")
 
 
 class DesignedMap(Part):
@@ -81,11 +81,11 @@ class DesignResult(Part):
     motor: BelievedMotor
     room: DesignRoom
     wanted_percent: Real = Field(description="half width of the 95 % intervals that the map and the motion are for, %")
-    strokes: tuple[DesignedStroke, ...] = Field((), description="the best strokes; empty: none may be used")
-    gains: tuple[DesignedGains, ...] = Field(
-        (), description="the best two pairs of gains, the harder first; one: only one may be used; empty: none"
+    strokes: tuple[DesignedStroke, ...] = key("the best strokes; empty: none may be used", ())
+    gains: tuple[DesignedGains, ...] = key(
+        "the best two pairs of gains, the harder first; one: only one may be used; empty: none", ()
     )
-    single: DesignedGains | None = Field(None, description="the best single pair of gains")
-    until: tuple[DesignedSeconds, ...] = Field((), description="how long for what interval")
+    single: DesignedGains | None = key("the best single pair of gains")
+    until: tuple[DesignedSeconds, ...] = key("how long for what interval", ())
     map: DesignedMap
-    motion: DesignedMotion | None = Field(None, description="null: no strokes may be used")
+    motion: DesignedMotion | None = key("null: no strokes may be used")

@@ -1,18 +1,18 @@
-"""events.jsonl: one event per line, each with the keys of its kind."""
+"""events.jsonl: one event per line, each with the keys of its kind; and why the tests of `relay.until` ended."""
 
 from __future__ import annotations
 
 from pydantic import Field
 
 from rig.core.signals import BenchDelay
-from rig.run_folder.results.part import Count, JsonObject, Number, Part, Real, Sometimes, Text
+from rig.run_folder.results.part import Count, Flag, JsonObject, Number, Part, Real, Sometimes, Text, key
 
 
 class RunEvent(Part):
     """An event: its time, its kind, and in ``detail`` the keys of that kind."""
 
-    t_s: Number = Field(None, description="when, s since the run's start")
-    kind: Text = Field("", description="stage, gains, cycle, search, model, fault, stop, end, ...")
+    t_s: Number = key("when, s since the run's start")
+    kind: Text = key("stage, gains, cycle, search, model, fault, stop, end, ...", "")
 
     @property
     def detail(self) -> JsonObject:
@@ -99,9 +99,7 @@ class KnownModel(Part):
     K_rad_s_V: Real
     fc_V: Real
     bias_V: Real
-    half_travel_rad: Sometimes[Real] = Field(
-        None, description="half the travel that its laws refer to; without it the motor is plain"
-    )
+    half_travel_rad: Sometimes[Real] = key("half the travel that its laws refer to; without it the motor is plain")
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -121,3 +119,32 @@ class DrivenModel(KnownModel):
 
     method: Text
     further_delay_s: Real = 0.0
+
+
+class LiveResult(Part):
+    """An estimate while the tests ran: an event ``live``, and an entry of `stopped.live`."""
+
+    row: Count = key("the last row that it counts, from 0", 0)
+    of_s: Number = key("when that was sampled, s since the run's start")
+    tau_s: Number = key("time constant, s")
+    K_rad_s_V: Number = key("gain, (rad/s)/V")
+    fc_V: Number = key("friction, V")
+    tau_percent: Number = key("half width of the 95 % interval of tau, % of it")
+    K_percent: Number = key("half width of the 95 % interval of K, % of it")
+    fc_percent: Number = key("half width of the 95 % interval of f_c, % of it")
+    residual_over_noise: Number = key("RMS residual over the noise at rest")
+    laws: Text = key("names of the laws that are fitted with them, with commas between", "")
+    drives_differ: Flag = key("whether clearly different drives were seen", False)
+
+
+class StoppedResult(Part):
+    """Why the tests of a run with `relay.until` ended, and how the estimate narrowed until then."""
+
+    why: Text = key("in words", "")
+    known: Flag = key("whether they ended because the motor was known as well as asked for", False)
+    t_s: Number = key("when, s since the run's start")
+    tests_s: Number = key("since the first sample of the tests, s")
+    cycles: Count = key("swings to and fro in the tests", 0)
+    wanted_percent: Number = key("half width of the 95 % intervals that was asked for, %")
+    interval_percent: Number = key("the largest of tau, K and f_c at the last live estimate, %")
+    live: tuple[LiveResult, ...] = key("the live estimates, in their order", ())

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import Annotated, Final, TypeVar, cast
+from typing import Annotated, Any, Final, TypeVar, cast
 
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetJsonSchemaHandler,
     JsonValue,
     SerializerFunctionWrapHandler,
@@ -50,6 +51,11 @@ Sometimes = Annotated[_T | None, Mark.NOT_IN_EACH_FILE, Mark.NEVER_NULL]
 """A key that the file leaves out if it has no value."""
 Count = StrictInt
 Text = StrictStr
+
+
+def key(meaning: str, without: Any = None) -> Any:
+    """A key that a file may lack: what it means, and its value then. One that no file lacks is a ``Field``."""
+    return Field(without, description=meaning)
 
 
 class Part(BaseModel):

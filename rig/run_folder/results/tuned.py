@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
-from rig.run_folder.results.part import Count, Flag, Number, Part, Real, Sometimes, Text
+from rig.run_folder.results.part import Count, Flag, Number, Part, Real, Sometimes, Text, key
 
 
 class TunedPid(Part):
@@ -30,7 +30,7 @@ class TunedMargins(Part):
     """Margins of the loop that is broken at the motor's input."""
 
     phase_deg: Real = Field(description="phase margin, degrees")
-    gain_dB: Number = Field(None, description="gain margin, for more gain and for less, dB; null: there is none")
+    gain_dB: Number = key("gain margin, for more gain and for less, dB; null: there is none")
     modulus: Real = Field(description="least distance of the loop's response from -1")
 
 
@@ -39,10 +39,10 @@ class TunedMeasure(Part):
 
     meaning: Text = Field(description="in words")
     unit: Text = Field(description="of all numbers")
-    median: Number = Field(None, description="over the drawn motors")
+    median: Number = key("over the drawn motors")
     interval95: tuple[Number, Number] = Field(description="that holds a next motor's value in 95 %")
-    bench: Sometimes[Number] = Field(None, description="of the bench")
-    inside: Sometimes[Flag] = Field(None, description="whether the interval holds the bench's value")
+    bench: Sometimes[Number] = key("of the bench")
+    inside: Sometimes[Flag] = key("whether the interval holds the bench's value")
 
 
 class TunedCurve(Part):
@@ -53,9 +53,9 @@ class TunedCurve(Part):
     low: tuple[Real, ...] = Field(description="2.5 % of the drawn motors are below")
     median: tuple[Real, ...] = Field(description="median of the drawn motors")
     high: tuple[Real, ...] = Field(description="2.5 % are above")
-    reference: Sometimes[tuple[Real, ...]] = Field(None, description="the set-point")
-    bench_t_s: Sometimes[tuple[Real, ...]] = Field(None, description="times of the bench, s")
-    bench: Sometimes[tuple[Real, ...]] = Field(None, description="the bench's values")
+    reference: Sometimes[tuple[Real, ...]] = key("the set-point")
+    bench_t_s: Sometimes[tuple[Real, ...]] = key("times of the bench, s")
+    bench: Sometimes[tuple[Real, ...]] = key("the bench's values")
 
 
 class TunedResponse(Part):
@@ -83,4 +83,4 @@ class TunedResult(Part):
     curves: dict[str, TunedCurve] = Field(description="step, drive (during the step) and tracking (error)")
     responses: tuple[TunedResponse, ...] = Field(description="of the identified motor, then of each corner")
     law: dict[str, Any] = Field(description="name and options, for the section `law` of a config")
-    beyond: Sometimes[Text] = Field(None, description="where the trial goes beyond what the motor was measured over")
+    beyond: Sometimes[Text] = key("where the trial goes beyond what the motor was measured over")

@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean, median, stdev
-from types import TracebackType
 from typing import Any, Self
 
 from rig.backends.registry import Bench, backend_of, connect
@@ -20,8 +19,7 @@ from rig.core.faults import Fault
 from rig.core.signals import Sample
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.recording.sink import NullSink
-from rig.running.calibrate.dialogue import Hold, Motion, Pose, Read, Reading, SetZero, Strokes, StrokesSeen
-from rig.running.calibrate.refusal import Refusal, stopped
+from rig.running.calibrate import dialogue
 from rig.running.experiment import zero
 from rig.running.experiment.script import run_breakaway
 from rig.running.preflight.loop_settings import guard_settings_of
@@ -55,12 +53,10 @@ class HandBench:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
-    def perform(self, request: Motion) -> Any:
+    def perform(self, request: dialogue.Motion) -> Any:
         """What the request wants.
 
         Raises Refusal for a fault of link, device or guard, and for a Stop, for the dialogue: the bench is opened anew
@@ -72,26 +68,26 @@ class HandBench:
             self._close()
             if fault.code == "INTERRUPTED":
                 self._flag.forget()
-                raise Refusal(stopped(fault), "measure again, or leave this step out") from fault
-            raise Refusal(str(fault), fault.cure) from fault
+                raise dialogue.Refusal(dialogue.stopped(fault), "measure again, or leave this step out") from fault
+            raise dialogue.Refusal(str(fault), fault.cure) from fault
 
-    def _perform(self, request: Motion) -> Any:
+    def _perform(self, request: dialogue.Motion) -> Any:
         match request:
-            case Read():
+            case dialogue.Read():
                 return self._read(request)
-            case SetZero():
+            case dialogue.SetZero():
                 self._close()
                 if not self._is_emulated:  # there the hand has done it
                     zero.by_hand(request.experiment, 0.0)
                 return None
-            case Strokes():
+            case dialogue.Strokes():
                 self._close()
                 self._flag.check()  # a Stop since the last drive: who asked was told that nothing drives
                 seen = _strokes(request.experiment, self._runs, self._stop_or_gone)
                 if seen.fault is not None and seen.fault.code == "INTERRUPTED":
                     self._flag.forget()
                 return seen
-            case Hold():
+            case dialogue.Hold():
                 self._close()
                 e = _motor_off(request.experiment) if self._is_emulated else request.experiment
                 return _hold(e, request, self._flag, self._gone)
@@ -105,7 +101,7 @@ class HandBench:
         self._bench = None
         self._stack.close()
 
-    def _read(self, request: Read) -> Reading:
+    def _read(self, request: dialogue.Read) -> dialogue.Reading:
         self._readings += 1
         if self._is_emulated:
             with connect(_turned_by_hand(request.experiment, request.pose, self._readings).device) as bench:
@@ -115,7 +111,7 @@ class HandBench:
         return _reading(self._bench, request.experiment.period_s)
 
 
-def _turned_by_hand(e: Experiment, pose: Pose, number: int) -> Experiment:
+def _turned_by_hand(e: Experiment, pose: dialogue.Pose, number: int) -> Experiment:
     """The emulated bench with its shaft at this pose."""
     if e.emulated is None:
         raise ValueError("only an emulated bench has this hand")
@@ -128,7 +124,7 @@ def _turned_by_hand(e: Experiment, pose: Pose, number: int) -> Experiment:
     return e.model_copy(update={"emulated": emulated, "daq": daq, "seed": (e.seed + number) % 2**31})
 
 
-def _reading(bench: Bench, period_s: float) -> Reading:
+def _reading(bench: Bench, period_s: float) -> dialogue.Reading:
     counts: list[int] = []
     due_s = bench.clock.now_s()
     for _ in range(_SAMPLES):
@@ -136,19 +132,21 @@ def _reading(bench: Bench, period_s: float) -> Reading:
         bench.clock.sleep_until(due_s)
         counts.append(bench.driver.read().y_counts)
     half = _SAMPLES // 2
-    return Reading(median(counts), stdev(counts), fmean(counts[half:]) - fmean(counts[:half]), bench.info.board)
+    return dialogue.Reading(
+        median(counts), stdev(counts), fmean(counts[half:]) - fmean(counts[:half]), bench.info.board
+    )
 
 
-def _strokes(e: Experiment, runs: Path, gone: Gone) -> StrokesSeen:
+def _strokes(e: Experiment, runs: Path, gone: Gone) -> dialogue.StrokesSeen:
     try:
         outcome = run_breakaway(e, runs, gone=gone)
     except Fault as fault:  # the bench could not be opened
-        return StrokesSeen(fault, math.nan, math.nan, "")
+        return dialogue.StrokesSeen(fault, math.nan, math.nan, "")
     found = outcome.result.breakaway
     seen = (None, None) if found is None else (found.seen_plus_V, found.seen_minus_V)
     plus_V, minus_V = (math.nan if level is None else level for level in seen)
     notes = tuple(note for note in outcome.result.notes if not note.startswith("loop: "))  # of the bench alone
-    return StrokesSeen(outcome.fault, plus_V, minus_V, str(outcome.folder), notes)
+    return dialogue.StrokesSeen(outcome.fault, plus_V, minus_V, str(outcome.folder), notes)
 
 
 def _motor_off(e: Experiment) -> Experiment:
@@ -159,7 +157,7 @@ def _motor_off(e: Experiment) -> Experiment:
     return e.model_copy(update={"emulated": e.emulated.model_copy(update={"wiring": wiring})})
 
 
-def _hold(e: Experiment, request: Hold, flag: StopFlag, gone: Gone | None = None) -> float:
+def _hold(e: Experiment, request: dialogue.Hold, flag: StopFlag, gone: Gone | None = None) -> float:
     """How far the shaft turned, rad. Nothing is recorded."""
     d = e.device
     law = _Held(request.u_V, request.seconds, e.breakaway.motion_rad)

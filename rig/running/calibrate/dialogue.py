@@ -1,27 +1,44 @@
-"""What a calibration asks for, as data: questions, readings, strokes. A terminal or a page brings the answers.
+"""What a calibration asks for: questions, readings, strokes. A terminal or a page brings the answers.
 
-A step is a generator: it yields one of these requests, and is sent what the request says that it wants. ``session``
-goes through them.
-
-    dialogue = calibration(draft, steps)
-    request = next(dialogue)
-    while True:
-        request = dialogue.send(answer to request)     # StopIteration brings the finished draft
-
-To leave a step out, throw ``Skipped`` at a question instead of an answer. If a reading fails, throw the ``Refusal``:
-the step shows it, and asks again.
+A step gets a ``Talk``: through it, it says, asks, reads and drives, and knows no terminal and no device. A question may
+raise ``Skipped``, which leaves the step out; a reading a ``Refusal``: the step shows it, and asks again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal, Protocol
 
 from rig.config.schema import Experiment
-from rig.core.errors import RigError
+from rig.core.errors import CauseError, RigError
 from rig.core.faults import Fault
 from rig.running.calibrate.wiring import Wiring
+
+ALONE: Final = "the panel fell silent"
+"""Why what a panel has let drive was ended: nobody is there who could stop it."""
+
+
+def stopped(fault: Fault) -> str:
+    """What to say of a drive that was ended by this fault, INTERRUPTED."""
+    return f"{ALONE if fault.detail == ALONE else 'stopped'}: the drive is at 0 V"
+
+
+class Refusal(CauseError):
+    """What cannot be used, and drawings of the wires to look at."""
+
+    def __init__(self, cause: str, cure: str, drawings: tuple[Wiring, ...] = ()) -> None:
+        super().__init__(cause, cure)
+        self.drawings = drawings
+
+
+class NotMovedError(Refusal):
+    """The reading stood still while the shaft turned."""
+
+
+SayKind = Literal["step", "found", "note", "refused"]
+AskKind = Literal["enter", "angle", "number", "choice"]
+Pairs = tuple[tuple[str, str], ...]
 
 Pose = float | Literal["low stop", "high stop"]
 """Where a hand has turned the shaft to, rad; an emulated bench has no other hand than this."""
@@ -40,7 +57,7 @@ class Say:
     """
 
     words: str
-    kind: Literal["step", "found", "note", "refused"] = "note"
+    kind: SayKind = "note"
     drawings: tuple[Wiring, ...] = ()
 
 
@@ -56,11 +73,11 @@ class Ask:
     """
 
     words: str
-    kind: Literal["enter", "angle", "number", "choice"] = "enter"
+    kind: AskKind = "enter"
     default: str = ""
-    choices: tuple[tuple[str, str], ...] = ()
+    choices: Pairs = ()
     empty: str = ""
-    commands: tuple[tuple[str, str], ...] = ()
+    commands: Pairs = ()
     skips: bool = True
 
 
@@ -133,6 +150,60 @@ class Hold:
 Motion = Read | SetZero | Strokes | Hold
 """What the bench does. ``Strokes`` and ``Hold`` drive: each comes after a question to which somebody has said yes."""
 
-Request = Say | Ask | Motion
 
-Dialogue = Generator[Request, Any, Any]
+class Front(Protocol):
+    """What shows and asks."""
+
+    def say(self, what: Say) -> None:
+        """Show it."""
+
+    def ask(self, question: Ask) -> str:
+        """The answer as text. Raises Skipped; NotWrittenError if somebody ends the calibration."""
+
+    def does(self, motion: Motion) -> None:
+        """Rig is about to read or to drive."""
+
+    def writes(self) -> None:
+        """Rig is about to write the config: from here on nobody may say that nothing is written."""
+
+
+class Talk:
+    """Who answers, and the bench, as a step sees both.
+
+    front    shows and asks
+    bench    does readings and strokes: ``HandBench.perform``
+    """
+
+    def __init__(self, front: Front, bench: Callable[[Motion], Any]) -> None:
+        self._front, self._bench = front, bench
+
+    def say(self, words: str, kind: SayKind = "note", drawings: tuple[Wiring, ...] = ()) -> None:
+        """Show this; as of ``Say``."""
+        self._front.say(Say(words, kind, drawings))
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Show why something is refused."""
+        self.say(f"{refusal.cause}\n{refusal.cure}", "refused", refusal.drawings)
+
+    def ask(self, words: str, kind: AskKind = "enter", **more: Any) -> str:
+        """The answer; as of ``Ask``. Raises Skipped, and what ``Front.ask`` does."""
+        return self._front.ask(Ask(words, kind, **more))
+
+    def choice(self, before: Say | None, words: str, choices: Pairs) -> str:
+        """One of these answers; the first is the default."""
+        if before is not None:
+            self._front.say(before)
+        names = [name for name, _ in choices]
+        while True:
+            answer = self.ask(words, "choice", default=names[0], choices=choices).strip().lower()
+            if answer == "":
+                return names[0]
+            meant = [name for name in names if name.startswith(answer)]
+            if len(meant) == 1:
+                return meant[0]
+            self.refuse(Refusal(f"{answer!r} is no answer here", f"type one of {', '.join(names)}"))
+
+    def perform(self, motion: Motion) -> Any:
+        """What this motion wants. Raises Refusal."""
+        self._front.does(motion)
+        return self._bench(motion)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
 
 from rig.backends.links.device_file import require_device_file
 from rig.backends.links.usb_port import usb_port
@@ -17,15 +15,10 @@ from rig.config.problems import ConfigError
 from rig.control.loop.stop_request import Gone
 from rig.core.errors import CauseError
 from rig.run_folder.live.stop_flag import StopFlag
-from rig.running.calibrate.dialogue import Ask, Motion, Say, Skipped
-from rig.running.calibrate.draft import Draft
-from rig.running.calibrate.refusal import Refusal
-from rig.running.calibrate.save import require_writable, save
+from rig.running.calibrate.dialogue import Ask, Front, Say, Skipped, Talk
+from rig.running.calibrate.draft import Draft, require_writable, save
 from rig.running.calibrate.steps import calibration
 from rig.running.preflight import preflight
-
-if TYPE_CHECKING:
-    from rig.running.calibrate.bench import HandBench
 
 _NEEDED_BEFORE = ("daq", "drive.bridge", "emulated", "loop.pace")  # keys without which no device can be opened
 
@@ -34,22 +27,6 @@ class NotWrittenError(CauseError):
     """The calibration ended and nothing is written."""
 
     status = 1
-
-
-class Front(Protocol):
-    """What shows and asks."""
-
-    def say(self, what: Say) -> None:
-        """Show it."""
-
-    def ask(self, question: Ask) -> str:
-        """The answer as text. Raises Skipped; NotWrittenError if somebody ends the calibration."""
-
-    def does(self, motion: Motion) -> None:
-        """Rig is about to read or to drive."""
-
-    def writes(self) -> None:
-        """Rig is about to write the config: from here on nobody may say that nothing is written."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +100,8 @@ def calibrate(
         raise NotWrittenError(error.cause, error.cure) from error
     except OSError as error:
         raise NotWrittenError(f"{file}: {error.strerror}", "check the path") from error
-    found = _measured(opened.draft, steps, front, partial(HandBench, opened.draft.original, runs, flag, gone))
+    with HandBench(opened.draft.original, runs, flag, gone) as bench:
+        found = calibration(Talk(front, bench.perform), opened.draft, steps)
     problems = tuple(map(str, preflight(found.experiment).problems))
     if not found.changes:
         front.say(Say(f"{file}: nothing to change"))
@@ -141,29 +119,6 @@ def calibrate(
     except OSError as error:
         raise NotWrittenError(f"{file}: cannot be written: {error.strerror}", f"{file} is as it was") from error
     return Finished(found, backup, problems)
-
-
-def _measured(draft: Draft, steps: Sequence[str], front: Front, bench_of: Callable[[], HandBench]) -> Draft:
-    """The draft after the steps."""
-    dialogue = calibration(draft, steps)
-    with bench_of() as bench:
-        try:
-            request = next(dialogue)
-            while True:
-                try:
-                    if isinstance(request, Say):
-                        front.say(request)
-                        request = dialogue.send(None)
-                    elif isinstance(request, Ask):
-                        request = dialogue.send(front.ask(request))
-                    else:
-                        front.does(request)
-                        request = dialogue.send(bench.perform(request))
-                except (Skipped, Refusal) as instead:
-                    request = dialogue.throw(instead)
-        except StopIteration as end:
-            found: Draft = end.value
-            return found
 
 
 def _yes(front: Front, words: str) -> bool:

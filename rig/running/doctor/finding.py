@@ -29,6 +29,30 @@ class Finding:
         object.__setattr__(self, "words", plain(self.words))  # it may quote a port's name or a device
         object.__setattr__(self, "cure", plain(self.cure))
 
+    def lines(self) -> list[str]:
+        """For people: what was found, and what to type."""
+        return [f"{self.state:>5}  {self.topic}: {self.words}", *([f"       -> {self.cure}"] if self.cure else [])]
+
     def as_dict(self) -> dict[str, str]:
         """As `rig doctor --json` prints it."""
         return asdict(self)
+
+
+def good(topic: str, words: str, cure: str = "") -> Finding:
+    """As it should be."""
+    return Finding(topic, "good", words, cure)
+
+
+def note(topic: str, words: str, cure: str = "") -> Finding:
+    """Neither good nor bad."""
+    return Finding(topic, "note", words, cure)
+
+
+def poor(topic: str, words: str, cure: str = "") -> Finding:
+    """The loop runs, but later or less reliably."""
+    return Finding(topic, "poor", words, cure)
+
+
+def bad(topic: str, words: str, cure: str = "") -> Finding:
+    """It will not hold."""
+    return Finding(topic, "bad", words, cure)

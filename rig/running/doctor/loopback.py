@@ -20,7 +20,7 @@ from rig.backends.serial.loopback import REPEATS, WATCHDOG_MS, Measured, Share, 
 from rig.core.package import VERSION
 from rig.core.signals import percent
 from rig.run_folder.live.stop_flag import StopFlag
-from rig.running.doctor.finding import Finding
+from rig.running.doctor.finding import Finding, bad, good, note, poor
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.run_folder.results import JsonObject
@@ -94,15 +94,14 @@ def judge(found: Measured) -> Iterator[Finding]:
     if found.clock_ppm is not None:
         yield _clock(found.clock_ppm, BOARDS.get(hello.board, ""))
     if not found.wired:
-        yield Finding(
+        yield bad(
             "wires",
-            "bad",
             f"the e-stop's input does not follow the board's own pin: the wire {wires.estop} is missing, or a contact "
             "is wired there. So the board refuses, and nothing has been driven",
             "take the board off its bench, and put in the three wires that are drawn above",
         )
         return
-    yield Finding("wires", "good", f"{wires.estop}: the e-stop's input follows the board's own pin")
+    yield good("wires", f"{wires.estop}: the e-stop's input follows the board's own pin")
     yield from _pulses(found, wires)
     if found.other_session is not None:
         yield _session(found.other_session)
@@ -114,35 +113,33 @@ def _who(hello: Hello) -> Finding:
     bridge = BRIDGES.get(hello.bridge, "none")
     words = f"{board}, build {hello.build_text}, bridge {bridge}, last reset: {hello.reset_words}"
     if hello.build_text != f"{board} {VERSION}":
-        return Finding(
-            "board", "note", f"{words}; this rig is {VERSION}", "flash it with this rig before you send a report"
-        )
-    return Finding("board", "good", words)
+        return note("board", f"{words}; this rig is {VERSION}", "flash it with this rig before you send a report")
+    return good("board", words)
 
 
 def _opening(found: Measured) -> Finding:
     if found.opening_reset:
-        return Finding("opening", "note", "the board had just started: opening its port restarts it, as an Uno's does")
-    return Finding("opening", "note", "opening the port did not restart the board")
+        return note("opening", "the board had just started: opening its port restarts it, as an Uno's does")
+    return note("opening", "opening the port did not restart the board")
 
 
 def _round_trips(took_s: Sequence[float]) -> Finding:
     longest_s = max(took_s)
     words = f"{1e3 * median(took_s):.2f} / {1e3 * longest_s:.2f} ms (median / largest of {len(took_s)})"
     if longest_s > 0.5e-3 * WATCHDOG_MS:
-        return Finding("round trip", "poor", words, "close other programs; `rig doctor CONFIG` looks for the cause")
-    return Finding("round trip", "good", words)
+        return poor("round trip", words, "close other programs; `rig doctor CONFIG` looks for the cause")
+    return good("round trip", words)
 
 
 def _clock(ppm: float, board: str) -> Finding:
     words = f"{ppm:+.0f} ppm against this machine's"
     if abs(ppm) > _BAD_CLOCK_PPM:
-        return Finding("clock", "bad", words, "this is no 16 MHz (Uno) or 12 MHz (Pico) board: no time of it is true")
+        return bad("clock", words, "this is no 16 MHz (Uno) or 12 MHz (Pico) board: no time of it is true")
     if abs(ppm) > _CLOCK_PPM.get(board, _BAD_CLOCK_PPM):
-        return Finding(
-            "clock", "poor", f"{words}: more than such boards have", "rig measures it at each start and makes up for it"
+        return poor(
+            "clock", f"{words}: more than such boards have", "rig measures it at each start and makes up for it"
         )
-    return Finding("clock", "good", words)
+    return good("clock", words)
 
 
 # ---------------------------------------------------------------------- drive
@@ -160,11 +157,9 @@ def _pulses(found: Measured, wires: Wires) -> Iterator[Finding]:
         counted, due = found.ticks
         words = f"{counted} control ticks in {due} ms"
         if abs(counted - due) > 1:
-            yield Finding(
-                "ticks", "bad", f"{words}: some were left out", "the firmware does not keep up: send the report"
-            )
+            yield bad("ticks", f"{words}: some were left out", "the firmware does not keep up: send the report")
         else:
-            yield Finding("ticks", "good", words)
+            yield good("ticks", words)
 
 
 def _is_pulsing(share: Share, end: int) -> bool:
@@ -182,7 +177,7 @@ def _output(shares: Sequence[Share], bridge: str, end: int, wire: Wire) -> Findi
     rows = list(zip(shares, wanted, strict=True))
     told = ", ".join(f"{100.0 * share.ends[end]:.1f} % at {100.0 * share.drive:+.0f} %" for share in shares)
     if all(_fits(share.ends[end], want[end]) for share, want in rows):
-        return Finding(topic, "good", f"high for {told} of full duty")
+        return good(topic, f"high for {told} of full duty")
     if all(_fits(share.outputs[end], want[end]) for share, want in rows):
         if all(_fits(share.ends[end], want[1 - end]) for share, want in rows):
             words = f"{wire.end} sees the other output: the wires are swapped"
@@ -190,7 +185,7 @@ def _output(shares: Sequence[Share], bridge: str, end: int, wire: Wire) -> Findi
             words = f"{wire.output} itself is right, but {wire.end} is high all the time: the wire {wire} is missing"
         else:
             words = f"{wire.output} itself is right, but {wire.end} sees something else: {told}"
-        return Finding(topic, "bad", words, f"put a wire from {wire.output} to {wire.end}")
+        return bad(topic, words, f"put a wire from {wire.output} to {wire.end}")
     seen = [share.outputs[end] for share in shares]
     pairs = zip(seen, shares, strict=True)
     told = ", ".join(f"{100.0 * high:.1f} % at {100.0 * share.drive:+.0f} %" for high, share in pairs)
@@ -202,7 +197,7 @@ def _output(shares: Sequence[Share], bridge: str, end: int, wire: Wire) -> Findi
         words = f"there are no pulses: high for {told}; right is {right}"
     else:
         words = f"the PWM is wrong: high for {told}; right is {right}"
-    return Finding(topic, "bad", words, "never connect this board to a bridge; flash it anew, and send the report")
+    return bad(topic, words, "never connect this board to a bridge; flash it anew, and send the report")
 
 
 # ---------------------------------------------------------------------- sessions, silence, e-stop, reset
@@ -210,18 +205,15 @@ def _output(shares: Sequence[Share], bridge: str, end: int, wire: Wire) -> Findi
 
 def _session(code: int) -> Finding:
     if code == Code.SESSION:
-        return Finding("session", "good", "it arms for its own session alone")
+        return good("session", "it arms for its own session alone")
     said = "armed" if code == Code.NONE else f"said {code_name(code)}"
-    return Finding(
-        "session", "bad", f"asked to arm for another session, it {said}", "flash it anew, and send the report"
-    )
+    return bad("session", f"asked to arm for another session, it {said}", "flash it anew, and send the report")
 
 
 def _stops(found: Measured) -> Iterator[Finding]:
     if not found.watchdog:
-        yield Finding(
+        yield bad(
             "watchdog",
-            "bad",
             "not measured, nor e-stop and reset: no pulses come through a wire, so nobody would see them end",
             "first put right what is said of the drive above",
         )
@@ -237,7 +229,7 @@ def _stops(found: Measured) -> Iterator[Finding]:
     )
     estop = _ended("e-stop", found.estop, (-math.inf, _ESTOP_S), Code.E_STOP, "after its contact opened")
     if estop.state == "good" and found.estop_refused != Code.E_STOP:
-        estop = Finding("e-stop", "bad", "with the e-stop open it arms", "flash it anew, and send the report")
+        estop = bad("e-stop", "with the e-stop open it arms", "flash it anew, and send the report")
     yield estop
     if found.restart is not None:
         yield _restarted(found)
@@ -248,17 +240,15 @@ def _ended(topic: str, trips: Sequence[Trip], within_s: tuple[float, float], cod
     cure = "never connect this board to a motor; flash it anew, and send the report"
     if any(trip.after_s is None for trip in trips):
         number = sum(trip.after_s is None for trip in trips)
-        return Finding(
-            topic, "bad", f"does not trip: in {number} of {len(trips)} tries the drive went on {words}", cure
-        )
+        return bad(topic, f"does not trip: in {number} of {len(trips)} tries the drive went on {words}", cure)
     times_s = [max(trip.after_s or 0.0, 0.0) for trip in trips]
     told = f"the last pulse came {1e3 * min(times_s):.2f} to {1e3 * max(times_s):.2f} ms {words}"
     if not within_s[0] <= min(times_s) or max(times_s) > within_s[1]:
-        return Finding(topic, "bad", told, cure)
+        return bad(topic, told, cure)
     wrong = {trip.fault for trip in trips} - {int(code)}
     if wrong:
-        return Finding(topic, "bad", f"{told}; but the board says {', '.join(map(code_name, sorted(wrong)))}", cure)
-    return Finding(topic, "good", f"{told}, {len(trips)} times")
+        return bad(topic, f"{told}; but the board says {', '.join(map(code_name, sorted(wrong)))}", cure)
+    return good(topic, f"{told}, {len(trips)} times")
 
 
 def _restarted(found: Measured) -> Finding:
@@ -266,9 +256,8 @@ def _restarted(found: Measured) -> Finding:
     assert restart is not None
     after_s = restart.after_s
     if after_s is None:
-        return Finding(
+        return bad(
             "reset",
-            "bad",
             "its main loop hung, as asked, and the board never came back: the hardware watchdog does not reset it",
             "press its reset. An old Nano's boot loader can do this: burn a newer one",
         )
@@ -276,7 +265,7 @@ def _restarted(found: Measured) -> Finding:
     if restart.causes:
         words += f" (reset: {restart.causes})"
     if not restart.forgot or restart.refused == Code.NONE:
-        return Finding("reset", "bad", f"{words}, but it still knows the session from before", "send the report")
+        return bad("reset", f"{words}, but it still knows the session from before", "send the report")
     words += ", not armed, its session forgotten"
     slow = after_s > (_BOOT_S if found.opening_reset else _RESET_S)
     return Finding("reset", "poor" if slow else "good", words, "a quicker boot loader helps" if slow else "")
@@ -362,10 +351,7 @@ def write_report(visit: Visit, port: str, folder: Path, now: datetime) -> Path:
     made.mkdir(parents=True)
     (made / "report.json").write_text(json.dumps(as_dict(visit, port, now), indent=1) + "\n", encoding="utf-8")
     lines = [DRAWING, "", f"rig {VERSION}, {now:%Y-%m-%d %H:%M}, {_machine()}, {_behind(port)}", ""]
-    for finding in visit.findings:
-        lines.append(f"{finding.state:>5}  {finding.topic}: {finding.words}")
-        if finding.cure:
-            lines.append(f"       -> {finding.cure}")
+    lines += [line for finding in visit.findings for line in finding.lines()]
     (made / "report.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return made
 

@@ -20,7 +20,7 @@ from rig.backends.links.usb_port import LATENCY_MS, usb_port
 from rig.control.loop import kernel_workers as kernel_workers_module
 from rig.control.loop.kernel_workers import workers
 from rig.control.loop.real_time import real_time
-from rig.running.doctor.finding import Finding, State
+from rig.running.doctor.finding import Finding, State, bad, good, note, poor
 
 ROOT = Path("/")
 _FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
@@ -61,12 +61,11 @@ def kernel(root: Path = ROOT) -> Finding:
     """Whether the kernel can be interrupted while it works for other programs."""
     release, build = platform.release(), platform.version()
     if _text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in build:
-        return Finding("kernel", "good", f"{release}, fully preemptible (PREEMPT_RT)")
+        return good("kernel", f"{release}, fully preemptible (PREEMPT_RT)")
     if "PREEMPT" in build:
-        return Finding("kernel", "good", f"{release}, preemptible")
-    return Finding(
+        return good("kernel", f"{release}, preemptible")
+    return note(
         "kernel",
-        "note",
         f"{release}, not preemptible: a wake-up can wait for milliseconds while the kernel works for other programs",
         "if the wake-ups measured below are too late, install a preemptible kernel: in Debian `sudo apt install "
         "linux-image-rt-amd64`",
@@ -77,12 +76,10 @@ def clock_source(root: Path = ROOT) -> Finding:
     """The kernel's source of time; with some, each reading costs a microsecond or more."""
     source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source is None:
-        return Finding("clock", "note", "the kernel does not say what it reads the time from")
+        return note("clock", "the kernel does not say what it reads the time from")
     if source in _FAST_CLOCKS:
-        return Finding("clock", "good", f"read from {source}")
-    return Finding(
-        "clock", "poor", f"read from {source}, which is slow", "boot with `tsc=reliable`, if the machine has a TSC"
-    )
+        return good("clock", f"read from {source}")
+    return poor("clock", f"read from {source}, which is slow", "boot with `tsc=reliable`, if the machine has a TSC")
 
 
 def governor(root: Path = ROOT) -> Finding:
@@ -90,13 +87,12 @@ def governor(root: Path = ROOT) -> Finding:
     files = sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor"))
     governors = Counter(filter(None, map(_text, files)))
     if not governors:
-        return Finding("governor", "good", "no frequency scaling on this machine")
+        return good("governor", "no frequency scaling on this machine")
     words = ", ".join(f"{name} on {count} cores" for name, count in sorted(governors.items()))
     if set(governors) == {"performance"}:
-        return Finding("governor", "good", words)
-    return Finding(
+        return good("governor", words)
+    return poor(
         "governor",
-        "poor",
         f"{words}: a core that slows down while the loop sleeps wakes it late",
         "`echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor`, until the next boot",
     )
@@ -107,17 +103,14 @@ def cores(root: Path = ROOT) -> Finding:
     count = os.cpu_count() or 1
     flags = _text(root / "proc/cpuinfo") or ""
     if any("hypervisor" in line.split() for line in flags.splitlines() if line.startswith("flags")):
-        return Finding(
+        return note(
             "cores",
-            "note",
             f"{count}, of a virtual machine: others on its host can stop it for milliseconds at any time",
             "for a real motor use a machine that is not virtual",
         )
     if count == 1:
-        return Finding(
-            "cores", "poor", "1: the recorder runs on the loop's core", "use a machine with two cores or more"
-        )
-    return Finding("cores", "good", f"{count}")
+        return poor("cores", "1: the recorder runs on the loop's core", "use a machine with two cores or more")
+    return good("cores", f"{count}")
 
 
 def scheduling() -> Iterator[Finding]:
@@ -125,10 +118,10 @@ def scheduling() -> Iterator[Finding]:
     with real_time() as done:
         pass
     for line in done.granted:
-        yield Finding("real time", "good", line)
+        yield good("real time", line)
     for line in done.refused:
         words, _, cure = line.partition(": ")
-        yield Finding("real time", "poor", words, cure)
+        yield poor("real time", words, cure)
 
 
 def kernel_workers(root: Path = ROOT) -> Finding:
@@ -138,13 +131,12 @@ def kernel_workers(root: Path = ROOT) -> Finding:
     policies = (text.rpartition(")")[2].split()[38:39] for text in stats)
     raised = sum(policy == [_FIFO] for policy in policies)
     if raised == 0:
-        return Finding("workers", "good", "the kernel's workers have their ordinary priority")
+        return good("workers", "the kernel's workers have their ordinary priority")
     keeper = Path(kernel_workers_module.__file__).name
     if any(keeper in (_text(line) or "") for line in (root / "proc").glob("[0-9]*/cmdline")):
-        return Finding("workers", "note", f"{raised} of the kernel's workers go first, for a run in progress")
-    return Finding(
+        return note("workers", f"{raised} of the kernel's workers go first, for a run in progress")
+    return poor(
         "workers",
-        "poor",
         f"{raised} of the kernel's workers have real-time priority, and no run that raised them is left: it was killed",
         "`for p in $(pgrep '^kworker/u'); do sudo chrt --other --pid 0 $p; done`, or restart the machine",
     )
@@ -154,11 +146,8 @@ def serial_ports() -> Iterator[Finding]:
     """The serial ports of this machine, and whether this user may open them."""
     ports = sorted(port.device for port in list_ports.comports())
     if not ports:
-        yield Finding(
-            "serial port",
-            "note",
-            "none is there",
-            "if the board should be there, plug it in with a cable that has data wires",
+        yield note(
+            "serial port", "none is there", "if the board should be there, plug it in with a cable that has data wires"
         )
     for device in ports:
         yield serial_port(Path(device))
@@ -174,11 +163,11 @@ def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Fin
     found, words = port.adapter, port.words
     if found is None:
         against = "" if reckoned is None else f"; the config's sums are made with daq.adapter: {reckoned}"
-        return Finding(_ADAPTER, "note", f"{words}{against}")
+        return note(_ADAPTER, f"{words}{against}")
     if reckoned is None:
-        return Finding(_ADAPTER, "good", f"{words}; daq.adapter: {found}")
+        return good(_ADAPTER, f"{words}; daq.adapter: {found}")
     if reckoned == found:
-        return Finding(_ADAPTER, "good", f"{words}, as the sums have it ({found})")
+        return good(_ADAPTER, f"{words}, as the sums have it ({found})")
     slower = adapter_delay_s(found) > adapter_delay_s(reckoned)
     return Finding(
         _ADAPTER,
@@ -191,9 +180,9 @@ def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Fin
 def serial_port(device: Path) -> Finding:
     """Whether this user may open one port."""
     if not device.exists():
-        return Finding("serial port", "bad", f"{device} is not there", "`ls /dev/serial/by-id/` lists the ports")
+        return bad("serial port", f"{device} is not there", "`ls /dev/serial/by-id/` lists the ports")
     if os.access(device, os.R_OK | os.W_OK):
-        return Finding("serial port", "good", f"{device} may be opened")
+        return good("serial port", f"{device} may be opened")
     try:
         import grp  # not everywhere
 
@@ -202,16 +191,14 @@ def serial_port(device: Path) -> Finding:
         group = "dialout"
     if group == "root":  # who joins it may do more than open ports
         rule = f'SUBSYSTEM=="tty", KERNEL=="{device.name}", GROUP="dialout", MODE="0660"'
-        return Finding(
+        return bad(
             "serial port",
-            "bad",
             f"{device} belongs to root",
             f"name another port; or a udev rule gives this one to dialout: `echo {quote(rule)} | sudo tee "
             "/etc/udev/rules.d/99-rig-port.rules; sudo udevadm trigger`",
         )
-    return Finding(
+    return bad(
         "serial port",
-        "bad",
         f"{device} belongs to group {group}, and you are not in it",
         f"`sudo adduser $USER {group}`, then log in again",
     )
@@ -225,11 +212,10 @@ def latency_timers(root: Path = ROOT) -> Iterator[Finding]:
             continue
         waits_ms, port = int(text), file.parent.name
         if waits_ms <= LATENCY_MS:
-            yield Finding("USB latency", "good", f"{port} waits {waits_ms} ms for more bytes")
+            yield good("USB latency", f"{port} waits {waits_ms} ms for more bytes")
         else:
-            yield Finding(
+            yield bad(
                 "USB latency",
-                "bad",
                 f"{port} waits {waits_ms} ms for more bytes before it passes a short reply on",
                 f"`echo {LATENCY_MS} | sudo tee {file}`; {_UDEV_RULE}",
             )
@@ -239,13 +225,12 @@ def modem_manager(root: Path = ROOT) -> Finding:
     """Whether ModemManager runs: it writes to every new serial port, to find out if that is a modem."""
     for comm in (root / "proc").glob("[0-9]*/comm"):
         if _text(comm) == "ModemManager":
-            return Finding(
+            return poor(
                 "ModemManager",
-                "poor",
                 "runs: it opens every new serial port and writes to it, for up to half a minute",
                 "`sudo systemctl disable --now ModemManager`, unless you need a modem",
             )
-    return Finding("ModemManager", "good", "does not run")
+    return good("ModemManager", "does not run")
 
 
 def disk(run_folder: Path) -> Finding:
@@ -254,10 +239,10 @@ def disk(run_folder: Path) -> Finding:
     while not folder.exists():
         folder = folder.parent
     if not os.access(folder, os.W_OK):
-        return Finding("disk", "bad", f"you may not write to {folder}", "choose another folder with --out")
+        return bad("disk", f"you may not write to {folder}", "choose another folder with --out")
     free = shutil.disk_usage(folder).free
     if free < _LEAST_FREE_BYTES:
         state: State = "bad" if free < _NO_RUN_BYTES else "poor"
         words = f"{free / 1e6:.0f} MB free at {folder}; an hour at 10 ms takes about 45 MB"
         return Finding("disk", state, words, "make room, or choose another folder with --out")
-    return Finding("disk", "good", f"{free / 1e9:.1f} GB free at {folder}")
+    return good("disk", f"{free / 1e9:.1f} GB free at {folder}")

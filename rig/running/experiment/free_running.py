@@ -14,16 +14,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
 # Private there: the rows of `make campaign-real` belong to the text of rig/identification, so a name there stays as it
 # is.
 from rig.identification.stroke_delay import EXCESS, SLOPE
 from rig.identification.stroke_delay import _Strokes as Strokes
-from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.series import Array, TimeSeries
 
-Array = NDArray[np.float64]
 _TauOf = Callable[[float, float], float]  # tau, s, of K / tau and friction, V
 
 CERTAIN = 36.0  # fall of chi-squared without the braking: six standard errors

@@ -130,18 +130,12 @@ class Keeper:
         is_real = isinstance(session.bench.clock, MonotonicClock)
         link = getattr(session.bench.driver, "descriptor", None) if is_real else None
         failsafe = session.bench.driver.failsafe
-        settings = {
-            "folder": str(session.folder.absolute()),
-            "law": law.name,
-            "loop": os.getpid(),
-            "thread": threading.get_native_id(),
-            "link": link,
-            "times": times,
-            "priority": e.loop.priority if is_real else 0,
-            "zero_s": -loop.since_start_s(0.0) if is_real else None,
-            "watchdog_s": None if failsafe is None else failsafe.time_s,
-            "backend": session.bench.driver.backend,
-        }
+        kept = {
+            "pid": os.getpid(), "tid": threading.get_native_id(), "folder": str(session.folder.absolute()),
+            "law": law.name, "times": times, "zero_s": -loop.since_start_s(0.0) if is_real else None,
+            "watchdog_s": None if failsafe is None else failsafe.time_s, "backend": session.bench.driver.backend,
+        }  # fmt: skip
+        settings = {"loop": kept, "link": link, "priority": e.loop.priority if is_real else 0}
         with ExitStack() as stack:
             memory = create_file(SIZE)
             stack.callback(os.close, memory)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from rig.backends.registry import Bench, backend_of, connect
@@ -18,22 +19,12 @@ from rig.model.real_motor import FramedMotor
 from rig.run_folder.live.stop_flag import StopFlag
 from rig.run_folder.results import ScriptCall
 from rig.run_folder.results.identification import Answered
+from rig.running.experiment import stages
 from rig.running.experiment.law_watch import watched
-from rig.running.experiment.stages import (
-    drive_by_hand,
-    drive_by_lease,
-    drive_check,
-    drive_law,
-    drive_one_test,
-    drive_tests,
-    identify_recorded,
-    verify_models,
-)
-from rig.running.experiment.survey import survey
-from rig.running.experiment.thorough import tell_apart
+from rig.running.experiment.survey import survey, tell_apart
 from rig.running.experiment.until import drive_until
-from rig.running.preflight.survey_room import expected_sweeps
-from rig.running.session import OnStart, Outcome, Session, record
+from rig.running.preflight.room_to_stop import expected_sweeps
+from rig.running.session import OnStart, Outcome, Script, Session, record
 
 BREAKAWAY_LAW = "balanced pairs, in the device's steps"  # in meta.json, so that a replay knows which law ran
 SEARCH_LAW = "gains of both tests"  # the same of the gain search
@@ -58,13 +49,8 @@ def run(
     if experiment.law is not None:
         return run_law(experiment, configured_law(experiment.law), parent, on_start, again, series)
 
-    def script(session: Session) -> None:
-        _drive_tests(session, known)
-        identify_recorded(session)
-        if experiment.identify.thorough:
-            tell_apart(session)
-        verify_models(session)
-
+    more = [tell_apart] if experiment.identify.thorough else []
+    script = _in_turn(partial(_drive_tests, known=known), stages.identify_recorded, *more, stages.verify_models)
     return record(experiment, parent, _named("run"), script, on_start, again, series=series)
 
 
@@ -83,7 +69,7 @@ def run_law(
 
     def script(session: Session) -> None:
         with watched(session, law) as one:
-            drive_law(session, one)
+            stages.drive_law(session, one)
 
     what = ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s)
     return record(experiment, parent, what, script, on_start, again, series=series)
@@ -137,12 +123,7 @@ def repeated(
 
 def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
     """Breakaway, gain search and relay tests, then identification; no tracking."""
-
-    def script(session: Session) -> None:
-        _drive_tests(session)
-        identify_recorded(session)
-
-    return record(experiment, parent, _named("relay"), script, on_start)
+    return record(experiment, parent, _named("relay"), _in_turn(_drive_tests, stages.identify_recorded), on_start)
 
 
 def run_survey(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
@@ -156,16 +137,8 @@ def run_survey(experiment: Experiment, parent: Path, on_start: OnStart | None = 
         raise Fault("NO_SWEEPS", str(error)) from error
     if not experiment.relay.has_tests:
         raise Fault("NO_SWEEPS", "the sweeps need a test before them: give relay.until, relay.target or relay.gains")
-
-    def script(session: Session) -> None:
-        if experiment.relay.until is None:
-            drive_one_test(session)
-        else:
-            drive_until(session)
-        survey(session)
-        identify_recorded(session)
-
-    return record(experiment, parent, _named("survey"), script, on_start)
+    first: Script = stages.drive_one_test if experiment.relay.until is None else drive_until
+    return record(experiment, parent, _named("survey"), _in_turn(first, survey, stages.identify_recorded), on_start)
 
 
 def run_breakaway(
@@ -175,7 +148,7 @@ def run_breakaway(
 
     gone  who has to be there while it drives, and is not: as of ``StopRequest``
     """
-    return record(experiment, parent, _named("breakaway"), drive_check, on_start, gone=gone)
+    return record(experiment, parent, _named("breakaway"), stages.drive_check, on_start, gone=gone)
 
 
 def run_tracking(
@@ -184,10 +157,9 @@ def run_tracking(
     """Breakaway and the tracking check, with the models of an earlier run, ``models_from``."""
 
     def script(session: Session) -> None:
-        session.found.models = models
-        session.found.models_from = models_from
-        drive_check(session)
-        verify_models(session)
+        session.found.models, session.found.models_from = models, models_from
+        stages.drive_check(session)
+        stages.verify_models(session)
 
     return record(experiment, parent, _named("track"), script, on_start)
 
@@ -196,26 +168,29 @@ def jog(
     experiment: Experiment, u_V: float, duration_s: float, parent: Path, on_start: OnStart | None = None
 ) -> Outcome:
     """A constant drive for a short time, within the limits; outside them only inward."""
-
-    def script(session: Session) -> None:
-        drive_by_hand(session, u_V, duration_s)
-
+    script = partial(stages.drive_by_hand, u_V=u_V, duration_s=duration_s)
     return record(experiment, parent, ScriptCall(name="jog", u_V=u_V, duration_s=duration_s), script, on_start)
 
 
 def jog_leased(experiment: Experiment, longest_s: float, parent: Path, on_start: OnStart | None = None) -> Outcome:
     """A jog that goes on only while somebody renews a lease in the run folder (``rig.run_folder.live.lease``)."""
+    what = ScriptCall(name="jog", duration_s=longest_s, leased=True)
+    return record(experiment, parent, what, partial(stages.drive_by_lease, longest_s=longest_s), on_start)
+
+
+def _in_turn(*parts: Script) -> Script:
+    """These parts of a run, one after the other."""
 
     def script(session: Session) -> None:
-        drive_by_lease(session, longest_s)
+        for part in parts:
+            part(session)
 
-    what = ScriptCall(name="jog", duration_s=longest_s, leased=True)
-    return record(experiment, parent, what, script, on_start)
+    return script
 
 
 def _drive_tests(session: Session, known: FramedMotor | None = None) -> None:
     if session.experiment.relay.until is None:
-        drive_tests(session)
+        stages.drive_tests(session)
     else:
         drive_until(session, known)
 

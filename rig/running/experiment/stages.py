@@ -26,6 +26,7 @@ from rig.control.loop.pre_run import PreRunBench, Rehearsed, pre_run
 from rig.control.loop.real_time import RealTime, real_time
 from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay
+from rig.control.rising_gains import RisingGains
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
 from rig.control.unshown import STILL_S, Flicker, UnshownMotion
@@ -422,7 +423,12 @@ def _test_relay(
     session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
     watch = _watch_cycles(session, detector, stage)
     if e.relay.where == "device":
-        run_in_device(session, pair_V, detector, timeout_s, stage, watch)
+        command, on_counts = relay_in_device(session, pair_V, integral_bound_rad_s(e))
+        test_in_device = RelayTest(on_counts, detector, pair_V, e.relay.cycles, timeout_s)
+        test_in_device.unshown = unshown_motion(session, session.loop.guard.static_V)
+        session.loop.run_in_device(test_in_device, command, stage, watch)
+        if on_counts.bound_reached:
+            session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
     else:
         law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
         law.unshown = unshown_motion(session, session.loop.guard.static_V)
@@ -436,27 +442,6 @@ def _end_relay_tests(session: Session, relay: DualChannelRelay) -> None:
     if relay.bound_reached:
         session.found.notes.append("the relay's integral reached its bound: that made the first cycles shorter")
     session.loop.run(Rest(REST_S), "rest")
-
-
-def run_in_device(
-    session: Session,
-    gains_V: tuple[float, float],
-    detector: CycleDetector,
-    timeout_s: float,
-    stage: str,
-    watch: Callable[[float], None],
-) -> None:
-    """One relay test in which the device's own relay drives.
-
-    Raises Fault CONFIG_MISMATCH if the device has no relay, and what the loop raises.
-    """
-    e = session.experiment
-    command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
-    test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
-    test.unshown = unshown_motion(session, session.loop.guard.static_V)
-    session.loop.run_in_device(test, command, stage, watch)
-    if relay.bound_reached:
-        session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
 
 
 def test_hysteretic(session: Session) -> None:
@@ -525,14 +510,7 @@ def search_gains(
     search.unshown = unshown_motion(session, session.loop.guard.static_V)
     search.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
     session.found.search = search
-    noted = 0
-
-    def watch(t_s: float) -> None:
-        nonlocal noted
-        for step in search.steps[noted:]:
-            session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
-        noted = len(search.steps)
-
+    watch = watch_steps(session, search)
     session.loop.run(search, "search", watch)
     gains_V, period_s = [(relay.h1_V, relay.h2_V)], detector.mean()[0]
     if both:
@@ -708,6 +686,19 @@ def integral_bound_rad_s(e: Experiment) -> float:
     # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
     longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
     return 4.0 * swing_rad(d) * longest_s
+
+
+def watch_steps(session: Session, search: GainSearch | RisingGains) -> Callable[[float], None]:
+    """What notes each new step of a search."""
+    noted = 0
+
+    def watch(t_s: float) -> None:
+        nonlocal noted
+        for step in search.steps[noted:]:
+            session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
+        noted = len(search.steps)
+
+    return watch
 
 
 def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:

@@ -28,18 +28,9 @@ from rig.identification.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import LiveResult, StoppedResult
+from rig.running.experiment import stages
 from rig.running.experiment.advisers import Advisers, advisers_of, advisor_settings
 from rig.running.experiment.in_device import relay_in_device, strokes_in_device
-from rig.running.experiment.stages import (
-    REST_S,
-    armed_check,
-    flicker_of,
-    integral_bound_rad_s,
-    prepared,
-    relay_and_detector,
-    test_hysteretic,
-    unshown_motion,
-)
 from rig.running.preflight.room_to_stop import expected_delay_s, swing_rad
 from rig.running.session import MOST_TESTS, Session
 
@@ -62,8 +53,8 @@ def drive_until(session: Session, known: FramedMotor | None = None, advisers: Ad
     advisers  of a replay; None: those of a run
     """
     e = session.experiment
-    with advisers_of(session) if advisers is None else nullcontext(advisers) as who, prepared(session):
-        armed_check(session)
+    with advisers_of(session) if advisers is None else nullcontext(advisers) as who, stages.prepared(session):
+        stages.armed_check(session)
         if known is not None:
             session.note("known", **known.numbers)  # a replay begins with a rest, too
         if advisers is None:
@@ -72,7 +63,7 @@ def drive_until(session: Session, known: FramedMotor | None = None, advisers: Ad
             tests = _Tests(session, who, known is not None)
             tests.run()
             session.loop.run(tests.last_rest(), "rest")
-            test_hysteretic(session)
+            stages.test_hysteretic(session)
 
 
 class _Next(NamedTuple):
@@ -99,7 +90,7 @@ class _Tests:
         self._session = session
         self._who = who
         self._until = e.relay.until or UntilSection()
-        self._relay, self._detector = relay_and_detector(e)
+        self._relay, self._detector = stages.relay_and_detector(e)
         self._bounds = Bounds(self._until.longest_s, self._until.most_cycles, self._detector.min_amplitude_rad)
         self._number = 0
         self._searched = False
@@ -131,7 +122,7 @@ class _Tests:
 
     def last_rest(self) -> Law:
         """The rest after the tests."""
-        return self._rest(self._next._replace(rest_s=REST_S))
+        return self._rest(self._next._replace(rest_s=stages.REST_S))
 
     def _rest(self, what: _Next) -> Law:
         """A rest: after a test that was broken off in its swing, the shaft is first kept from coasting too far."""
@@ -163,7 +154,7 @@ class _Tests:
             last_V,
             STILL_S + settings.delay_s,
             e.breakaway.motion_rad,
-            flicker_of(session),
+            stages.flicker_of(session),
             way,
         )
         session.loop.run(Bounded(law, self._bounds), stage)
@@ -198,16 +189,8 @@ class _Tests:
         law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
         if not self._searched:
             self._searched, found.search = True, law
-        noted = 0
-
-        def watch() -> None:
-            nonlocal noted
-            for step in law.steps[noted:]:
-                session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
-            noted = len(law.steps)
-
-        bounded = Bounded(law, self._bounds, unshown_motion(session))
-        self._drive(bounded, stage, watch)
+        bounded = Bounded(law, self._bounds, stages.unshown_motion(session))
+        self._drive(bounded, stage, stages.watch_steps(session, law))
         last_sum_V = law.relay.h1_V + law.relay.h2_V
         self._first_sum_V = max(first_sum_V, last_sum_V)
         self._still = self._still + 1 if bounded.failed else 0
@@ -222,38 +205,34 @@ class _Tests:
 
     def _test(self, test: PlannedTest) -> None:
         """A designed test."""
-        if isinstance(test, RelayGains):
-            self._relay_test(test)
-        else:
-            self._stroke_test(test)
+        stage = self._numbered(StageKind.RELAY if isinstance(test, RelayGains) else StageKind.STROKES)
+        law, command = self._relay_law(test, stage) if isinstance(test, RelayGains) else self._stroke_law(test)
+        bounded = Bounded(law, self._bounds, stages.unshown_motion(self._session))
+        self._drive(bounded, stage, guarded=True, command=command)
 
-    def _relay_test(self, test: RelayGains) -> None:
-        session, e = self._session, self._session.experiment
-        stage, gains_V = self._numbered(StageKind.RELAY), (test.h1_V, test.h2_V)
+    def _relay_law(self, test: RelayGains, stage: str) -> tuple[Law, RelayCommand | None]:
+        """The law of a relay test, which is noted; and the command where the device runs it."""
+        session, e, gains_V = self._session, self._session.experiment, (test.h1_V, test.h2_V)
         session.note("gains", stage=stage, h1_V=test.h1_V, h2_V=test.h2_V)
         if e.relay.where == "device":
-            command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
-            on_counts = RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
-            self._drive(Bounded(on_counts, self._bounds, unshown_motion(session)), stage, guarded=True, command=command)
-            return
+            command, relay = relay_in_device(session, gains_V, stages.integral_bound_rad_s(e))
+            return RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S), command
         self._relay.restart()  # as designed, and as in a device: its integral begins at 0
         law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
         law.watch.wait(round(session.loop.latency_s / e.period_s))
         law.ahead_s = expected_delay_s(e.device, session.delay or BenchDelay())
-        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
+        return law, None
 
-    def _stroke_test(self, test: Strokes) -> None:
-        session, e = self._session, self._session.experiment
-        stage, timing = self._numbered(StageKind.STROKES), StrokeTiming(LONG_S, test.longest_stroke_s)
+    def _stroke_law(self, test: Strokes) -> tuple[Law, StrokesCommand | None]:
+        """The same of a stroke test."""
+        session, e, timing = self._session, self._session.experiment, StrokeTiming(LONG_S, test.longest_stroke_s)
         if e.relay.where == "device":
             command, on_counts = strokes_in_device(session, test.strokes, timing)
-            self._drive(Bounded(on_counts, self._bounds, unshown_motion(session)), stage, guarded=True, command=command)
-            return
+            return on_counts, command
         check = session.found.breakaway
         # a test may be designed for a shaft that breaks away sooner than the check has seen it to
         moves_V = 0.0 if check is None else max(check.plus_V, check.minus_V)
-        law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V)
-        self._drive(Bounded(law, self._bounds, unshown_motion(session)), stage, guarded=True)
+        return StrokeTest(test.strokes, timing, e.breakaway.motion_rad, moves_V), None
 
     def _numbered(self, kind: StageKind) -> str:
         self._number += 1
@@ -263,7 +242,7 @@ class _Tests:
         self,
         law: Bounded,
         stage: str,
-        watch: Callable[[], None] | None = None,
+        watch: Callable[[float], None] | None = None,
         *,
         guarded: bool = False,
         command: RelayCommand | StrokesCommand | None = None,
@@ -279,7 +258,7 @@ class _Tests:
 
         def after(t_s: float) -> None:
             if watch is not None:
-                watch()
+                watch(t_s)
             if law.finished and not law.failed:
                 return  # of a law in the device some more rows come
             decide(t_s)

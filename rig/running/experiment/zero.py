@@ -17,8 +17,8 @@ from rig.control.loop.runner import Loop
 from rig.control.loop.stop_request import StopRequest, stop_on_signals
 from rig.core.faults import Fault
 from rig.core.signals import Limits, Sample
+from rig.run_folder.live.running import told
 from rig.run_folder.live.stop_flag import StopFlag
-from rig.run_folder.live.unrecorded import told
 from rig.run_folder.recording.sink import NullSink
 from rig.running.preflight.loop_settings import guard_settings_of
 

@@ -27,10 +27,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from rig.control.loop.stop_request import STOP_SIGNALS
 from rig.core.faults import Fault
@@ -238,7 +237,8 @@ def main(arguments: list[str]) -> int:
     lease, signals = LawLease(int(arguments[0])), int(arguments[1])
     settings = json.loads(_line())
     _go_before_the_loop(settings["priority"])
-    loop = _loop_of(settings)
+    told = settings["loop"]
+    loop = Loop(**told | {"folder": Path(told["folder"]), "times": LawTimes(*told["times"])})
     link = settings["link"]
     stopper = _stopper(loop.folder, link)
     with contextlib.suppress(OSError):  # it is gone already, which the watch sees
@@ -284,19 +284,6 @@ def _line() -> bytes:
             raise EOFError("no settings came")
         line += byte
     return line
-
-
-def _loop_of(settings: Mapping[str, Any]) -> Loop:
-    return Loop(
-        settings["loop"],
-        settings["thread"],
-        Path(settings["folder"]),
-        settings["law"],
-        LawTimes(*settings["times"]),
-        settings["zero_s"],
-        settings["watchdog_s"],
-        settings["backend"],
-    )
 
 
 def _go_before_the_loop(priority: int) -> None:

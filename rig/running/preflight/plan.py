@@ -1,30 +1,100 @@
-"""What an experiment will do, in lines for people: backend, stages, limits, link, failsafe."""
+"""What an experiment will do, in lines for people: backend, stages, limits, link, failsafe; and what to know of it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from math import isclose
 from typing import NamedTuple
 
 from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
-from rig.config.schema import DeviceSetup, Experiment
+from rig.config.schema import DeadBand, DeviceSetup, Experiment
 from rig.control.laws import OWN
 from rig.control.sweep_plan import TooShortError
+from rig.core.motor_numbers import RealMotor
 from rig.core.signals import percent
+from rig.running.preflight import room_to_stop as stopping
 from rig.running.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
-from rig.running.preflight.differences import differences
-from rig.running.preflight.room_to_stop import (
-    overshoot_terms,
-    peak_speed_rad_s,
-    room_for_delay_s,
-    room_rad,
-    stopping_sum,
-    stopping_terms,
-    swing_rad,
-    watchdog_words,
-)
-from rig.running.preflight.survey_room import expected_sweeps
+
+_SLACK = 1e-6  # relative: numbers closer than this are equal but for their digits
+_BENT_COUNTS = 1.0  # largest distance of a calibration table from a straight line that is left unsaid
+_SCALED = "K and f_c will come out scaled"
+
+
+def differences(d: DeviceSetup) -> Iterator[str]:
+    """A sentence for each difference between the emulated bench and the config; none for a real motor."""
+    if d.emulated is None or not backend_of(d).is_emulated(d):
+        return
+    yield from _bridge(d)
+    yield from _sensor(d)
+    if d.tachometer is not None and d.emulated.tachometer is False:
+        yield "the emulated bench has no velocity channel (emulated.tachometer); the config has a section tachometer"
+    parts = d.emulated.motor.parts
+    given = [] if parts is None else [(name, value) for name, value in parts if name in RealMotor._fields and value]
+    if given:
+        yield (
+            f"the emulated motor has parts that tau, K and f_c leave out (emulated.motor.parts: "
+            f"{', '.join(f'{name} {value:g}' for name, value in given)}): estimates without these laws may be off"
+        )
+    stops, hard = d.emulated.motor.stop_rad, d.limits.hard_rad
+    if not d.limits.is_endless and not (stops[0] <= hard[0] and hard[1] <= stops[1]):
+        yield (
+            f"the emulated shaft meets its mechanical stops at {bracketed(stops)} rad, inside limits.hard_rad "
+            f"{bracketed(hard)}: its motion there is not free"
+        )
+
+
+def _bridge(d: DeviceSetup) -> Iterator[str]:
+    emulated, drive = d.emulated, d.drive
+    if emulated is None or emulated.supply_V is None or emulated.bridge_drop_V is None:
+        return
+    full_V, config_V = emulated.supply_V - emulated.bridge_drop_V, drive.supply_V - drive.bridge_drop_V
+    if not isclose(full_V, config_V, rel_tol=_SLACK):
+        yield f"the emulated bridge gives {full_V:g} V, by the config it gives {config_V:g} V: {_SCALED}"
+    if emulated.dead_band_duty != drive.dead_band_duty:
+        yield (
+            f"the emulated bridge passes nothing below {_shares(emulated.dead_band_duty)}, drive.dead_band_duty says "
+            f"{_shares(drive.dead_band_duty)}: the true drive differs from the recorded one, and {_SCALED}"
+        )
+    if emulated.reversed != drive.reversed:
+        yield "the emulated bridge turns the shaft the opposite way to drive.reversed"
+
+
+def _sensor(d: DeviceSetup) -> Iterator[str]:
+    if d.emulated is None:
+        return
+    true, (rad_per_count, centre_counts) = d.emulated.potentiometer, d.sensor.straight
+    if true.rad_per_count is None or true.centre_counts is None:
+        return
+    if not isclose(true.rad_per_count, rad_per_count, rel_tol=_SLACK):
+        yield (
+            f"one count of the emulated potentiometer is {true.rad_per_count:.6g} rad, sensor.calibration says "
+            f"{rad_per_count:.6g} rad: every position and K will come out {rad_per_count / true.rad_per_count:.4g} "
+            "times the true one"
+        )
+    if not isclose(true.centre_counts, centre_counts, rel_tol=_SLACK):
+        yield (
+            f"the emulated potentiometer reads {true.centre_counts:g} counts at position 0, sensor.calibration says "
+            f"{centre_counts:g}: every position is off by {abs(true.centre_counts - centre_counts):.3g} counts"
+        )
+    bent_counts = max(abs(centre_counts + rad / rad_per_count - counts) for counts, rad in d.sensor.points)
+    if bent_counts > _BENT_COUNTS:
+        yield (
+            f"sensor.calibration is a table that bends by up to {bent_counts:.3g} counts, but the emulated "
+            "potentiometer is straight: K will come out too large where the table is too steep, too small where it is "
+            "too flat"
+        )
+    if d.sensor.encoder is None and true.counts_max != d.sensor.counts_max:
+        yield (
+            f"the emulated potentiometer reads 0 to {true.counts_max} counts, sensor.counts_max is "
+            f"{d.sensor.counts_max}: describe it in emulated.potentiometer"
+        )
+
+
+def _shares(dead: DeadBand | None) -> str:
+    return "" if dead is None else f"{dead.plus:.3g} and {dead.minus:.3g} of full duty"
+
 
 _UNSEEN_COUNTS = 66  # of travel, until a board has seen that one channel of an encoder is loose: docs/encoder.md
 
@@ -43,16 +113,16 @@ def plan(e: Experiment) -> Iterator[str]:
     if e.sensor.encoder is not None and e.sensor.servo is None:
         yield f"encoder: one loose channel is seen after {_UNSEEN_COUNTS * abs(e.sensor.curve.lsb_rad):.2f} rad"
     if e.limits.is_endless:
-        yield f"stopping {stopping_sum(d)}, wherever that is; a person must be able to reach the e-stop"
+        yield f"stopping {stopping.stopping_sum(d)}, wherever that is; a person must be able to reach the e-stop"
     else:
-        yield f"stopping {stopping_sum(d)}; room from the centre of travel: {room_rad(d):.3f} rad"
-    room_s = room_for_delay_s(e)
+        yield f"stopping {stopping.stopping_sum(d)}; room from the centre of travel: {stopping.room_rad(d):.3f} rad"
+    room_s = stopping.room_for_delay_s(e)
     if 0.0 < room_s < math.inf:
         yield (
             f"delay: a drive may show in the reading up to {1e3 * room_s:.0f} ms later than its own tick; "
             "the breakaway check looks"
         )
-    if words := watchdog_words(e):
+    if words := stopping.watchdog_words(e):
         yield words
     yield from backend.plan(d)
     yield backend.failsafe_words(d)
@@ -163,8 +233,9 @@ def _relay_tests(e: Experiment) -> _Stage:
     if r.until is not None:
         u = r.until
         lines = (
-            f"stage search: a relay whose gains grow from the breakaway level, within {swing_rad(e.device):.3g} rad "
-            f"and {e.limits.max_speed_rad_s:g} rad/s; with `--model` it is left out",
+            "stage search: a relay whose gains grow from the breakaway level, within "
+            f"{stopping.swing_rad(e.device):.3g} rad and {e.limits.max_speed_rad_s:g} rad/s; with `--model` it is left "
+            "out",
             "stages relay, strokes: the tests that tell most, by simulation on the estimate so far; they end when tau, "
             f"K and f_c are known to {u.interval_percent:g} %, after {u.longest_s:g} s at the latest, or "
             f"{u.most_cycles} swings",
@@ -173,7 +244,7 @@ def _relay_tests(e: Experiment) -> _Stage:
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s
-        speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
+        speed = stopping.peak_speed_rad_s(max(amplitudes), r.target.period_s)
         lines = (
             f"stage search: searches gains for {amplitudes[0]:.3g} rad every {r.target.period_s:g} s, "
             f"+-{percent(r.target.tolerance)}, and for {amplitudes[1]:.3g} rad; at most {r.search.timeout_s:g} s each",
@@ -195,13 +266,13 @@ def _hysteretic_runs(e: Experiment) -> _Stage:
         return _Stage(())
     pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in e.relay.hysteretic)
     widest_rad = max(h.eps_rad for h in e.relay.hysteretic)
-    overshoot = sum(rad for _, rad in overshoot_terms(d))
-    horizon_s = sum(rad for _, rad in stopping_terms(d)) / e.limits.max_speed_rad_s
+    overshoot = sum(rad for _, rad in stopping.overshoot_terms(d))
+    horizon_s = sum(rad for _, rad in stopping.stopping_terms(d)) / e.limits.max_speed_rad_s
     line = (
         f"stage hysteretic: each run starts from rest at zero, (d, eps) = {pairs} V, rad; "
         f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
-        f"{(room_rad(d) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which the "
-        "breakaway stage measures"
+        f"{(stopping.room_rad(d) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which "
+        "the breakaway stage measures"
     )
     return _Stage((line,))
 
@@ -217,7 +288,7 @@ def _survey(e: Experiment) -> _Stage:
     else:
         return _Stage(())
     try:
-        plan = expected_sweeps(e)
+        plan = stopping.expected_sweeps(e)
     except TooShortError as error:
         return _Stage((f"stage survey: left out, since {error}",))
     speeds = ", ".join(f"{v:.2g}" for v in plan.speeds_rad_s)

@@ -10,7 +10,7 @@ from rig.control.guard import velocity_noise_rad_s
 from rig.core.signals import BenchDelay
 from rig.design.belief import Belief
 from rig.design.outlook import Task
-from rig.design.room import Reading, Room
+from rig.design.planned_test import Reading, Room
 from rig.model.real_motor import RealMotor
 from rig.run_folder.results import BreakawayResult, RunResult
 from rig.running.preflight.room_to_stop import counted_delay_s, known_reaction_s, swing_rad

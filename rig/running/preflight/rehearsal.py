@@ -12,7 +12,7 @@ from rig.config.schema import EmulatedMotor, Experiment
 from rig.config.yaml12 import Document
 from rig.core.errors import CauseError
 from rig.run_folder.results import JsonObject
-from rig.running.preflight.file import check
+from rig.running.preflight.rules import check
 
 FRICTION_SHARE = 0.05  # of the supply; this and the next three: see ``made_motor``
 TAU_SHARE = 0.5  # of limits.coast_tau_s

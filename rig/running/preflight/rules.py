@@ -6,7 +6,7 @@ says nothing if another rule has already refused a key that it needs, so that on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -14,29 +14,18 @@ from pydantic import ValidationError
 
 from rig.backends.registry import backend_of
 from rig.backends.registry import rules as device_rules
+from rig.config.load import Given, load_with_places, read
 from rig.config.messages import unplaced
-from rig.config.problems import Path, Problem, bracketed, printable, wrong
+from rig.config.problems import ConfigError, Path, Problem, bracketed, printable, wrong
 from rig.config.schema import DeviceSetup, Experiment, RelayGainsSection, RelayTarget
 from rig.control.laws import OptionError, construct, registered
 from rig.control.sweep_plan import TooShortError
 from rig.core.plug_ins import PlugInError
 from rig.core.signals import percent, plain
+from rig.running.preflight import room_to_stop as stopping
 from rig.running.preflight.attached import attached_rules
 from rig.running.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes, has_strokes
 from rig.running.preflight.plan import plan
-from rig.running.preflight.room_to_stop import (
-    LONGEST_WATCHDOG_S,
-    device_watchdog_s,
-    limits_are_ordered,
-    overshoot_terms,
-    peak_speed_rad_s,
-    predicted_stop_rad,
-    reach_rad,
-    room_rad,
-    stopping_sum,
-    stopping_terms,
-)
-from rig.running.preflight.survey_room import expected_sweeps
 
 Rule = Callable[[Experiment], Iterator[Problem]]
 
@@ -64,7 +53,7 @@ class Preflight:
 
 
 def preflight(experiment: Experiment) -> Preflight:
-    """Check an experiment offline. The problems have paths but no places: ``file.check`` adds these."""
+    """Check an experiment offline. The problems have paths but no places: ``check`` adds these."""
     if unread := tuple(_own_section(experiment.device)):
         return Preflight((), unread)  # the device's rules need this section
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
@@ -95,7 +84,7 @@ def _spin(d: DeviceSetup) -> Iterator[Problem]:
 
 def _watchdog(d: DeviceSetup) -> Iterator[Problem]:
     least_s, most_s = (n * d.period_s for n in _WATCHDOG_PERIODS)
-    most_s = max(most_s, LONGEST_WATCHDOG_S)
+    most_s = max(most_s, stopping.LONGEST_WATCHDOG_S)
     watchdog_s = d.daq.watchdog_s
     if not least_s * (1 - _SLACK) <= watchdog_s <= most_s * (1 + _SLACK):
         yield wrong(
@@ -132,7 +121,7 @@ def _limits(d: DeviceSetup) -> Iterator[Problem]:
             f"must enclose 0 rad, the centre of travel: {bracketed(soft)} rad does not",
             "put the zero of the calibration at the centre of travel",
         )
-    elif not limits_are_ordered(d):
+    elif not stopping.limits_are_ordered(d):
         yield wrong("limits.soft_rad", f"{bracketed(soft)} rad is not inside limits.hard_rad {bracketed(hard)} rad")
     low, high = d.sensor.range_rad
     if not (low <= hard[0] and hard[1] <= high):
@@ -145,19 +134,19 @@ def _limits(d: DeviceSetup) -> Iterator[Problem]:
 
 
 def _room_to_stop(d: DeviceSetup) -> Iterator[Problem]:
-    if not limits_are_ordered(d):
+    if not stopping.limits_are_ordered(d):
         return
-    room = room_rad(d)
-    distance = sum(rad for _, rad in stopping_terms(d))
+    room = stopping.room_rad(d)
+    distance = sum(rad for _, rad in stopping.stopping_terms(d))
     if distance <= room:
         return
     slower = d.limits.max_speed_rad_s * room / distance
     yield wrong(
         "limits.max_speed_rad_s",
-        f"no room to stop: {stopping_sum(d)}, but from the centre of travel (0 rad) "
+        f"no room to stop: {stopping.stopping_sum(d)}, but from the centre of travel (0 rad) "
         f"the nearer hard limit is {room:.3f} rad away",
         f"at most {_floor(slower):g} rad/s"
-        + (", or a shorter daq.watchdog_s" if device_watchdog_s(d) is not None else "")
+        + (", or a shorter daq.watchdog_s" if stopping.device_watchdog_s(d) is not None else "")
         + ", or wider limits.hard_rad",
     )
 
@@ -312,9 +301,9 @@ def _target(e: Experiment) -> Iterator[Problem]:
             f"is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad), which is delay hunting",
             f"at least {target.amplitude_rad * least_rad / within_rad:.3g} rad",
         )
-    if not limits_are_ordered(d):
+    if not stopping.limits_are_ordered(d):
         return
-    soft_rad = reach_rad(d)
+    soft_rad = stopping.reach_rad(d)
     amplitude_rad = _largest_amplitude_rad(e, target)
     largest_rad = amplitude_rad * (1.0 + target.tolerance)
     if largest_rad > soft_rad:
@@ -325,16 +314,16 @@ def _target(e: Experiment) -> Iterator[Problem]:
             "lower the amplitude",
         )
         return
-    stop_rad = predicted_stop_rad(d, largest_rad, target.period_s)
-    if stop_rad > room_rad(d):
+    stop_rad = stopping.predicted_stop_rad(d, largest_rad, target.period_s)
+    if stop_rad > stopping.room_rad(d):
         yield wrong(
             "relay.target.amplitude_rad",
             f"the guard would brake within the cycle: its predicted stop reaches {stop_rad:.3g} rad, the nearer hard "
-            f"limit is {room_rad(d):.3g} rad from the centre of travel",
+            f"limit is {stopping.room_rad(d):.3g} rad from the centre of travel",
             "lower the amplitude, lengthen relay.target.period_s, or widen limits.hard_rad",
         )
         return
-    speed = peak_speed_rad_s(amplitude_rad, target.period_s)
+    speed = stopping.peak_speed_rad_s(amplitude_rad, target.period_s)
     if speed > e.limits.max_speed_rad_s:
         yield wrong(
             "relay.target.amplitude_rad",
@@ -347,7 +336,7 @@ def _target(e: Experiment) -> Iterator[Problem]:
 def _hysteretic(e: Experiment) -> Iterator[Problem]:
     """Drives within the largest one; bands that the sensor sees, and that the shaft does not overshoot too far."""
     d = e.device
-    overshoot = sum(rad for _, rad in overshoot_terms(d))
+    overshoot = sum(rad for _, rad in stopping.overshoot_terms(d))
     for k, run in enumerate(e.relay.hysteretic or ()):
         path: Path = ("relay", "hysteretic", k)
         if abs(run.d_V) > e.drive.max_V * (1 + _SLACK):
@@ -363,14 +352,14 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
                 f"{run.eps_rad:g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
                 "widen it: the method sees only the transient up to it",
             )
-        elif limits_are_ordered(d) and run.eps_rad + overshoot > reach_rad(d):
-            written = " + ".join(f"{rad:.3f} ({words})" for words, rad in overshoot_terms(d))
-            room = reach_rad(d) - overshoot
+        elif stopping.limits_are_ordered(d) and run.eps_rad + overshoot > stopping.reach_rad(d):
+            written = " + ".join(f"{rad:.3f} ({words})" for words, rad in stopping.overshoot_terms(d))
+            room = stopping.reach_rad(d) - overshoot
             yield Problem(
                 (*path, "eps_rad"),
                 f"{run.eps_rad:g} rad and the overshoot, at most {written} = {overshoot:.3f} rad at "
-                f"{e.limits.max_speed_rad_s:g} rad/s, leave the soft limits ({reach_rad(d):g} rad from the centre of "
-                "travel)",
+                f"{e.limits.max_speed_rad_s:g} rad/s, leave the soft limits ({stopping.reach_rad(d):g} rad from the "
+                "centre of travel)",
                 (f"at most {_floor(room):g} rad, or " if room > least_rad else "")
                 + "lower limits.max_speed_rad_s if the shaft is slower, or widen limits.soft_rad",
             )
@@ -381,7 +370,7 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
 
 def _tracking(e: Experiment) -> Iterator[Problem]:
     d = e.device
-    if e.tracking is None or not limits_are_ordered(d):
+    if e.tracking is None or not stopping.limits_are_ordered(d):
         return
     terms = [(abs(s.amplitude_rad), s.omega_rad_s) for s in e.tracking.trajectory]
     turn_rad_s = abs(e.tracking.turn_rad_s)
@@ -390,12 +379,12 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
         return
     peak_rad = sum(a for a, _ in terms)
     speed = sum(a * w for a, w in terms) + turn_rad_s
-    if peak_rad > reach_rad(d):
+    if peak_rad > stopping.reach_rad(d):
         written = " + ".join(f"{a:g}" for a, _ in terms)
         yield wrong(
             "tracking.trajectory",
             f"its peak, at most {written} = {peak_rad:.3g} rad, leaves the soft limits "
-            f"({reach_rad(d):g} rad from the centre of travel)",
+            f"({stopping.reach_rad(d):g} rad from the centre of travel)",
             "lower the amplitudes",
         )
     turned_rad = turn_rad_s * e.tracking.duration_s + peak_rad
@@ -426,10 +415,10 @@ def _survey(e: Experiment) -> Iterator[Problem]:
                 "leave out section survey and identify.thorough",
             )
         return
-    if e.survey.speeds_rad_s is None or not limits_are_ordered(e.device):
+    if e.survey.speeds_rad_s is None or not stopping.limits_are_ordered(e.device):
         return
     try:
-        expected_sweeps(e)
+        stopping.expected_sweeps(e)
     except TooShortError as error:
         yield wrong(
             "survey.speeds_rad_s", str(error), "other speeds, wider limits.soft_rad, or a larger survey.longest_s"
@@ -532,3 +521,19 @@ def _at_most(volts: float) -> str:
 def _floor(value: float) -> float:
     """Three digits, rounded down: a value from a hint must pass."""
     return float(f"{value * 0.995:.3g}")
+
+
+def check(path: Given, passing: Collection[str] = (), pace: float | None = None) -> tuple[Experiment, Preflight]:
+    """``load``, and ``preflight`` on it: the experiment, and what it would do.
+
+    pace     in place of loop.pace; None: as the file says
+    passing  keys, written with dots, whose problems do not count; for commands that drive nothing
+    Raises ConfigError as ``load`` does, and also if the experiment must not be run: with line and key of each problem.
+    """
+    experiment, document = load_with_places(read(path, takes_pipe=True))
+    experiment = experiment.at_pace(pace)
+    found = preflight(experiment)
+    problems = [problem for problem in found.problems if problem.key not in passing]
+    if problems:
+        raise ConfigError(map(document.located, problems))
+    return experiment, found

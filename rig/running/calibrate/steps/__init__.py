@@ -8,35 +8,33 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from rig.config.schema import Experiment
-from rig.running.calibrate.dialogue import Say, Skipped
+from rig.running.calibrate.dialogue import Refusal, Skipped, Talk
 from rig.running.calibrate.draft import Draft
-from rig.running.calibrate.refusal import Refusal
 from rig.running.calibrate.steps.angles import angles_step
 from rig.running.calibrate.steps.dead_band import dead_band_step
-from rig.running.calibrate.steps.questions import Steps, refused
 from rig.running.calibrate.steps.strokes import strokes_step
 from rig.running.calibrate.steps.travel import travel_step
 from rig.running.calibrate.steps.turn import turn_step
 
 
-def calibration(draft: Draft, names: Sequence[str]) -> Steps[Draft]:
+def calibration(talk: Talk, draft: Draft, names: Sequence[str]) -> Draft:
     """These steps, by name, one after the other. A step that somebody skips leaves the draft as it was.
 
     Raises KeyError for a name that is not among ``steps_for`` this config.
     """
     for name in names:
         title, step = steps_for(draft.original)[name]
-        yield Say(f"{name}: {title}", "step")
+        talk.say(f"{name}: {title}", "step")
         try:
-            draft = yield from step(draft)
+            draft = step(talk, draft)
         except Skipped:
-            yield Say(f"{name} is left out")
+            talk.say(f"{name} is left out")
         except Refusal as refusal:  # what the step cannot ask for again
-            yield refused(refusal)
+            talk.refuse(refusal)
     return draft
 
 
-Step = Callable[[Draft], Steps[Draft]]
+Step = Callable[[Talk, Draft], Draft]
 
 
 def steps_for(e: Experiment) -> dict[str, tuple[str, Step]]:

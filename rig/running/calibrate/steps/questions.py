@@ -4,41 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Generator
 from dataclasses import replace
-from typing import Any, Final, TypeVar
+from typing import Final
 
 from rig.running.calibrate import wiring
-from rig.running.calibrate.dialogue import Ask, Read, Reading, Request, Say
+from rig.running.calibrate.dialogue import Read, Reading, Refusal, Talk
 from rig.running.calibrate.draft import Draft
-from rig.running.calibrate.refusal import Refusal
-
-_T = TypeVar("_T")
-Steps = Generator[Request, Any, _T]
 
 _LARGEST_ANGLE_RAD = math.radians(36_000.0)
 _LARGEST_ERROR_DEG = 10.0
 MOVED_COUNTS = 3.0  # less is a sensor that has not moved
 
 
-def choice(before: Say | None, words: str, choices: tuple[tuple[str, str], ...]) -> Steps[str]:
-    """One of these answers; the first is the default."""
-    if before is not None:
-        yield before
-    names = [name for name, _ in choices]
-    while True:
-        answer = (yield Ask(words, "choice", names[0], choices)).strip().lower()
-        if answer == "":
-            return names[0]
-        meant = [name for name in names if name.startswith(answer)]
-        if len(meant) == 1:
-            return meant[0]
-        yield refused(Refusal(f"{answer!r} is no answer here", f"type one of {', '.join(names)}"))
-
-
-def standing(draft: Draft, request: Read) -> Steps[tuple[Draft, Reading]]:
+def standing(talk: Talk, draft: Draft, request: Read) -> tuple[Draft, Reading]:
     """A reading of a shaft that stands, away from the rails; and the draft that knows the board. Raises Refusal."""
-    reading: Reading = yield request
+    reading: Reading = talk.perform(request)
     must_stand(reading)
     e = request.experiment
     low, high = e.sensor.rails
@@ -59,11 +39,6 @@ def must_stand(reading: Reading) -> None:
         raise Refusal(
             f"the shaft still turns: {reading.drift_counts:+.1f} counts while it was read", "hold it still, and again"
         )
-
-
-def refused(refusal: Refusal) -> Say:
-    """To show why something is refused."""
-    return Say(f"{refusal.cause}\n{refusal.cure}", "refused", refusal.drawings)
 
 
 _ANGLE: Final = re.compile(r"\s*([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(rad|deg|degrees|°|)\s*\Z")
@@ -97,17 +72,17 @@ def number(answer: str) -> float:
     return value
 
 
-def angle_error(believed_rad: float) -> Steps[float]:
+def angle_error(talk: Talk, believed_rad: float) -> float:
     """By how much each angle may be off, rad; as believed, if nobody says otherwise."""
     default = f"{math.degrees(believed_rad):.2g}"
     while True:
-        answer = yield Ask(
-            "by how many degrees may each angle be off? a printed protractor is good to 0.5", "number", default
+        answer = talk.ask(
+            "by how many degrees may each angle be off? a printed protractor is good to 0.5", "number", default=default
         )
         try:
             return believed_rad if answer.strip() in ("", default) else _error_rad(number(answer))
         except Refusal as refusal:
-            yield refused(refusal)
+            talk.refuse(refusal)
 
 
 def _error_rad(error_deg: float) -> float:

@@ -1,1 +1,0 @@
-"""The runs of a folder: one line each, from an index beside them that is never trusted over the folder."""
