@@ -67,11 +67,9 @@ class Relay(Protocol):
     @property
     def z_rad_s(self) -> float:
         """Integral of the position."""
-        ...
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V."""
-        ...
 
 
 R = TypeVar("R", bound=Relay)

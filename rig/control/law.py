@@ -23,11 +23,9 @@ class Law(Protocol):
     @property
     def finished(self) -> bool:
         """Whether the law has ended."""
-        ...
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault if the law finds something wrong with the bench."""
-        ...
 
 
 @runtime_checkable
@@ -37,7 +35,6 @@ class Pulsed(Law, Protocol):
     @property
     def pulse_s(self) -> float:
         """How long the drive that was just decided may act at most, s; 0.0: it may go on."""
-        ...
 
 
 class OwnLaw(Protocol):
@@ -49,7 +46,6 @@ class OwnLaw(Protocol):
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. The guard has the last word: the device may get less."""
-        ...
 
 
 class Rest:

@@ -24,7 +24,6 @@ class Trajectory(Protocol):
 
     def at(self, t_s: float) -> Reference:
         """Reference ``t_s`` seconds after the start."""
-        ...
 
 
 def linearising_drive(
