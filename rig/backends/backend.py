@@ -20,7 +20,7 @@ from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayRules, Transport
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.link_budget import LinkBudget
-from rig.backends.links.inherited_link import InheritedLink
+from rig.backends.links.open_link import OpenLink
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Emulated
 from rig.core.section import Section
@@ -261,7 +261,7 @@ class LineBackend(Backend):
     @override
     def stopper(self, d: DeviceSetup, descriptor: int) -> Driver | None:
         """On the inherited link."""
-        return self.driver(d, Line(InheritedLink(descriptor), host_clock(d), "inherited", answered=True))
+        return self.driver(d, Line(OpenLink(descriptor), host_clock(d), "inherited", answered=True))
 
 
 OpenLine = Callable[[LineBackend, DeviceSetup], AbstractContextManager[Line]]
