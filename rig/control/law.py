@@ -48,35 +48,39 @@ class OwnLaw(Protocol):
         """Drive for this sample, V. The guard has the last word: the device may get less."""
 
 
-class Rest:
-    """0 V for a given time, s: the shaft coasts to a stop."""
+class BareLaw:
+    """What a law begins as: no integral, no reference, not finished; its time counts from its first sample."""
 
     z_rad_s = math.nan
     yd_rad = math.nan
+    finished = False
+    _first_s = math.nan
+
+    def _elapsed_s(self, sample: Sample) -> float:
+        """Time since the first sample, s."""
+        if math.isnan(self._first_s):
+            self._first_s = sample.t_s
+        return sample.t_s - self._first_s
+
+
+class Rest(BareLaw):
+    """0 V for a given time, s: the shaft coasts to a stop."""
 
     def __init__(self, duration_s: float) -> None:
         self.duration_s = duration_s
-        self.finished = False
-        self._start_s = math.nan
 
     def step(self, sample: Sample) -> float:
         """Return 0 V; finished once ``duration_s`` has passed since the first sample."""
-        if math.isnan(self._start_s):
-            self._start_s = sample.t_s
-        self.finished = sample.t_s - self._start_s >= self.duration_s
+        self.finished = self._elapsed_s(sample) >= self.duration_s
         return 0.0
 
 
-class Constant:
+class Constant(BareLaw):
     """A constant drive for a given time: `rig jog`."""
-
-    z_rad_s = math.nan
-    yd_rad = math.nan
 
     def __init__(self, u_V: float, duration_s: float) -> None:
         self.u_V = u_V
         self._rest = Rest(duration_s)
-        self.finished = False
 
     def step(self, sample: Sample) -> float:
         """Return the constant drive, V, and 0 V once the time is over."""
@@ -105,7 +109,7 @@ def is_of_own_law(frame: FrameType | None) -> bool:
     return False
 
 
-class Timed:
+class Timed(BareLaw):
     """A law of a user's own, for a given time at most; 0 V once it has ended.
 
     law         the user's object; it gets each sample from its first tick on
@@ -122,10 +126,7 @@ class Timed:
         self.law = law
         self.duration_s = duration_s
         self.name = name
-        self.z_rad_s = math.nan
-        self.yd_rad = math.nan
         self._rest = Rest(duration_s)
-        self.finished = False
 
     def step(self, sample: Sample) -> float:
         """Return the law's drive, V.
