@@ -12,7 +12,7 @@ from itertools import combinations
 from rig.backends.link_budget import BAUD_RATES
 from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
 from rig.backends.modbus.registers import Register, RegisterMap
-from rig.backends.modbus.section import EMULATED_PORTS, OLD_VIRTUAL_PORT, Modbus, is_tcp, tcp_address
+from rig.backends.modbus.section import Modbus, is_tcp, tcp_address
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
 
@@ -24,7 +24,7 @@ _HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without 
 
 def modbus_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rules that only a Modbus device has."""
-    yield from _port(d)
+    yield from _address(d.daq.port or "")
     if d.runs_relay:
         yield wrong(
             "relay.where",
@@ -67,19 +67,8 @@ def modbus_notes(d: DeviceSetup) -> Iterator[str]:
         )
 
 
-def _port(d: DeviceSetup) -> Iterator[Problem]:
-    port = d.daq.port
-    if port is None:
-        yield wrong(
-            "daq.port", "`driver: modbus` needs a port", "/dev/ttyUSB0, tcp://192.168.0.5:502, or port: emulated"
-        )
-    elif port in EMULATED_PORTS:
-        if d.emulated is None:
-            yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
-    elif port.startswith("emulated"):
-        hint = "it is `emulated` now" if port == OLD_VIRTUAL_PORT else f"one of {', '.join(EMULATED_PORTS)}"
-        yield wrong("daq.port", f"no {port} for `driver: modbus`", hint)
-    elif "://" in port or port.startswith("tcp"):
+def _address(port: str) -> Iterator[Problem]:
+    if "://" in port or port.startswith("tcp"):
         try:
             tcp_address(port)
         except ValueError as error:

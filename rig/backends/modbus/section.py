@@ -19,7 +19,6 @@ SignedType = Literal["int16", "int32", "float32"]
 RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
 
 EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-realtime", "emulated-tcp-realtime")
-OLD_VIRTUAL_PORT = "emulated-virtual"  # in older run folders; it is `emulated` now
 TCP_PORT = 502  # unless the address names another
 _TCP, _EMULATED_TCP = "tcp://", "emulated-tcp"
 
