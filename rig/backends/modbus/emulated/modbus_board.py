@@ -60,7 +60,6 @@ class ModbusBoard(BoardProcess):
         corruption    RTU: damage on the line
         Raises EmulationError where it does not start.
         """
-        self._must_not_run()
         if tcp_port is not None and link is not None:
             raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
         device = Device(
