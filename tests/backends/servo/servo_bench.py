@@ -35,7 +35,7 @@ def addressed(bus: ServoBus) -> Counter[int]:
     for _, frame in bus.log:
         if isinstance(frame, dynamixel.Frame):
             if frame.instruction != dynamixel.Instruction.PING:
-                counted.update(named_by_dynamixel(frame))
+                counted.update(named_by_dynamixel(frame) or {frame.id})
         elif frame.code != feetech.Instruction.PING:
             counted.update(named_by_feetech(frame))
     return counted

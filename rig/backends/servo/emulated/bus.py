@@ -118,17 +118,6 @@ class ServoBus:
                 return servo
         raise KeyError(id)
 
-    def addressed(self) -> Counter[int]:
-        """How many packets, pings apart, went to each id, BROADCAST included; what a group instruction names counts."""
-        counted: Counter[int] = Counter()
-        for _, frame in self.log:
-            if isinstance(frame, dynamixel.Frame):
-                if frame.instruction != dynamixel.Instruction.PING:
-                    counted.update(named_by_dynamixel(frame) or {frame.id})
-            elif frame.code != feetech.Instruction.PING:
-                counted.update(named_by_feetech(frame))
-        return counted
-
     # ------------------------------------------------------------------ the host's end
 
     def send(self, data: bytes, t_s: float) -> None:
