@@ -11,16 +11,19 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeVar
 
 from typing_extensions import override
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayRules, Transport
-from rig.backends.emulated.shaft import ShaftPath
+from rig.backends.emulated.shaft import ShaftPath, traced
+from rig.backends.emulated.words import in_virtual_time
 from rig.backends.link_budget import LinkBudget
-from rig.backends.links.inherited_link import InheritedLink
+from rig.backends.links.open_link import OpenLink
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup, Emulated
 from rig.core.section import Section
@@ -33,6 +36,8 @@ if TYPE_CHECKING:  # these load slowly
     from rig.model.bench import BenchParameters
 
 OwnSection = TypeVar("OwnSection", bound=Section)
+
+_FORMER_PORT = "emulated-virtual"  # in older run folders; it is `emulated` now
 
 
 class Watchdog(NamedTuple):
@@ -261,7 +266,110 @@ class LineBackend(Backend):
     @override
     def stopper(self, d: DeviceSetup, descriptor: int) -> Driver | None:
         """On the inherited link."""
-        return self.driver(d, Line(InheritedLink(descriptor), host_clock(d), "inherited", answered=True))
+        return self.driver(d, Line(OpenLink(descriptor), host_clock(d), "inherited", answered=True))
+
+
+class Opening(Protocol):
+    """How a kind of device opens: a module, which loads slowly, so that only what opens a device loads it."""
+
+    def virtual_line(self, d: DeviceSetup) -> Line:
+        """The line of the emulated device in virtual time. Raises EmulationError."""
+
+    def transport(self, d: DeviceSetup, port: str, *, emulated: bool = False) -> Transport:
+        """The open port, a real one or an emulated device's in real time. Raises Fault LINK_OPEN, CONFIG_MISMATCH."""
+
+    def driver(self, d: DeviceSetup, line: Line) -> Driver:
+        """As of ``LineBackend``."""
+
+    def emulated_board(
+        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+    ) -> AbstractContextManager[BoardProcess]:
+        """As ``Backend.emulated``. Raises EmulationError where it does not start."""
+
+
+class PortBackend(LineBackend):
+    """A device of rig's own: on a real port, or the emulated one of section ``emulated`` in its place.
+
+    emulated_ports  words of ``daq.port`` for that one
+    port_example    a port, for people
+    bench_example   a config with such a section ``emulated``
+    is_traced       whether the trace of its emulated device in real time tells the shaft's path
+    """
+
+    shared_keys = frozenset({"port", "usb_serial"})
+    emulated_ports: ClassVar[tuple[str, ...]]
+    port_example: ClassVar[str]
+    bench_example: ClassVar[str] = "config/demo.yaml"
+    is_traced: ClassVar[bool] = False
+
+    @abstractmethod
+    def opening(self) -> Opening:
+        """How it opens."""
+
+    @override
+    def rules(self, d: DeviceSetup) -> Iterator[Problem]:
+        """A port that the device can have, and the section that an emulated one needs."""
+        port = d.daq.port
+        if port is None:
+            yield wrong("daq.port", f"`driver: {self.name}` needs a port", self.port_example)
+            return
+        if d.daq.usb_serial is not None and not port.startswith("/"):
+            yield wrong("daq.usb_serial", f"{port} is no port on USB", "remove it")
+        if port.startswith("emulated") and not self.is_emulated(d):
+            hint = "it is `emulated` now" if port == _FORMER_PORT else f"one of {', '.join(self.emulated_ports)}"
+            yield wrong("daq.port", f"no {port} for `driver: {self.name}`", hint)
+        elif self.is_emulated(d) and d.emulated is None:
+            yield wrong(
+                "emulated", f"`port: {port}` needs this section", f"describe the bench: see {self.bench_example}"
+            )
+
+    @override
+    def is_emulated(self, d: DeviceSetup) -> bool:
+        return d.daq.port in self.emulated_ports
+
+    @override
+    def in_virtual_time(self, d: DeviceSetup) -> bool:
+        return self.is_emulated(d) and in_virtual_time(d.daq.port)
+
+    @override
+    def notes(self, d: DeviceSetup) -> Iterator[str]:
+        yield from usb_notes(d)
+
+    @override
+    def not_emulated_words(self, d: DeviceSetup) -> str:
+        return f"section `emulated` is not used with port {d.daq.port}"
+
+    @override
+    @contextmanager
+    def line(self, d: DeviceSetup) -> Iterator[Line]:
+        """Raises ValueError where the config has no port."""
+        port = d.daq.port
+        if port is None:
+            raise ValueError("daq.port is missing")
+        if self.in_virtual_time(d):
+            yield self.opening().virtual_line(d)
+        elif self.is_emulated(d):
+            with TemporaryDirectory(prefix="rig-") as folder:
+                trace = Path(folder) / "truth.csv" if self.is_traced else None
+                with self.opening().emulated_board(d, trace=trace) as board:
+                    line = self._line_of_port(d, board.port, emulated=True)
+                    yield line if trace is None else line._replace(shaft=partial(traced, trace))
+        else:
+            yield self._line_of_port(d, port)
+
+    def _line_of_port(self, d: DeviceSetup, port: str, *, emulated: bool = False) -> Line:
+        transport = self.opening().transport(d, port, emulated=emulated)
+        return Line(transport, host_clock(d), f"{self.name}:{port}", emulated=emulated)
+
+    @override
+    def driver(self, d: DeviceSetup, line: Line) -> Driver:
+        return self.opening().driver(d, line)
+
+    @override
+    def emulated(
+        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+    ) -> AbstractContextManager[BoardProcess]:
+        return self.opening().emulated_board(d, link, trace, chip=chip)
 
 
 OpenLine = Callable[[LineBackend, DeviceSetup], AbstractContextManager[Line]]
@@ -279,13 +387,6 @@ class _OwnLine:
 
 
 own_line = _OwnLine()
-
-
-def usb_rules(d: DeviceSetup) -> Iterator[Problem]:
-    """The rule of ``daq.usb_serial``: the port is a device file."""
-    port = d.daq.port
-    if d.daq.usb_serial is not None and port is not None and not port.startswith("/"):
-        yield wrong("daq.usb_serial", f"{port} is no port on USB", "remove it")
 
 
 def usb_notes(d: DeviceSetup) -> Iterator[str]:

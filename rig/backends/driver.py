@@ -172,11 +172,9 @@ class Clock(Protocol):
 
     def now_s(self) -> float:
         """Seconds since an arbitrary zero; never decreases."""
-        ...
 
     def sleep_until(self, t_s: float) -> float:
         """Return at ``t_s``, or as soon after it as possible; the time then, s."""
-        ...
 
 
 class Transport(Protocol):
@@ -184,22 +182,18 @@ class Transport(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``. Raises Fault LINK_LOST when the port is dead."""
-        ...
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived, at least one byte; b"" after ``timeout_s`` without any.
 
         ``timeout_s`` >= 0. Raises Fault LINK_LOST when the port is dead.
         """
-        ...
 
     def now_s(self) -> float:
         """Monotonic clock of the host, s."""
-        ...
 
     def close(self) -> None:
         """Give the port back. May be called twice."""
-        ...
 
 
 class Driver(Protocol):
@@ -219,17 +213,14 @@ class Driver(Protocol):
 
         "sample_first": at once, in ``write``. "write_first": in the next tick's ``read``, just before its sample.
         """
-        ...
 
     @property
     def failsafe(self) -> DeviceWatchdog | None:
         """What sets 0 V when the host is silent; None: the device holds its last output."""
-        ...
 
     @property
     def backend(self) -> str:
         """What is behind this driver, in words; complete once opened."""
-        ...
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -237,22 +228,18 @@ class Driver(Protocol):
 
         All but ``exchanges`` count errors: who watches the run is told of them.
         """
-        ...
 
     def open(self) -> DeviceInfo:
         """Open the device. Raises Fault LINK_* when it is absent, or not the expected one."""
-        ...
 
     def arm(self, limits: Limits) -> None:
         """Give the device its limits and allow drive. Clears no fault that the device has latched since ``open``.
 
         Raises Fault when the device refuses, ValueError when it cannot hold such limits.
         """
-        ...
 
     def read(self) -> Sample:
         """Sample the bench, armed or not. Raises Fault on any fault of link or device."""
-        ...
 
     def write(self, u_V: float) -> None:
         """Set the drive. The next ``read`` reports when it took effect, and how much drive acts after quantisation.
@@ -260,15 +247,12 @@ class Driver(Protocol):
         Raises ValueError beyond the drive's range, or where ``u_V`` is not a number. A device that is not armed, or is
         armed for less, does not drive: it refuses at once, or in the next ``read``.
         """
-        ...
 
     def safe_stop(self) -> bool:
         """Set 0 V and disarm. True if the device confirmed it; never raises on a dead link, nor before ``open``."""
-        ...
 
     def close(self) -> None:
         """Give the link back, stopped. May be called twice."""
-        ...
 
 
 @runtime_checkable
@@ -278,11 +262,9 @@ class RelayRules(Protocol):
     @property
     def tick_s(self) -> float:
         """The device's tick in host time, s."""
-        ...
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
         """The command for these gains. Raises Fault or ValueError where the device cannot run them."""
-        ...
 
 
 @runtime_checkable
@@ -299,7 +281,6 @@ class PulseDriver(Driver, Protocol):
 
         After that no further one drives, until a ``write`` has come. Raises ValueError where the device has no pulses.
         """
-        ...
 
 
 @runtime_checkable
@@ -315,18 +296,15 @@ class EncoderDriver(Driver, Protocol):
 
     def forget_zero(self) -> None:
         """Forget the zero of a disarmed device: only a homing arms it until ``set_zero``. Raises Fault LINK_*."""
-        ...
 
     def set_zero(self, here_rad: float) -> None:
         """Tell a disarmed device that its shaft stands at ``here_rad``, until its next reset.
 
         Raises Fault LINK_*, and the fault of the encoder that the device has latched: it takes no zero then.
         """
-        ...
 
     def leave_switch(self) -> None:
         """Acknowledge the end switch that a homing has reached. Raises Fault where another fault is latched."""
-        ...
 
 
 @runtime_checkable
@@ -342,7 +320,6 @@ class StrokeRules(RelayRules, Protocol):
         motion_rad  readings within this span stand still, rad
         Raises Fault CONFIG_MISMATCH or ValueError where the device cannot run them.
         """
-        ...
 
 
 @runtime_checkable
@@ -351,22 +328,18 @@ class RelayDriver(Driver, RelayRules, Protocol):
 
     def start_relay(self, command: RelayCommand) -> None:
         """Let the relay drive. Raises Fault where the device refuses, or on any fault of the link."""
-        ...
 
     def keep(self) -> None:
         """Tell the device that the host lives. Without this the relay ends after the watchdog time."""
-        ...
 
     def read_rows(self) -> list[RelayRow]:
         """The ticks since the last call; does not wait. Raises Fault on any fault of link or device.
 
         Call it once after ``safe_stop``: it returns the last ticks before the stop, and raises nothing.
         """
-        ...
 
     def stop_relay(self) -> list[RelayRow]:
         """End the relay with 0 V, still armed; returns its last ticks. Raises Fault on any fault of the link."""
-        ...
 
 
 @runtime_checkable
@@ -375,11 +348,9 @@ class StrokeDriver(RelayDriver, StrokeRules, Protocol):
 
     def start_strokes(self, command: StrokesCommand) -> None:
         """Let the strokes drive. Raises Fault where the device refuses, or on any fault of the link."""
-        ...
 
     def row_after_stop(self) -> RelayRow | None:
         """After ``stop_relay``: the shaft now, and since when 0 V acts, which is before that; None: unknown.
 
         Raises Fault as ``read``.
         """
-        ...

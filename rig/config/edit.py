@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # it loads slowly
 Value = bool | int | float | str | Sequence["Value"] | Mapping[str, "Value"]
 
 _COMMENT = re.compile(r"(?:^|\s)#", re.MULTILINE)
+_PLAIN = re.compile(r"[A-Za-z/][A-Za-z0-9/_.-]*")  # text that needs no quotes, but for words that mean something else
+_OTHERS = ("true", "false", "null", "yes", "no", "on", "off", "y", "n")
 _COMMENT_BEHIND = re.compile(r"([ ]+)(#)")
 
 
@@ -92,10 +94,12 @@ def _with_value(text: str, path: Path, value: Value) -> str:
 def _replaced(text: str, node: yaml.Node, value: Value) -> str:
     """The text with ``value`` where ``node`` stands."""
     if _is_on_one_line(node):
-        old = parse(f"v: {text[node.start_mark.index : node.end_mark.index]}", "config").data["v"]
-        if json.dumps(old) == json.dumps(_plain(value)):
+        start, end = node.start_mark.index, node.end_mark.index
+        old = text[start:end]
+        if json.dumps(parse(f"v: {old}", "config").data["v"]) == json.dumps(_plain(value)):
             return text  # `1.80` may stay as it is
-        return _overwritten(text, node.start_mark.index, node.end_mark.index, _flow(value))
+        stays_quoted = isinstance(value, str) and old.startswith(('"', "'"))
+        return _overwritten(text, start, end, _quoted(value) if stays_quoted else _flow(value))
     if isinstance(node, yaml.SequenceNode) and isinstance(value, Sequence) and not isinstance(value, str):
         if len(node.value) == len(value):
             for item, inner in reversed(list(zip(node.value, value, strict=True))):
@@ -197,6 +201,10 @@ def _newline(text: str) -> str:
     return "\r\n" if "\r\n" in text else "\n"
 
 
+def _quoted(value: Value) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
 def _flow(value: Value) -> str:
     """A value on one line."""
     if isinstance(value, bool):
@@ -204,7 +212,7 @@ def _flow(value: Value) -> str:
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return value if _PLAIN.fullmatch(value) and value.lower() not in _OTHERS else _quoted(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key}: {_flow(inner)}" for key, inner in value.items()) + "}"
     return "[" + ", ".join(_flow(inner) for inner in value) + "]"

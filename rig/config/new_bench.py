@@ -5,15 +5,16 @@ What can be answered stands in tables: a board, a sensor or a bridge more is one
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePath
 from typing import Final
 
 from rig.config import ready
 from rig.config.bridges import BRIDGES, COASTS, RUNS_FREE, BridgeModule
+from rig.config.edit import Value, with_values
+from rig.config.problems import Path
 from rig.core.errors import CauseError
 
 _EXAMPLE_HARD_RAD: Final = 1.6  # limits.hard_rad of the examples: their limits, speed and amplitudes go with it
@@ -201,27 +202,28 @@ def text(answers: Answers, file: str) -> str:
     count_rad = calibrated_rad / counts if answers.sensor == "potentiometer" else 2.0 * math.pi / answers.counts
     seen_rad = math.ceil(100.0 * _LEAST_CYCLE_COUNTS * count_rad) / 100.0
     top_rad_s = math.ceil(answers.no_load_rpm * math.pi / 30.0 * 10.0) / 10.0
-    new = ready.text(board.example)
-    for key, value in (
-        ("name", _yaml_text(_name_of(file))),
-        ("port", _yaml_text(answers.port)),
-        ("calibration", _rows((middle - counts, -calibrated_rad), (middle + counts, calibrated_rad))),
-        ("bridge", module.inputs),
-        ("supply_V", f"{answers.supply_V:g}"),
-        ("bridge_drop_V", f"{module.drop_V:g}"),
-        ("max_V", f"{min(3.0, round(0.5 * (answers.supply_V - module.drop_V), 1)):g}"),
-        ("no_load_speed_rad_s", f"{top_rad_s:g}"),
-        ("soft_rad", f"[{-soft_rad:g}, {soft_rad:g}]"),
-        ("hard_rad", f"[{-hard_rad:g}, {hard_rad:g}]"),
-        ("max_speed_rad_s", f"{math.floor(45.0 * size) / 10.0:g}"),
-        ("target", f"{{amplitude_rad: {max(0.45 * size, seen_rad):.2f}, period_s: 1.6}}"),
-        ("trajectory", _trajectory((0.4 * size, 1.5), (0.2 * size, 3.1))),
-    ):
-        new = _with(new, key, value)
+    values: dict[Path, Value] = {
+        ("name",): _name_of(file),
+        ("daq", "port"): answers.port,
+        ("sensor", "calibration"): [{"counts": middle + way * counts, "rad": way * calibrated_rad} for way in (-1, 1)],
+        ("drive", "bridge"): module.inputs,
+        ("drive", "supply_V"): answers.supply_V,
+        ("drive", "bridge_drop_V"): module.drop_V,
+        ("drive", "max_V"): min(3.0, round(0.5 * (answers.supply_V - module.drop_V), 1)),
+        ("motor", "no_load_speed_rad_s"): top_rad_s,
+        ("limits", "soft_rad"): [-soft_rad, soft_rad],
+        ("limits", "hard_rad"): [-hard_rad, hard_rad],
+        ("limits", "max_speed_rad_s"): math.floor(45.0 * size) / 10.0,
+        ("relay", "target"): {"amplitude_rad": round(max(0.45 * size, seen_rad), 2), "period_s": 1.6},
+        ("tracking", "trajectory"): [
+            {"amplitude_rad": round(share * size, 2), "omega_rad_s": omega} for share, omega in ((0.4, 1.5), (0.2, 3.1))
+        ],
+    }
+    if answers.usb_serial:  # of this bench's board: another one at the port is refused
+        values["daq", "usb_serial"] = answers.usb_serial
+    new = with_values(ready.text(board.example), values)
     if answers.tests == "quick":
         new = _until_known(new)
-    if answers.usb_serial:
-        new = re.sub(r"(?m)^(\s*)(port:.*\n)", lambda found: found[0] + found[1] + _usb_line(answers), new, count=1)
     if answers.sensor == "encoder":
         new = _with_encoder(new, answers)
     if not has_stops:
@@ -231,19 +233,13 @@ def text(answers: Answers, file: str) -> str:
 
 def _name_of(file: str) -> str:
     """The name of runs by this config: that of the file, where it can be one."""
-    stem = Path(file).stem
+    stem = PurePath(file).stem
     return stem if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", stem) else "bench"
-
-
-def _yaml_text(text: str) -> str:
-    """The text as YAML takes it for one: in quotes where it could be a number, a comment, a key."""
-    is_plain = re.fullmatch(r"[A-Za-z/][A-Za-z0-9/_.-]*", text) and text.lower() not in ("true", "false", "null")
-    return text if is_plain else json.dumps(text)
 
 
 def with_watchdog(config: str, watchdog_s: float) -> str:
     """The config with this watchdog time, s: the longest that leaves room to stop needs the config to be read."""
-    return _with(config, "watchdog_s", f"{watchdog_s:g}")
+    return with_values(config, {("daq", "watchdog_s"): watchdog_s})
 
 
 def _with_encoder(config: str, answers: Answers) -> str:
@@ -260,7 +256,8 @@ sensor:
     sign: 1                 # -1 if the counts fall where the position should rise
 """
     motion_rad = max(_MOTION_RAD, _MOTION_COUNTS * 2.0 * math.pi / answers.counts)
-    new = _with(config[:start] + section + config[end:], "motion_rad", f"{motion_rad:.3f}")
+    whole = config[:start] + section + config[end:]
+    new = with_values(whole, {("breakaway", "motion_rad"): round(motion_rad, 3)})
     new = re.sub(r"(?m)^#   \* (?:pull-down on the wiper|the potentiometer's dead zone).*\n(?:#     .*\n)*", "", new)
     return re.sub(r"(?m); potentiometer between .*$", "; the encoder's ground, too.", new)
 
@@ -286,42 +283,6 @@ def _until_known(config: str) -> str:
     start, end = config.index("relay:\n"), config.index("\ntracking:")
     until = "  until: {interval_percent: 0.4}    # the tests end when tau, K and f_c are known so well: docs/until.md\n"
     return f"{config[:start]}relay:\n{until}{config[end:]}"
-
-
-def _usb_line(answers: Answers) -> str:
-    return (
-        f"usb_serial: {json.dumps(answers.usb_serial)}    # of this bench's board: another one at the port is refused\n"
-    )
-
-
-def _rows(*points: tuple[int, float]) -> str:
-    return "\n" + "\n".join(f"    - {{counts: {counts}, rad: {rad:g}}}" for counts, rad in points)
-
-
-def _trajectory(*sines: tuple[float, float]) -> str:
-    return "\n" + "\n".join(f"    - {{amplitude_rad: {size:.2f}, omega_rad_s: {omega:g}}}" for size, omega in sines)
-
-
-def _with(config: str, key: str, value: str) -> str:
-    """The text with another value of the first key of this name; its comment stays in its column, if it can.
-
-    A value that begins with a line break replaces the list below the key.
-    """
-    if value.startswith("\n"):
-        new, count = re.subn(rf"(?m)^(\s*{key}:)[ ]*(?:\n\s+- .*)+", lambda found: found[1] + value, config, count=1)
-    else:
-
-        def line(found: re.Match[str]) -> str:
-            start = f"{found[1]} {value}"
-            if found[3] is None:
-                return start
-            column = found.start(3) - found.start()
-            return f"{start}{' ' * max(1, column - len(start))}{found[3]}"
-
-        new, count = re.subn(rf"(?m)^(\s*{key}:) ([^#\n]*?)[ ]*(#.*)?$", line, config, count=1)
-    if count != 1:
-        raise KeyError(key)
-    return new
 
 
 def _with_introduction(config: str, answers: Answers, module: BridgeModule) -> str:

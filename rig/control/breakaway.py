@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from statistics import fmean, median
 from typing import Literal, NamedTuple
 
+from rig.control.law import BareLaw
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 
@@ -43,7 +44,7 @@ def turns(y_rad: list[float], least_rad: float, noise_rad: float) -> bool:
     return drift > max(least_rad, 4.0 * noise_rad * math.sqrt(2.0 / half))
 
 
-class RestingCheck:
+class RestingCheck(BareLaw):
     """The part at 0 V of every breakaway check: it waits until the shaft stands, and measures the sensor's noise.
 
     motion_rad  displacement that counts as motion
@@ -52,13 +53,9 @@ class RestingCheck:
     longest_same_s  longest time so far for which the reading has not changed at all, s
     """
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(self, motion_rad: float, rest_s: float) -> None:
         self.motion_rad = motion_rad
         self.rest_s = rest_s
-        self.finished = False
         self.plus_V = math.nan
         self.minus_V = math.nan
         self.noise_rad = math.nan

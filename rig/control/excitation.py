@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from rig.control.guard import VelocityWindow
+from rig.control.law import BareLaw
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.unshown import UnshownMotion
@@ -67,30 +68,26 @@ class Relay(Protocol):
     @property
     def z_rad_s(self) -> float:
         """Integral of the position."""
-        ...
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V."""
-        ...
 
 
 R = TypeVar("R", bound=Relay)
 
 
-class RelayLaw(Generic[R]):
+class RelayLaw(BareLaw, Generic[R]):
     """A law that runs the shared relay and watches its cycle.
 
     ahead_s   how far ahead the relay takes the position, s: by the velocity, where drives act that much too late. Its
               integral then is ahead, too; the detector gets position and integral as they are
     """
 
-    yd_rad = math.nan
     ahead_s = 0.0
 
     def __init__(self, relay: R, detector: CycleDetector) -> None:
         self.relay = relay
         self.detector = detector
-        self.finished = False
         self.z_rad_s = 0.0
         self._start_s = math.nan
         self._velocity = VelocityWindow()

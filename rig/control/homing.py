@@ -7,11 +7,12 @@ from collections import deque
 from statistics import fmean
 
 from rig.control.breakaway import BreakawayFound, turns
+from rig.control.law import BareLaw
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 
 
-class Homing:
+class Homing(BareLaw):
     """Wait until the shaft stands. If it does not stand at zero, give it a stroke towards zero, and wait again.
 
     A stroke is a constant drive a little above the breakaway level. In a short stroke the shaft travels a distance that
@@ -33,9 +34,6 @@ class Homing:
     FIRST_TICKS = 3
     ABOVE_BREAKAWAY = 1.15
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(
         self, found: BreakawayFound, max_V: float, tolerance_rad: float, period_s: float, timeout_s: float
     ) -> None:
@@ -44,7 +42,6 @@ class Homing:
         self.noise_rad = found.noise_rad
         self.tolerance_rad = tolerance_rad
         self.timeout_s = timeout_s
-        self.finished = False
         self.strokes = 0
         self.rest_rad = math.nan
         self._max_V = max_V
@@ -56,13 +53,11 @@ class Homing:
         self._ticks = 0  # planned ticks of the stroke
         self._gone = 0  # its ticks so far
         self._period_s = period_s
-        self._begin_s = self._last_s = math.nan
+        self._last_s = math.nan
 
     def step(self, sample: Sample) -> float:
         """Drive of a stroke, V; 0 V while looking."""
-        if math.isnan(self._begin_s):
-            self._begin_s = sample.t_s
-        if sample.t_s - self._begin_s > self.timeout_s:
+        if self._elapsed_s(sample) > self.timeout_s:
             raise Fault(
                 "NOT_HOME",
                 f"{self.strokes} strokes in {self.timeout_s:.0f} s, last position {1e3 * sample.y_rad:+.1f} mrad; "

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from rig.control.law import BareLaw
 from rig.control.relay import HystereticRelay
 from rig.core.faults import Fault
 from rig.core.signals import Sample
 
 
-class HystereticRun:
+class HystereticRun(BareLaw):
     """Rest at 0 V, then run the relay until it has switched ``switchings`` times.
 
     The rest is recorded, too: it shows where the run starts, and that it starts from rest.
@@ -23,9 +24,6 @@ class HystereticRun:
     Raises ValueError for ``switchings`` below 1, and for a time-out that is not > 0.
     """
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(self, relay: HystereticRelay, rest_s: float, switchings: int, timeout_s: float) -> None:
         if switchings < 1 or not timeout_s > 0.0:
             raise ValueError("a run needs at least one switching and a time-out > 0 s")
@@ -33,19 +31,15 @@ class HystereticRun:
         self.rest_s = rest_s
         self.switchings = switchings
         self.timeout_s = timeout_s
-        self.finished = False
         self.first_switching_s = math.nan
         self.seen = 0
-        self._begin_s = math.nan
         self._since_s = math.nan  # since the first drive, or the last switching
         self._last_V = relay.d_V
 
     def step(self, sample: Sample) -> float:
         """Drive of the relay at this sample, V; 0 V while resting and when the run is over."""
         t_s = sample.t_s
-        if math.isnan(self._begin_s):
-            self._begin_s = t_s
-        if t_s - self._begin_s < self.rest_s:
+        if self._elapsed_s(sample) < self.rest_s:
             return 0.0
         if math.isnan(self._since_s):
             self._since_s = t_s

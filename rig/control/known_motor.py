@@ -23,12 +23,10 @@ class MotorState(Protocol):
     @property
     def v(self) -> float:
         """Velocity, rad/s."""
-        ...
 
     @property
     def y(self) -> float:
         """Position, rad."""
-        ...
 
 
 S = TypeVar("S")
@@ -47,23 +45,18 @@ class KnownMotor(Protocol[S]):
 
     def position_rad(self, reading_rad: float) -> float:
         """Where the shaft is when the sensor shows ``reading_rad``, rad."""
-        ...
 
     def at_rest(self, y_rad: float) -> S:
         """State of a shaft that stands at ``y_rad`` without drive."""
-        ...
 
     def moved(self, state: S, v_rad_s: float, y_rad: float) -> S:
         """The state with another velocity and position."""
-        ...
 
     def advance(self, state: S, u_V: float, dt_s: float) -> S:
         """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``."""
-        ...
 
     def drive_V(self, state: S, acceleration_rad_s2: float, direction: float) -> float:
         """Drive that gives the acceleration, with friction of the direction's sign; of direction 0 without any."""
-        ...
 
 
 class PlainKnown:

@@ -23,11 +23,9 @@ class Law(Protocol):
     @property
     def finished(self) -> bool:
         """Whether the law has ended."""
-        ...
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault if the law finds something wrong with the bench."""
-        ...
 
 
 @runtime_checkable
@@ -37,7 +35,6 @@ class Pulsed(Law, Protocol):
     @property
     def pulse_s(self) -> float:
         """How long the drive that was just decided may act at most, s; 0.0: it may go on."""
-        ...
 
 
 class OwnLaw(Protocol):
@@ -49,38 +46,41 @@ class OwnLaw(Protocol):
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. The guard has the last word: the device may get less."""
-        ...
 
 
-class Rest:
-    """0 V for a given time, s: the shaft coasts to a stop."""
+class BareLaw:
+    """What a law begins as: no integral, no reference, not finished; its time counts from its first sample."""
 
     z_rad_s = math.nan
     yd_rad = math.nan
+    finished = False
+    _first_s = math.nan
+
+    def _elapsed_s(self, sample: Sample) -> float:
+        """Time since the first sample, s."""
+        if math.isnan(self._first_s):
+            self._first_s = sample.t_s
+        return sample.t_s - self._first_s
+
+
+class Rest(BareLaw):
+    """0 V for a given time, s: the shaft coasts to a stop."""
 
     def __init__(self, duration_s: float) -> None:
         self.duration_s = duration_s
-        self.finished = False
-        self._start_s = math.nan
 
     def step(self, sample: Sample) -> float:
         """Return 0 V; finished once ``duration_s`` has passed since the first sample."""
-        if math.isnan(self._start_s):
-            self._start_s = sample.t_s
-        self.finished = sample.t_s - self._start_s >= self.duration_s
+        self.finished = self._elapsed_s(sample) >= self.duration_s
         return 0.0
 
 
-class Constant:
+class Constant(BareLaw):
     """A constant drive for a given time: `rig jog`."""
-
-    z_rad_s = math.nan
-    yd_rad = math.nan
 
     def __init__(self, u_V: float, duration_s: float) -> None:
         self.u_V = u_V
         self._rest = Rest(duration_s)
-        self.finished = False
 
     def step(self, sample: Sample) -> float:
         """Return the constant drive, V, and 0 V once the time is over."""
@@ -109,7 +109,7 @@ def is_of_own_law(frame: FrameType | None) -> bool:
     return False
 
 
-class Timed:
+class Timed(BareLaw):
     """A law of a user's own, for a given time at most; 0 V once it has ended.
 
     law         the user's object; it gets each sample from its first tick on
@@ -126,10 +126,7 @@ class Timed:
         self.law = law
         self.duration_s = duration_s
         self.name = name
-        self.z_rad_s = math.nan
-        self.yd_rad = math.nan
         self._rest = Rest(duration_s)
-        self.finished = False
 
     def step(self, sample: Sample) -> float:
         """Return the law's drive, V.

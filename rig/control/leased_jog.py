@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
-from rig.control.law import Rest
+from rig.control.law import BareLaw, Rest
 from rig.core.signals import Sample
 
 IDLE_S = 30.0
 
 
-class LeasedDrive:
+class LeasedDrive(BareLaw):
     """The drive that is promised at each tick, and 0 V where none is.
 
     It ends when nobody will promise any more, after ``longest_s``, or after ``idle_s`` without any drive, s.
@@ -20,9 +19,6 @@ class LeasedDrive:
     changed   called with each new promise, before its drive goes out
     """
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(
         self,
         promised: Callable[[], float | None],
@@ -30,7 +26,6 @@ class LeasedDrive:
         longest_s: float,
         idle_s: float = IDLE_S,
     ) -> None:
-        self.finished = False
         self._promised = promised
         self._changed = changed
         self._idle_s = idle_s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from rig.control.law import BareLaw
 from rig.core.signals import Sample
 
 
@@ -16,7 +17,7 @@ def keep_sign(value: float, previous: int) -> int:
     return previous
 
 
-class DualChannelRelay:
+class DualChannelRelay(BareLaw):
     """u = -h1 sgn(y) - h2 sgn(z), one relay on position and one on its integral (docs/theory.md 2.1).
 
     z is the trapezoidal integral of y over the samples' true times. It is zero at the first sample, and stays within
@@ -24,8 +25,6 @@ class DualChannelRelay:
     cycle's largest |z|, else it shortens the period (docs/theory.md 2.2).
     Raises ValueError for gains below 0 V, and for a bound that is not > 0.
     """
-
-    yd_rad = math.nan
 
     def __init__(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> None:
         if not (h1_V >= 0.0 and h2_V >= 0.0 and z_bound_rad_s > 0.0):
@@ -35,7 +34,6 @@ class DualChannelRelay:
         self.z_bound_rad_s = z_bound_rad_s
         self.z_rad_s = 0.0
         self.bound_reached = False
-        self.finished = False
         self._sign_y = 0
         self._sign_z = 0
         self._last: tuple[float, float] | None = None
@@ -111,7 +109,7 @@ class RelayOnCounts:
         return self._drives_V[state]
 
 
-class HystereticRelay:
+class HystereticRelay(BareLaw):
     """u = -|d| sgn(y) with hysteresis: the sign changes once y is beyond eps on the other side (docs/theory.md 5.1).
 
     The first drive is +d_V, towards rising positions if d_V > 0, as from a start at or below zero.
@@ -120,15 +118,11 @@ class HystereticRelay:
     Raises ValueError outside these ranges.
     """
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(self, d_V: float, eps_rad: float) -> None:
         if not (abs(d_V) > 0.0 and math.isfinite(d_V) and eps_rad > 0.0):
             raise ValueError("a hysteretic relay needs a drive that is not 0 V and a hysteresis > 0 rad")
         self.d_V = d_V
         self.eps_rad = eps_rad
-        self.finished = False
         self._sign_y = -1 if d_V > 0.0 else 1
 
     def step(self, sample: Sample) -> float:

@@ -22,7 +22,6 @@ class Program(Protocol):
 
     def at(self, t_s: float) -> Reference:
         """Reference ``t_s`` >= 0 seconds after the start."""
-        ...
 
 
 class PositionStep:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 from rig.control.guard import WINDOW_S, Guard, velocity_noise_rad_s
+from rig.control.law import BareLaw
 from rig.core.signals import Sample
 
 LATEST_PERIODS = 2.0  # of the guard's delay
 CLEAR = 2.5  # standard deviations of the guard's velocity: slower than that the shaft does not coast far
 
 
-class SlowDown:
+class SlowDown(BareLaw):
     """0 V for a while; before that, once, a drive against the motion if the shaft would coast beyond a soft limit.
 
     The drive is what friction takes, and what the motor itself needs for its speed. So it falls with the speed, and a
@@ -29,9 +30,6 @@ class SlowDown:
     braked_ticks   ticks in which it drove
     """
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(
         self, guard: Guard, rest_s: float, moves_V: float, slope_V_s_rad: float, max_V: float, period_s: float
     ) -> None:
@@ -41,21 +39,17 @@ class SlowDown:
         self._slope_V_s_rad = slope_V_s_rad
         self._max_V = max_V
         self._period_s = period_s
-        self._since_s = math.nan
         late = guard.settings.delay_s > LATEST_PERIODS * period_s
         self._way = (
             0 if late else self._way_out()
         )  # direction of the motion that goes too far, +1 or -1; 0: none, or no longer
         self._furthest_rad = -math.inf  # reading along that way
         self._seen_s = math.nan  # when it last went on
-        self.finished = False
         self.braked_ticks = 0
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V."""
-        if math.isnan(self._since_s):
-            self._since_s = sample.t_s
-        self.finished = sample.t_s - self._since_s >= self._rest_s
+        self.finished = self._elapsed_s(sample) >= self._rest_s
         if sample.y_rad * self._way > self._furthest_rad + self._guard.settings.noise_rad:
             self._furthest_rad, self._seen_s = sample.y_rad * self._way, sample.t_s
         unseen_s = sample.t_s - self._seen_s + self._period_s  # once this drive has acted for its period

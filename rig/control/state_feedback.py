@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rig.control.known_motor import known
+from rig.control.law import BareLaw
 from rig.control.observer import MotorObserver
 from rig.control.set_point import Program
 from rig.core.signals import Sample
@@ -48,15 +49,13 @@ class DriveLimits:
     shown_rad: float
 
 
-class StateFeedback:
+class StateFeedback(BareLaw):
     """Follow a program with the gains; velocity and position by the observer, where the drive will act.
 
     The program begins at the position of the first sample. The integral is held while the drive is at its limit, and
     while the reference rests and the sensor shows the shaft within ``shown_rad`` of it: friction would make it hunt. If
     the reference rests and the shaft is farther off, friction is made up for in the direction of the reference.
     """
-
-    z_rad_s = math.nan
 
     def __init__(
         self, motor: Motor | FramedMotor, observer: MotorObserver, gains: Gains, program: Program, limits: DriveLimits
@@ -66,8 +65,6 @@ class StateFeedback:
         self.gains = gains
         self.program = program
         self.limits = limits
-        self.finished = False
-        self.yd_rad = math.nan
         self.integral = 0.0
         self._start_s = self._last_s = self._last_error_rad = math.nan
         self._last_u_V = 0.0

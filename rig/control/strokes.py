@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from rig.control.law import BareLaw
 from rig.control.motion import Standstill
 from rig.core.faults import Fault
 from rig.core.signals import Sample
@@ -35,7 +36,7 @@ class StrokeTiming(NamedTuple):
     still_s: float = 0.3
 
 
-class StrokeTest:
+class StrokeTest(BareLaw):
     """Drive a list of strokes again and again, each until its turning point.
 
     strokes     at least two; the drives change their sign from each to the next, and from the last to the first
@@ -53,9 +54,6 @@ class StrokeTest:
     settled_start_s, settled_end_s   begin of the second stroke and end of the last, s
     """
 
-    z_rad_s = math.nan
-    yd_rad = math.nan
-
     def __init__(
         self, strokes: Sequence[Stroke], timing: StrokeTiming, motion_rad: float, moves_V: float = 0.0
     ) -> None:
@@ -68,7 +66,6 @@ class StrokeTest:
         self.timing = timing
         self.motion_rad = motion_rad
         self.moves_V = moves_V
-        self.finished = False
         self.ended = 0
         self.settled_start_s = math.nan
         self.settled_end_s = math.nan

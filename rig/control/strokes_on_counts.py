@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from rig.control.law import BareLaw
 from rig.control.strokes import Stroke, StrokeTest, StrokeTiming
 from rig.core.faults import Fault
 from rig.core.signals import Sample
@@ -18,7 +19,7 @@ class CountedTimes(NamedTuple):
     still_ticks: int
 
 
-class StrokesOnCounts:
+class StrokesOnCounts(BareLaw):
     """``StrokeTest`` with counts instead of rad and ticks instead of s: whole numbers, so rounding affects no decision.
 
     strokes        (drive, V; turning point, counts) of each, as the device has them
@@ -30,9 +31,6 @@ class StrokesOnCounts:
     It goes on until somebody ends it. As the device, it drives nothing any more once two strokes in a row have failed:
     ``step`` raises Fault SENSOR_STUCK or NO_CYCLE then, as ``StrokeTest``, and again at each later step.
     """
-
-    z_rad_s = math.nan
-    yd_rad = math.nan
 
     def __init__(
         self,
@@ -49,7 +47,6 @@ class StrokesOnCounts:
         self._direction = direction
         self._ticks = 0
         self._failed: Fault | None = None
-        self.finished = False
 
     @property
     def ended(self) -> int:

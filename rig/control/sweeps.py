@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from rig.control.disturbance_observer import DisturbanceObserver
+from rig.control.law import BareLaw
 from rig.control.motion import Standstill
 from rig.control.sweep_plan import SweepPlan, fastest_loop_1_s
 from rig.control.trajectory import Reference, SumOfSines
@@ -103,7 +104,7 @@ def scatter(motor: CrudeMotor, period_s: float, bandwidth_1_s: float) -> Scatter
     return Scatter(float(np.sqrt(drive @ covariance @ drive)), float(np.sqrt(covariance[0, 0])))
 
 
-class Sweeps:
+class Sweeps(BareLaw):
     """Bring the shaft to the lower end of the travel, then sweep it to and fro by the plan.
 
     motor      the crude motor: its friction changes sign with the reference, all else is left to the observer
@@ -115,14 +116,10 @@ class Sweeps:
     stand still: so a shaft whose reading freezes does not run far. Raises Fault NOT_FOLLOWING or SENSOR_STUCK.
     """
 
-    z_rad_s = math.nan
-
     def __init__(self, motor: CrudeMotor, plan: SweepPlan, loop: SweepLoop) -> None:
         self.motor = motor
         self.plan = plan
         self.loop = loop
-        self.finished = False
-        self.yd_rad = math.nan
         self.largest_u_V = 0.0
         self.observer = DisturbanceObserver(
             motor.tau_s, motor.K_rad_s_V, loop.period_s, OBSERVER * plan.bandwidth_1_s, loop.latency_s

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.known_motor import KnownMotor, MotorState, known
+from rig.control.law import BareLaw
 from rig.control.observer import MotorObserver
 from rig.control.trajectory import Reference
 from rig.core.signals import Sample
@@ -24,7 +25,6 @@ class Trajectory(Protocol):
 
     def at(self, t_s: float) -> Reference:
         """Reference ``t_s`` seconds after the start."""
-        ...
 
 
 def linearising_drive(
@@ -42,7 +42,7 @@ def linearising_drive(
     return motor.drive_V(state, r, direction)
 
 
-class Tracking:
+class Tracking(BareLaw):
     """Follow a trajectory for ``duration_s`` with the model's linearising drive, velocity by its observer.
 
     offset_rad     the trajectory begins so far from the position of the first sample; the error then dies away by (35)
@@ -50,8 +50,6 @@ class Tracking:
                    "estimate": the observed velocity's, as in the paper, or the reference's if that is exactly zero.
                    At 10 ms "estimate" chatters around reversals (docs/theory.md 11.2)
     """
-
-    z_rad_s = math.nan
 
     def __init__(
         self,
@@ -72,8 +70,6 @@ class Tracking:
         self.duration_s = duration_s
         self.friction_sign = friction_sign
         self.decay = ErrorDecay(offset_rad, k1_1_s, k2_1_s2)
-        self.finished = False
-        self.yd_rad = math.nan
         self.largest_u_V = 0.0
         self._start_s = math.nan
         self._last_u_V = 0.0

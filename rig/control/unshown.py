@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from rig.control.law import BareLaw
 from rig.control.motion import Gaps, Standstill
 from rig.core.faults import Fault
 from rig.core.signals import Sample
@@ -117,7 +118,7 @@ class UnshownMotion:
             self._to_and_fro_s += driven_s
 
 
-class Pushes:
+class Pushes(BareLaw):
     """Equal pushes to and fro until the reading shows that they move the shaft.
 
     first_V, last_V  levels, V, > 0: a pair that moves nothing is followed by one ``GROWTH`` times as strong
@@ -132,8 +133,6 @@ class Pushes:
     """
 
     GROWTH = 1.4
-    z_rad_s = math.nan
-    yd_rad = math.nan
 
     def __init__(
         self, first_V: float, last_V: float, push_s: float, motion_rad: float, flicker: Flicker, way: int = 0
@@ -143,7 +142,6 @@ class Pushes:
         self.push_s = push_s
         self.motion_rad = motion_rad
         self.flicker = flicker
-        self.finished = False
         self.moved_V = math.nan
         self._way = way
         self._since_s = math.nan

@@ -6,8 +6,8 @@ The devices: the firmware compiled for this machine, a Modbus I/O block on RTU o
 
 from rig.backends.emulated.bench import bench_parameters as bench_parameters
 from rig.backends.emulated.line_faults import Corruption as Corruption
+from rig.backends.emulated.line_faults import Disturbance as Disturbance
 from rig.backends.modbus.emulated.reply_faults import ReplyFault as ReplyFault
-from rig.backends.modbus.emulated.rtu_slave import Disturbance as Disturbance
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock as VirtualIoBlock
 from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock as VirtualTcpBlock
 from rig.backends.modbus.opening import emulated_io_block as emulated_io_block

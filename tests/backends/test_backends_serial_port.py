@@ -16,7 +16,7 @@ import pytest
 from raised import fault_of
 from serial.tools import list_ports
 
-from rig.backends.links import serial_port
+from rig.backends.links import open_link, serial_port
 from rig.backends.links.holder import holder_of_file
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.registry import unopened
@@ -233,6 +233,6 @@ def test_bytes_that_a_keeper_has_read_are_no_dead_port(
     """It has the same open port: it may be quicker once both have seen that there is something."""
     port = SerialPort(terminal[1])
     looks: list[tuple[list[int], list[int], list[int]]] = [([port.descriptor], [], []), ([], [], [])]
-    monkeypatch.setattr(serial_port, "select", SimpleNamespace(select=lambda *_: looks.pop(0)))
+    monkeypatch.setattr(open_link, "select", SimpleNamespace(select=lambda *_: looks.pop(0)))
     assert port.read(0.0) == b""
     port.close()

@@ -50,7 +50,7 @@ def drive_V(device: Device) -> float:
 @contextmanager
 def inherited(device: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The device is what its link's number leads to, in this process too."""
-    monkeypatch.setattr(backend, "InheritedLink", lambda descriptor: device)
+    monkeypatch.setattr(backend, "OpenLink", lambda descriptor: device)
     yield
 
 

@@ -19,6 +19,8 @@ from tuned_run import GOLDEN, few_draws, tuned_run
 from rig.backends.driver import DeviceInfo
 from rig.backends.serial import loopback
 from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.exchange import Exchange
+from rig.backends.serial.frames import Hello
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.cli import main
 from rig.config import ready
@@ -80,19 +82,21 @@ class Armings:
 
             monkeypatch.setattr(driver, "arm", armed)
             monkeypatch.setattr(driver, "open", opened)
-        board_arms, board_meets = loopback._Board._arm, loopback._Board._meet
+        stops = self
 
-        def board_armed(board: loopback._Board, session: int) -> int:
-            self._look()
-            return board_arms(board, session)
+        class LookedAt(Exchange):
+            """The exchanges of a board in loop-back."""
 
-        def board_met(board: loopback._Board) -> object:
-            if self.stops_at_opening:
-                assert Bench(None, runs).stop().runs, "nothing is known here to be stopped"
-            return board_meets(board)
+            def arm(self, session: int) -> int:
+                stops._look()
+                return super().arm(session)
 
-        monkeypatch.setattr(loopback._Board, "_arm", board_armed)
-        monkeypatch.setattr(loopback._Board, "_meet", board_met)
+            def meet(self, timeout_s: float) -> Hello:
+                if stops.stops_at_opening:
+                    assert Bench(None, runs).stop().runs, "nothing is known here to be stopped"
+                return super().meet(timeout_s)
+
+        monkeypatch.setattr(loopback, "Exchange", LookedAt)
 
     def _look(self) -> None:
         self.last -= 1

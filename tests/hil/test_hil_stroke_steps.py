@@ -21,8 +21,8 @@ from emulated_chips.opening import emulated_chip, emulated_pico
 from rig import config
 from rig.backends.backend import Line
 from rig.backends.emulated.bench import bench_parameters
+from rig.backends.serial import opening
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.opening import serial_driver
 from rig.config import Experiment
 from rig.control.guard import Guard
 from rig.control.loop.runner import Loop
@@ -74,7 +74,7 @@ def virtual_board(e: Experiment) -> VirtualBoard:
 
 def driven(e: Experiment, device: Any) -> list[tuple[int, float]]:
     """Each stroke that the check asked for: its ticks, and its largest drive, V. Raises Fault, but for NO_MOTION."""
-    driver = serial_driver(e.device, Line(device, device, "virtual", emulated=True))
+    driver = opening.driver(e.device, Line(device, device, "virtual", emulated=True))
     info = driver.open()
     record = ListSink()
     loop = Loop(driver, device, Guard(guard_settings_of(e)), record, e.period_s, StopRequest())
@@ -102,7 +102,7 @@ def test_neither_the_guard_nor_a_lost_frame_lets_a_stroke_last_longer_in_the_dev
     """Each frame of a stroke is a pulse, and whichever of them comes first names the same end."""
     e = bench(21.0)
     device = virtual_board(e)
-    driver = serial_driver(e.device, Line(device, device, "virtual", emulated=True))
+    driver = opening.driver(e.device, Line(device, device, "virtual", emulated=True))
     info = driver.open()
     ends_s: list[float] = []  # of each pulse; nan: none, the drive was to go on
     send_pulse, send = driver.write_pulse, driver.write

@@ -35,6 +35,8 @@ class BoardProcess:
         self, program: Path | Sequence[str], options: Mapping[str, str], link: Path | None, trace: Path | None
     ) -> str:
         """Start the program with its options, by name; the name of its port. Raises EmulationError if it fails."""
+        if self._process is not None:
+            raise EmulationError("this emulated board already runs")
         command = [str(program)] if isinstance(program, Path) else list(program)
         command += ["--exit-with-stdin"]
         for name, value in options.items():
@@ -57,10 +59,6 @@ class BoardProcess:
         """As ``_launch``, of one of rig's own modules (``rig.backends.emulated.real_time``), which gets the device."""
         packed = base64.b64encode(pickle.dumps(device)).decode("ascii")
         return self._launch((sys.executable, "-P", "-m", module), {"device": packed, **options}, link, trace)
-
-    def _must_not_run(self) -> None:
-        if self._process is not None:
-            raise EmulationError("this emulated board already runs")
 
     def _await_port(self) -> str:
         process = self._process

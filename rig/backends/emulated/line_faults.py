@@ -21,6 +21,14 @@ class CorruptionRate(NamedTuple):
     after_s: float = 0.0
 
 
+def disturbed(
+    disturbance: Disturbance | None, direction: Direction, data: bytes, t_s: float
+) -> Sequence[tuple[float, bytes]]:
+    """What arrives of bytes on a line with this disturbance, or none, each with its delay, s; no empty ones."""
+    arriving = ((0.0, data),) if disturbance is None else disturbance(direction, data, t_s)
+    return [(delay_s, one) for delay_s, one in arriving if one]
+
+
 class Corruption:
     """Random damage to single bytes: one is changed, lost or added, at most one in each frame.
 

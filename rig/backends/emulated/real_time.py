@@ -52,38 +52,30 @@ class Served(Protocol):
 
     def watch(self, changed: Callable[[], None]) -> None:
         """Call that at each change of the voltage at the motor."""
-        ...
 
     def look(self) -> Look:
         """What is really the case now."""
-        ...
 
     def files(self) -> list[int]:
         """What to wait for."""
-        ...
 
     def serve(self, ready: set[int], now: Callable[[], float]) -> None:
         """Take what has come in, without waiting; then let time pass to ``now``, at which it came.
 
         The time is read last: a device hears nothing before its host has said it.
         """
-        ...
 
     def next_event_s(self) -> float:
         """When it has something to do next; inf for never."""
-        ...
 
     def advance_to(self, t_s: float) -> None:
         """Let time pass, and send what is due."""
-        ...
 
     def power_cycle(self) -> None:
         """Its supply fails for a moment."""
-        ...
 
     def power_off(self) -> None:
         """Its supply fails for good."""
-        ...
 
 
 class BehindPty:

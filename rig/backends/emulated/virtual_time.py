@@ -15,23 +15,18 @@ class Wire(Protocol):
 
     def send(self, data: bytes, t_s: float) -> None:
         """The host hands bytes to the wire at ``t_s``, not before what it was advanced to."""
-        ...
 
     def receive(self, t_s: float) -> bytes:
         """What has reached the host by ``t_s`` since the last call."""
-        ...
 
     def next_reply_s(self) -> float:
         """When the host gets its next bytes, as far as that is known; inf for never."""
-        ...
 
     def next_event_s(self) -> float:
         """When something happens next without the host; inf for never."""
-        ...
 
     def advance_to(self, t_s: float) -> None:
         """Let time pass to ``t_s`` for line and device."""
-        ...
 
 
 class InVirtualTime(VirtualClock):

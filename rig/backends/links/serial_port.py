@@ -5,20 +5,20 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
 import sys
-import time
+
+from typing_extensions import override
 
 from rig.backends.links.holder import holder_of_file
+from rig.backends.links.open_link import OpenLink
 from rig.backends.links.usb_port import check_board
 from rig.core.copies import keep_from_copies, no_longer_own
 from rig.core.faults import Fault
 
-_READ_BYTES = 512
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers on Linux
 
 
-class SerialPort:
+class SerialPort(OpenLink):
     """A serial port of this machine, or a pseudo-terminal; held exclusively.
 
     No other process of rig opens it meanwhile, by whatever link; of a real port also no other program, unless it is
@@ -47,8 +47,7 @@ class SerialPort:
             self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
             raise Fault("LINK_OPEN", f"{port}: {_why_not_open(port, error)}") from error
-        self._port = port
-        self._fd: int = self._serial.fileno()
+        super().__init__(self._serial.fileno(), port)
         try:
             check_board(port, usb_serial)  # again: the boards may have been plugged in anew meanwhile
         except Fault:
@@ -62,11 +61,6 @@ class SerialPort:
         except (ValueError, NotImplementedError):
             self.low_latency = False
 
-    @property
-    def descriptor(self) -> int:
-        """Number of the open file; -1 once it is closed."""
-        return self._fd
-
     def keep_on(self) -> None:
         """Leave DTR on when the port is closed: the next opening resets no Arduino, and its encoder keeps its zero."""
         import termios  # not everywhere
@@ -75,33 +69,7 @@ class SerialPort:
         attributes[2] &= ~termios.HUPCL
         termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
 
-    def write(self, data: bytes) -> None:
-        """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
-        try:
-            sent = os.write(self._fd, data)
-        except OSError as error:
-            raise Fault("LINK_LOST", f"{self._port}: {error.strerror}") from error
-        if sent != len(data):
-            raise Fault("LINK_LOST", f"{self._port} takes no more bytes: the device does not read")
-
-    def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte, or b"" after ``timeout_s`` at most; LINK_LOST if the port is dead."""
-        try:
-            if not select.select([self._fd], [], [], timeout_s)[0]:
-                return b""
-            data = os.read(self._fd, _READ_BYTES)
-            if not data and not select.select([self._fd], [], [], 0.0)[0]:
-                return b""  # a keeper, which has this open port, too, was quicker; one that hung up stays readable
-        except BlockingIOError:
-            return b""  # as well
-        except (OSError, ValueError) as error:  # ValueError: select on a closed port
-            raise Fault("LINK_LOST", f"{self._port}: {error}") from error
-        if not data:
-            raise Fault("LINK_LOST", f"{self._port} hung up")
-        return data
-
-    now_s = staticmethod(time.monotonic)  # a client asks for it four times in an exchange
-
+    @override
     def close(self) -> None:
         """Give the port back. May be called twice."""
         if self._fd >= 0:

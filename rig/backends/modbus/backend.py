@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, Watchdog
-from rig.backends.driver import Driver
+from rig.backends.backend import Opening, Watchdog
 from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus import link_budget
 from rig.backends.modbus.rules import modbus_notes, modbus_rules
@@ -20,7 +17,6 @@ from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.emulated.board_process import BoardProcess
     from rig.core.strict_json import JsonObject
 
 _STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
@@ -32,6 +28,7 @@ class ModbusBackend(RegisterBackend):
     name = "modbus"
     own_keys = ModbusKeys
     emulated_ports = EMULATED_PORTS
+    port_example = "/dev/ttyUSB0, tcp://192.168.0.5:502, or port: emulated"
     adapter_hint = "add its delay to daq.modbus.turnaround_s"
 
     @override
@@ -104,25 +101,10 @@ class ModbusBackend(RegisterBackend):
         yield from modbus_notes(d)
 
     @override
-    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
-        from rig.backends.modbus.opening import modbus_line
+    def opening(self) -> Opening:
+        from rig.backends.modbus import opening
 
-        return modbus_line(d)
-
-    @override
-    def driver(self, d: DeviceSetup, line: Line) -> Driver:
-        from rig.backends.modbus.opening import modbus_driver
-
-        return modbus_driver(d, line.transport, line.name, emulated=line.emulated, answered=line.answered)
-
-    @override
-    def emulated(
-        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
-    ) -> AbstractContextManager[BoardProcess]:
-        """There is no ``chip``."""
-        from rig.backends.modbus.opening import emulated_board
-
-        return emulated_board(d, link, trace)
+        return opening
 
     @override
     def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:

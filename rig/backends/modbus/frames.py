@@ -39,11 +39,9 @@ class Framing(Protocol):
 
     def encode(self, request: ModbusPDU, unit: int, number: int) -> bytes:
         """The frame of a request; ``number`` 1 to 65535 is its own."""
-        ...
 
     def take(self, data: bytes) -> Frame | None:
         """The frame that ``data`` begins with; None while it is not whole. Raises Damaged where it never will be."""
-        ...
 
 
 class RtuFraming:

@@ -7,7 +7,8 @@ of 3.5 characters, fixed at 1.75 ms above 19200 baud).
 from __future__ import annotations
 
 from rig.backends.link_budget import LinkBudget, added
-from rig.backends.modbus.section import Modbus, is_tcp, read_in_a_tick, span_of, written_in_a_tick
+from rig.backends.modbus.registers import RegisterMap
+from rig.backends.modbus.section import Modbus, is_tcp
 from rig.backends.registers.link_budget import Transaction, frames_of, serial_budget, turnaround_term
 from rig.config.schema import Daq
 
@@ -46,7 +47,7 @@ def longest_transaction_s(daq: Daq, modbus: Modbus) -> float:
 def transactions(modbus: Modbus, *, tcp: bool) -> tuple[Transaction, ...]:
     """What is asked in one tick."""
     reading = _reading(modbus, tcp=tcp)
-    _, written = span_of(written_in_a_tick(modbus.registers))
+    written = RegisterMap.of(modbus).written.words
     frame = _TCP_BYTES if tcp else _RTU_BYTES
     if modbus.requests == "read-write":
         return (Transaction("FC23", frame + 10 + 2 * written, reading.reply_bytes),)
@@ -59,7 +60,7 @@ def transactions(modbus: Modbus, *, tcp: bool) -> tuple[Transaction, ...]:
 
 def _reading(modbus: Modbus, *, tcp: bool) -> Transaction:
     """What asks for the position and what stands beside it."""
-    _, read = span_of(read_in_a_tick(modbus.registers))
+    read = RegisterMap.of(modbus).read.words
     frame = _TCP_BYTES if tcp else _RTU_BYTES
     name = "FC04" if modbus.registers.position.table == "input" else "FC03"
     return Transaction(name, frame + 5, frame + 2 + 2 * read)

@@ -7,10 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from rig.backends.backend import Line, emulated_of, host_clock
+from rig.backends.backend import Line, emulated_of
 from rig.backends.driver import Timeouts, Transport
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
 from rig.backends.modbus.client import ModbusLine
@@ -25,27 +24,23 @@ from rig.config.schema import DeviceSetup
 from rig.core.calibration import polarity
 
 
-@contextmanager
-def modbus_line(d: DeviceSetup) -> Iterator[Line]:
-    """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
-    port = d.daq.port
-    if port is None:
-        raise ValueError("daq.port is missing")
-    if in_virtual_time(port):
-        block = emulated_tcp_block(d) if is_tcp(port) else emulated_io_block(d)
-        yield Line(block, block, port, emulated=True)
-    elif port in EMULATED_PORTS:
-        with emulated_board(d) as board:
-            yield Line(_transport(d, board.port), host_clock(d), f"modbus:{board.port}", emulated=True)
-    else:
-        yield Line(_transport(d, port), host_clock(d), f"modbus:{port}")
+def virtual_line(d: DeviceSetup) -> Line:
+    """As of ``Opening``."""
+    block = emulated_tcp_block(d) if is_tcp(d.daq.port) else emulated_io_block(d)
+    return Line(block, block, d.daq.port or "", emulated=True)
 
 
-def _transport(d: DeviceSetup, port: str) -> Transport:
+def transport(d: DeviceSetup, port: str, *, emulated: bool = False) -> Transport:
+    """As of ``Opening``."""
     modbus = _modbus_of(d)
     if is_tcp(port):
         return TcpTransport(*tcp_address(port), d.daq.open_timeout_s, modbus.unit)
     return SerialPort(port, d.daq.baud, modbus.parity[0].upper(), modbus.stop_bits, d.daq.usb_serial)
+
+
+def driver(d: DeviceSetup, line: Line) -> ModbusDriver:
+    """As of ``Opening``."""
+    return modbus_driver(d, line.transport, line.name, emulated=line.emulated, answered=line.answered)
 
 
 def modbus_driver(
@@ -91,10 +86,13 @@ def emulated_tcp_block(d: DeviceSetup) -> VirtualTcpBlock:
 
 
 @contextmanager
-def emulated_board(d: DeviceSetup, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
+def emulated_board(
+    d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+) -> Iterator[BoardProcess]:
     """The emulated I/O block, running in real time for the block; its ``port`` is as daq.port takes it.
 
-    On TCP where the config's port is that of TCP; then there is no link. Raises EmulationError where it does not start.
+    There is no ``chip``. On TCP where the config's port is that of TCP; then there is no link.
+    Raises EmulationError where it does not start.
     """
     with ModbusBoard() as io_block:
         io_block.start(

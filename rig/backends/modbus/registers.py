@@ -74,6 +74,12 @@ class RegisterMap(registers_map.RegisterMap):
         )
 
     @property
+    def set_when_armed(self) -> tuple[Register, ...]:
+        """What is written outside the tick."""
+        pairs = (*(self.limits or ()), *(self.rails or ()))
+        return tuple(r for r in (self.control, self.watchdog, *pairs, self.max_drive) if r is not None)
+
+    @property
     @override
     def written(self) -> RegisterSpan:
         return RegisterSpan((self.drive,) if self.sequence is None else (self.drive, self.sequence))

@@ -11,19 +11,8 @@ from itertools import combinations
 
 from rig.backends.link_budget import BAUD_RATES
 from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
-from rig.backends.modbus.section import (
-    EMULATED_PORTS,
-    OLD_VIRTUAL_PORT,
-    KeySpan,
-    Modbus,
-    as_in_a_manual,
-    is_tcp,
-    read_in_a_tick,
-    span_of,
-    tcp_address,
-    written_at_arming,
-    written_in_a_tick,
-)
+from rig.backends.modbus.registers import Register, RegisterMap
+from rig.backends.modbus.section import Modbus, is_tcp, tcp_address
 from rig.config.problems import Problem, wrong
 from rig.config.schema import DeviceSetup
 
@@ -35,7 +24,7 @@ _HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without 
 
 def modbus_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rules that only a Modbus device has."""
-    yield from _port(d)
+    yield from _address(d.daq.port or "")
     if d.runs_relay:
         yield wrong(
             "relay.where",
@@ -58,7 +47,8 @@ def modbus_notes(d: DeviceSetup) -> Iterator[str]:
     if d.daq.modbus is None:
         return
     r = d.daq.modbus.registers
-    if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
+    told = RegisterMap.of(d.daq.modbus)
+    if words := _as_in_a_manual((*told.written.registers, *told.read.registers, *told.set_when_armed)):
         yield words
     if r.status is None:
         yield (
@@ -77,19 +67,8 @@ def modbus_notes(d: DeviceSetup) -> Iterator[str]:
         )
 
 
-def _port(d: DeviceSetup) -> Iterator[Problem]:
-    port = d.daq.port
-    if port is None:
-        yield wrong(
-            "daq.port", "`driver: modbus` needs a port", "/dev/ttyUSB0, tcp://192.168.0.5:502, or port: emulated"
-        )
-    elif port in EMULATED_PORTS:
-        if d.emulated is None:
-            yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
-    elif port.startswith("emulated"):
-        hint = "it is `emulated` now" if port == OLD_VIRTUAL_PORT else f"one of {', '.join(EMULATED_PORTS)}"
-        yield wrong("daq.port", f"no {port} for `driver: modbus`", hint)
-    elif "://" in port or port.startswith("tcp"):
+def _address(port: str) -> Iterator[Problem]:
+    if "://" in port or port.startswith("tcp"):
         try:
             tcp_address(port)
         except ValueError as error:
@@ -99,46 +78,41 @@ def _port(d: DeviceSetup) -> Iterator[Problem]:
 
 
 def _map(m: Modbus) -> Iterator[Problem]:
-    r = m.registers
-    written, read, armed = list(written_in_a_tick(r)), list(read_in_a_tick(r)), list(written_at_arming(r))
-    for span in (*written, *read, *armed):
-        if span.address + span.words > _REGISTERS:
-            yield _register(span.key, f"{span.words} registers from {span.address} on end beyond the last one, 65535")
-    holding = [*written, *armed, *(read if r.position.table == "holding" else ())]
-    yield from _apart(holding)
-    if r.position.table == "input":
+    told = RegisterMap.of(m)
+    written, read, armed = told.written.registers, told.read.registers, told.set_when_armed
+    for one in (*written, *read, *armed):
+        if one.address + one.words > _REGISTERS:
+            yield _register(_key(one), f"{one.words} registers from {one.address} on end beyond the last one, 65535")
+    in_holding = told.position.table == "holding"
+    yield from _apart([*written, *armed, *(read if in_holding else ())])
+    if not in_holding:
         yield from _apart(read)
-    first, count = span_of(written)
-    if count > sum(span.words for span in written):
+    if told.written.words > sum(one.words for one in written):
+        drive, sequence = written
         yield _register(
             "sequence.address",
-            f"{written[1].address} is not beside the drive, {_registers(written[0])}: one request writes both",
-            f"{written[0].address + written[0].words}, or {written[0].address - 1}",
+            f"{sequence.address} is not beside the drive, {_registers(drive)}: one request writes both",
+            f"{drive.address + drive.words}, or {drive.address - 1}",
         )
-    first, count = span_of(read)
-    if reads_too_far_apart(m):
-        farthest = max(read, key=lambda span: abs(span.address - read[0].address))
+    first, count = told.read.address, told.read.words
+    if count > _MOST_READ:
+        farthest = max(read, key=lambda one: abs(one.address - told.position.address))
         yield _register(
-            farthest.key,
+            _key(farthest),
             f"a tick would read {count} registers, {first} to {first + count - 1}; one request can read {_MOST_READ}",
-            as_in_a_manual(read) or "move them together, or leave it out",
+            _as_in_a_manual(read) or "move them together, or leave it out",
         )
-    if m.requests == "read-write" and r.position.table == "input":
+    if m.requests == "read-write" and not in_holding:
         yield _register(
             "position.table", "FC23 reads holding registers only", "table: holding, or daq.modbus.requests: separate"
         )
 
 
-def reads_too_far_apart(m: Modbus) -> bool:
-    """Whether a tick reads more registers than one reply holds."""
-    return span_of(read_in_a_tick(m.registers))[1] > _MOST_READ
-
-
-def _apart(spans: Iterable[KeySpan]) -> Iterator[Problem]:
-    for a, b in combinations(spans, 2):
+def _apart(registers: Iterable[Register]) -> Iterator[Problem]:
+    for a, b in combinations(registers, 2):
         if a.address < b.address + b.words and b.address < a.address + a.words:
             lie = "lies" if b.words == 1 else "lie"
-            yield _register(b.key, f"{_registers(b)} {lie} in the place of {a.key}, {_registers(a)}")
+            yield _register(_key(b), f"{_registers(b)} {lie} in the place of {_key(a)}, {_registers(a)}")
 
 
 def _times(d: DeviceSetup, m: Modbus) -> Iterator[Problem]:
@@ -181,7 +155,7 @@ def _times(d: DeviceSetup, m: Modbus) -> Iterator[Problem]:
 def _link_budget(d: DeviceSetup, m: Modbus) -> Iterator[Problem]:
     if tick_budget(d.daq, m).fits(d.period_s):
         return
-    if reads_too_far_apart(m):
+    if RegisterMap.of(m).read.words > _MOST_READ:
         return  # refused by its register: no such request can be made, so its time says nothing
     bauds = () if is_tcp(d.daq.port) else BAUD_RATES
     fitting = [f"daq.baud {baud} fits" for baud in bauds if tick_budget(d.daq, m, baud).fits(d.period_s)]
@@ -189,9 +163,27 @@ def _link_budget(d: DeviceSetup, m: Modbus) -> Iterator[Problem]:
     yield tick_budget(d.daq, m).too_slow(key, d.period_s, fitting[:1])
 
 
-def _registers(span: KeySpan) -> str:
-    last = span.address + span.words - 1
-    return f"register {span.address}" if span.words == 1 else f"registers {span.address} and {last}"
+def _as_in_a_manual(registers: Iterable[Register]) -> str:
+    """What the first address that looks like a manual's, 4xxxx or 3xxxx, is in a map; "" where none does.
+
+    Manuals write the table in front and count from 1 (Modbus application protocol 1.1b3, section 4.4: PDU from 0).
+    """
+    for register in registers:
+        for first, table in ((40001, "holding"), (30001, "input")):
+            if first <= register.address < first + 9999:
+                at = register.address
+                return f"addresses count from 0: {at} in a manual is {table} register {at - first}"
+    return ""
+
+
+def _registers(one: Register) -> str:
+    last = one.address + one.words - 1
+    return f"register {one.address}" if one.words == 1 else f"registers {one.address} and {last}"
+
+
+def _key(one: Register) -> str:
+    """Its key below ``registers``."""
+    return "sequence.echo" if one.name == "echo" else one.name if "." in one.name else f"{one.name}.address"
 
 
 def _register(key: str, message: str, hint: str = "") -> Problem:

@@ -5,8 +5,7 @@ What registers say together (contiguous, within one request, no two at one addre
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
@@ -20,11 +19,9 @@ SignedType = Literal["int16", "int32", "float32"]
 RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
 
 EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-realtime", "emulated-tcp-realtime")
-OLD_VIRTUAL_PORT = "emulated-virtual"  # in older run folders; it is `emulated` now
 TCP_PORT = 502  # unless the address names another
 _TCP, _EMULATED_TCP = "tcp://", "emulated-tcp"
 
-WORDS: dict[str, int] = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2}
 _LARGEST = {"int16": 32767, "int32": 2**31 - 1}
 _FIRST_FAULT = 2  # of the values of the status register: 0 is off, 1 is armed
 
@@ -185,66 +182,6 @@ class ModbusKeys(Section):
     """The keys of section ``daq`` that only a Modbus device has."""
 
     modbus: Modbus | None = Field(None, description="driver modbus: how the device is asked, and its register map")
-
-
-class KeySpan(NamedTuple):
-    """Registers of one key below ``registers``: where they begin, how many they are."""
-
-    key: str
-    address: int
-    words: int
-
-
-def written_in_a_tick(registers: Registers) -> Iterator[KeySpan]:
-    """What one tick writes."""
-    yield KeySpan("drive.address", registers.drive.address, WORDS[registers.drive.type])
-    if registers.sequence is not None:
-        yield KeySpan("sequence.address", registers.sequence.address, 1)
-
-
-def read_in_a_tick(registers: Registers) -> Iterator[KeySpan]:
-    """What one tick reads, from the position's table."""
-    yield KeySpan("position.address", registers.position.address, WORDS[registers.position.type])
-    if registers.sequence is not None:
-        yield KeySpan("sequence.echo", registers.sequence.echo, 1)
-    if registers.applied is not None:
-        yield KeySpan("applied.address", registers.applied.address, WORDS[registers.applied.type])
-    if registers.status is not None:
-        yield KeySpan("status.address", registers.status.address, 1)
-
-
-def written_at_arming(registers: Registers) -> Iterator[KeySpan]:
-    """What is written outside the tick."""
-    r = registers
-    if r.control is not None:
-        yield KeySpan("control.address", r.control.address, 1)
-    if r.watchdog is not None:
-        yield KeySpan("watchdog.address", r.watchdog.address, 1)
-    for key, pair in (("limits", r.limits), ("rails", r.rails)):
-        if pair is not None:
-            yield KeySpan(f"{key}.low", pair.low, WORDS[r.position.type])
-            yield KeySpan(f"{key}.high", pair.high, WORDS[r.position.type])
-    if r.max_drive is not None:
-        yield KeySpan("max_drive.address", r.max_drive.address, WORDS[r.drive.type])
-
-
-def span_of(spans: Iterable[KeySpan]) -> tuple[int, int]:
-    """First address and number of registers that hold them all, gaps included."""
-    found = list(spans)
-    first = min(span.address for span in found)
-    return first, max(span.address + span.words for span in found) - first
-
-
-def as_in_a_manual(spans: Iterable[KeySpan]) -> str:
-    """What the first address that looks like a manual's, 4xxxx or 3xxxx, is in a map; "" where none does.
-
-    Manuals write the table in front and count from 1 (Modbus application protocol 1.1b3, section 4.4: PDU from 0).
-    """
-    for span in spans:
-        for first, table in ((40001, "holding"), (30001, "input")):
-            if first <= span.address < first + 9999:
-                return f"addresses count from 0: {span.address} in a manual is {table} register {span.address - first}"
-    return ""
 
 
 def is_tcp(port: str | None) -> bool:

@@ -33,12 +33,10 @@ class Frame(typing.Protocol):
     @property
     def pdu(self) -> bytes:
         """What it holds, without address and check sum."""
-        ...
 
     @property
     def length(self) -> int:
         """Bytes on the wire."""
-        ...
 
 
 class Request(typing.Protocol):
@@ -47,7 +45,6 @@ class Request(typing.Protocol):
     @property
     def about(self) -> str:
         """Its subject in words, for a fault."""
-        ...
 
 
 Req = TypeVar("Req", bound=Request)

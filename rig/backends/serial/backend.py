@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, LineBackend, Watchdog, usb_notes, usb_rules
-from rig.backends.driver import Driver, RelayRules
+from rig.backends.backend import Opening, PortBackend, Watchdog
+from rig.backends.driver import RelayRules
 from rig.backends.emulated.words import without_real_time
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
 from rig.backends.serial.flashing import FULL_DUTY, board_of
-from rig.backends.serial.ports import adapter_of, is_emulated, is_virtual
+from rig.backends.serial.ports import EMULATED_PORTS, adapter_of
 from rig.backends.serial.rules import serial_rules
 from rig.backends.serial.section import SerialKeys
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
 
 if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.emulated.board_process import BoardProcess
     from rig.core.calibration import DriveMap
     from rig.core.strict_json import JsonObject
 
@@ -31,16 +28,18 @@ _DRIVE_UNITS = 799  # of the firmware at full duty
 _RESONATOR_PPM = 4000.0  # an Uno's ceramic resonator is good to half a percent
 
 
-class SerialBackend(LineBackend):
+class SerialBackend(PortBackend):
     """A board with rig's firmware behind a serial port; or emulated, as firmware on this machine or on its chip."""
 
     name = "serial"
     own_keys = SerialKeys
-    shared_keys = frozenset({"port", "usb_serial"})
+    emulated_ports = EMULATED_PORTS
+    port_example = "e.g. port: /dev/ttyACM0, or port: emulated"
+    is_traced = True
 
     @override
     def rules(self, d: DeviceSetup) -> Iterator[Problem]:
-        yield from usb_rules(d)
+        yield from super().rules(d)
         yield from serial_rules(d)
 
     @override
@@ -87,14 +86,6 @@ class SerialBackend(LineBackend):
         return f"a REAL MOTOR behind the serial port {d.daq.port}, {d.daq.baud} baud"
 
     @override
-    def is_emulated(self, d: DeviceSetup) -> bool:
-        return is_emulated(d)
-
-    @override
-    def in_virtual_time(self, d: DeviceSetup) -> bool:
-        return is_virtual(d)
-
-    @override
     def plan(self, d: DeviceSetup) -> Iterator[str]:
         yield f"link: {self.budget(d).beside(d.period_s)}"
         delay_ms = 1e3 * link_budget.sample_to_drive_s(d)
@@ -110,7 +101,7 @@ class SerialBackend(LineBackend):
     @override
     def notes(self, d: DeviceSetup) -> Iterator[str]:
         """Which USB adapter rig assumes, where it is not certain; and whether it can tell the board from another."""
-        yield from usb_notes(d)
+        yield from super().notes(d)
         adapter = adapter_of(d)
         chip = CHIPS.get(adapter)
         if chip is not None and d.daq.adapter is None:
@@ -125,37 +116,19 @@ class SerialBackend(LineBackend):
             )
 
     @override
-    def not_emulated_words(self, d: DeviceSetup) -> str:
-        return f"section `emulated` is not used with port {d.daq.port}"
-
-    @override
     def adapter_behind(self, d: DeviceSetup) -> Adapter | None:
-        return None if is_emulated(d) else adapter_of(d)
+        return None if self.is_emulated(d) else adapter_of(d)
 
     @override
-    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
-        from rig.backends.serial.opening import serial_line
+    def opening(self) -> Opening:
+        from rig.backends.serial import opening
 
-        return serial_line(d)
-
-    @override
-    def driver(self, d: DeviceSetup, line: Line) -> Driver:
-        from rig.backends.serial.opening import serial_driver
-
-        return serial_driver(d, line)
-
-    @override
-    def emulated(
-        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
-    ) -> AbstractContextManager[BoardProcess]:
-        from rig.backends.serial.opening import emulated_board
-
-        return emulated_board(d, link, trace, chip=chip)
+        return opening
 
     @override
     def rehearsed(self, d: DeviceSetup) -> dict[str, JsonObject]:
         """The firmware's core on this machine, with the board's steps of the drive, behind the same USB adapter."""
-        if is_emulated(d):
+        if self.is_emulated(d):
             return {"daq": {"port": without_real_time(d.daq.port or "")}, "emulated": {}}
         return {
             "daq": {"port": "emulated", "usb_serial": None, "adapter": adapter_of(d)},

@@ -30,7 +30,7 @@ from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.firmware_laws import FirmwareLawRules, FirmwareRelay, FirmwareStrokes
 from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V, other_version
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, RelaySetup, Setup, StrokesSetup
-from rig.backends.serial.introduction import await_introduction, refusal
+from rig.backends.serial.introduction import refusal
 from rig.backends.serial.law_run import LawRun
 from rig.backends.serial.law_stream import LawStream
 from rig.core.calibration import (
@@ -254,7 +254,7 @@ class SerialDriver:
         if (
             self._by_hand is None
             and self._expected.scaling.is_encoder
-            and not self._state().status & frames.STATUS_ZERO
+            and not self._exchange.state().status & frames.STATUS_ZERO
         ):
             remarks.append("the device does not know where its encoder stands: it arms after `rig home CONFIG`")
         told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
@@ -282,7 +282,7 @@ class SerialDriver:
         """
         self._setup = None
         self._store(Setup(self._session, -1, 1, 0, 0, 0, max_drive=1, watchdog_ms=1, polarity=1, homing=1))
-        if self._state().status & frames.STATUS_ZERO:
+        if self._exchange.state().status & frames.STATUS_ZERO:
             flashing = self._expected.board.flashing
             raise Fault("LINK_VERSION", f"this firmware keeps an old zero where a homing fails; {flashing}")
 
@@ -304,7 +304,7 @@ class SerialDriver:
 
     def leave_switch(self) -> None:
         """Acknowledge the end switch that a homing has reached. Raises the fault that is latched besides."""
-        if not self._is_cleared(Code.END_SWITCH):
+        if not self._exchange.is_cleared(Code.END_SWITCH):
             raise Fault("DEVICE_END_SWITCH", "both end switches are open")
         self._check_latched()
 
@@ -317,13 +317,13 @@ class SerialDriver:
         setup = setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
         setup = setup._replace(homing=int(self.homing))
         self._armed = False
-        state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
+        state = self._exchange.state(Kind.STOP, Kind.STOP_REPLY)
         self._check_pause(state)
         if setup != self._setup:
             self._store(setup)
             self._setup = setup
         self._heard_s = self._exchange.now_s()
-        code = self._exchange.request(Kind.ARM, frames.pack_arm(self._session), Kind.ARM_REPLY).body[0]
+        code = self._exchange.arm(self._session)
         if code != Code.NONE:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
@@ -602,14 +602,11 @@ class SerialDriver:
 
     def _meet(self) -> Hello:
         try:
-            introduction = await_introduction(self._exchange.transport, self._exchange.reader, self._open_timeout_s)
+            return self._exchange.meet(self._open_timeout_s)
         except Fault as fault:
             if fault.code != "LINK_VERSION":
                 raise
             raise Fault(fault.code, f"{fault.detail}; {self._expected.board.flashing}") from fault
-        self._exchange.seq = introduction.requests
-        self._exchange.stale_replies += introduction.stale_replies
-        return introduction.hello
 
     def _acknowledge(self, hello: Hello) -> tuple[str, ...]:
         """Clear the faults that the device latched before it was opened. Returns their codes, without the reset.
@@ -621,23 +618,15 @@ class SerialDriver:
         was_reset_now = 1e-6 * hello.now_us < known_s
         cleared: list[int] = []
         for _ in range(_MOST_LATCHED):
-            state = self._state()
+            state = self._exchange.state()
             code = state.fault
-            if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
+            if not state.status & frames.STATUS_FAULT or code in cleared or not self._exchange.is_cleared(code):
                 break
             cleared.append(code)
             tried_estop = self._by_hand is not None and self._by_hand.tried_estop
             if code == Code.RESET and was_reset_now and not tried_estop:
                 break
         return tuple(_FAULT_OF_CODE.get(code, "LINK_REJECTED") for code in cleared if code != Code.RESET)
-
-    def _is_cleared(self, code: int) -> bool:
-        """Acknowledge one fault; False where its cause lasts."""
-        for _ in range(ATTEMPTS):
-            packet = self._exchange.answer(self._exchange.send(Kind.ACK, frames.pack_ack(code)), Kind.ACK_REPLY)
-            if packet is not None:
-                return packet.kind == Kind.ACK_REPLY
-        raise self._exchange.silence(Kind.ACK)
 
     def _measured_supply_V(self, hello: Hello) -> tuple[float, bool]:
         """The motor supply as the device measures it now, not in its first millisecond, V; whether it may be higher.
@@ -646,8 +635,7 @@ class SerialDriver:
         """
         if not hello.features & frames.FEATURE_SUPPLY:
             return math.nan, False
-        now = Hello.unpack(self._exchange.request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
-        return measured_supply_V(now, self.drive_map.supply_V)
+        return measured_supply_V(self._exchange.hello(), self.drive_map.supply_V)
 
     def _time_exchanges(self) -> list[TimedExchange]:
         """Ask for the device's time repeatedly, for one second, or up to three over a slow link or USB.
@@ -677,11 +665,8 @@ class SerialDriver:
     def _where(self, state: DeviceState) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
 
-    def _state(self) -> DeviceState:
-        return DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
-
     def _check_latched(self) -> None:
-        state = self._state()
+        state = self._exchange.state()
         if state.status & frames.STATUS_FAULT:
             raise self._device_fault(state)
 

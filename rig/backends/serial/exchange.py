@@ -6,8 +6,8 @@ import math
 
 from rig.backends.driver import Transport
 from rig.backends.serial import frames
-from rig.backends.serial.frames import Kind, Packet
-from rig.backends.serial.introduction import refusal
+from rig.backends.serial.frames import DeviceState, Hello, Kind, Packet
+from rig.backends.serial.introduction import await_introduction, refusal
 from rig.core.faults import Fault
 
 ATTEMPTS = 3  # of a request outside the loop
@@ -90,6 +90,35 @@ class Exchange:
                     raise refusal(packet)
                 return packet
         raise self.silence(kind)
+
+    # ------------------------------------------------------------------ what is asked outside the loop
+
+    def meet(self, timeout_s: float) -> Hello:
+        """Wait until the device introduces itself, and count on from there. Raises as ``await_introduction``."""
+        introduction = await_introduction(self.transport, self.reader, timeout_s)
+        self.seq = introduction.requests
+        self.stale_replies += introduction.stale_replies
+        return introduction.hello
+
+    def hello(self) -> Hello:
+        """The device's introduction now. Raises as ``request``."""
+        return Hello.unpack(self.request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
+
+    def state(self, kind: Kind = Kind.READ, reply: Kind = Kind.STATE) -> DeviceState:
+        """The state that the reply to a request without a body holds. Raises as ``request``."""
+        return DeviceState.unpack(self.request(kind, b"", reply).body)
+
+    def arm(self, session: int) -> int:
+        """Arm the device; why it refused, or Code.NONE. Raises as ``request``."""
+        return self.request(Kind.ARM, frames.pack_arm(session), Kind.ARM_REPLY).body[0]
+
+    def is_cleared(self, code: int) -> bool:
+        """Acknowledge one fault; False where its cause lasts. Raises Fault LINK_TIMEOUT."""
+        for _ in range(ATTEMPTS):
+            packet = self.answer(self.send(Kind.ACK, frames.pack_ack(code)), Kind.ACK_REPLY)
+            if packet is not None:
+                return packet.kind == Kind.ACK_REPLY
+        raise self.silence(Kind.ACK)
 
     def silence(self, kind: Kind, what: str = "") -> Fault:
         """The fault of a device that does not answer; ``what`` says what happened instead."""

@@ -16,7 +16,6 @@ from rig.backends.serial import frames
 from rig.backends.serial.device_clock import TimedExchange, fit_device_clock
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Loopback, LoopbackAct, Setup
-from rig.backends.serial.introduction import await_introduction
 from rig.core.faults import Fault
 
 PART = 2  # of full duty, that a board gives at most in loop-back
@@ -127,7 +126,7 @@ class _Board:
 
     def measure(self) -> Measured:
         """As the function."""
-        hello = self._meet()
+        hello = self._exchange.meet(_OPEN_S)
         since_s = self._transport.now_s() - self._opened_s + _RESET_BEFORE_S
         found = Measured(hello, 1e-6 * hello.now_us < since_s)
         if not hello.features & frames.FEATURE_LOOPBACK:
@@ -139,7 +138,7 @@ class _Board:
         found.wired = True
         try:
             self._prepare(hello)
-            found.other_session = self._arm(self._session ^ 1)
+            found.other_session = self._exchange.arm(self._session ^ 1)
             self._drive_all(found)
             moving = _moving(found.shares)
             if moving is not None:
@@ -155,16 +154,11 @@ class _Board:
 
     # ------------------------------------------------------------------ who it is, and how fast
 
-    def _meet(self) -> Hello:
-        introduction = await_introduction(self._transport, self._exchange.reader, _OPEN_S)
-        self._exchange.seq = introduction.requests
-        return introduction.hello
-
     def _time(self, found: Measured) -> None:
         exchanges: list[TimedExchange] = []
         for number in range(_CLOCK_EXCHANGES):
             sent_s = self._transport.now_s()
-            reply = Hello.unpack(self._exchange.request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
+            reply = self._exchange.hello()
             exchanges.append(TimedExchange(sent_s, self._transport.now_s(), reply.now_us))
             self._wait(1e-3 * (1 + number % 7))  # else each meets a USB adapter's timer at the same phase
         found.round_trip_s = [e.received_s - e.sent_s for e in exchanges]
@@ -200,20 +194,11 @@ class _Board:
             raise Fault("DEVICE_RESET", "the board is no longer in loop-back")
         return seen
 
-    def _state(self, kind: Kind = Kind.READ, body: bytes = b"", reply: Kind = Kind.STATE) -> DeviceState:
-        return DeviceState.unpack(self._exchange.request(kind, body, reply).body)
-
-    def _arm(self, session: int) -> int:
-        return self._exchange.request(Kind.ARM, frames.pack_arm(session), Kind.ARM_REPLY).body[0]
-
     def _clear(self) -> None:
         """Acknowledge whatever is latched, as far as it lets itself be."""
         for _ in range(16):
-            state = self._state()
-            if not state.status & frames.STATUS_FAULT:
-                return
-            packet = self._exchange.answer(self._exchange.send(Kind.ACK, frames.pack_ack(state.fault)), Kind.ACK_REPLY)
-            if packet is None or packet.kind == Kind.NACK:
+            state = self._exchange.state()
+            if not state.status & frames.STATUS_FAULT or not self._exchange.is_cleared(state.fault):
                 return
 
     def _prepare(self, hello: Hello) -> None:
@@ -240,11 +225,11 @@ class _Board:
     def _start(self, drive: float) -> DeviceState:
         """Arm and drive; the state that tells when the drive began."""
         self._clear()
-        code = self._arm(self._session)
+        code = self._exchange.arm(self._session)
         if code != Code.NONE:
             raise Fault("LINK_REJECTED", f"arming refused, {frames.code_name(code)}")
         self._drive(drive)
-        return self._state()
+        return self._exchange.state()
 
     def _drive(self, drive: float) -> None:
         self._exchange.send(Kind.DRIVE, frames.pack_drive(round(drive * self._full)))
@@ -299,7 +284,7 @@ class _Board:
         return self._tell(after_s)
 
     def _tell(self, after_s: float | None) -> Trip:
-        state = self._state(Kind.STOP, b"", Kind.STOP_REPLY)
+        state = self._exchange.state(Kind.STOP, Kind.STOP_REPLY)
         return Trip(after_s, state.fault if state.status & frames.STATUS_FAULT else 0)
 
     def _stop(self, found: Measured, sign: int, end: int) -> None:
@@ -309,7 +294,7 @@ class _Board:
             trip = self._tell(self._after(opened.estop_us, end))
             self._clear()  # refused: the e-stop is open
             found.estop.append(trip)
-            found.estop_refused = self._arm(self._session)
+            found.estop_refused = self._exchange.arm(self._session)
             self._look(LoopbackAct.CLOSE)
 
     def _hang(self, sign: int) -> Restart:
@@ -318,22 +303,18 @@ class _Board:
         self._look(LoopbackAct.HANG)
         self._wait(0.3)
         try:
-            hello = self._meet_again()
+            self._exchange.meet(_RESTART_S)
+            hello = self._exchange.hello()
         except Fault as fault:
             if fault.code != "LINK_HELLO":
                 raise
             return Restart(None)
         restarted_s = self._transport.now_s() - 1e-6 * hello.now_us
-        state = self._state()
+        state = self._exchange.state()
         forgot = state.session == 0 and state.drive == 0 and not state.status & frames.STATUS_ARMED
         self._clear()
         causes = hello.reset_words if hello.reset_cause else ""
-        return Restart(restarted_s - asked_s, causes, forgot, self._arm(self._session))
-
-    def _meet_again(self) -> Hello:
-        introduction = await_introduction(self._transport, self._exchange.reader, _RESTART_S)
-        self._exchange.seq = introduction.requests
-        return Hello.unpack(self._exchange.request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
+        return Restart(restarted_s - asked_s, causes, forgot, self._exchange.arm(self._session))
 
 
 def _share(drive: float, seen: list[Loopback]) -> Share:

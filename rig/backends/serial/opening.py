@@ -5,15 +5,12 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from rig.backends.backend import Line, emulated_of, host_clock
+from rig.backends.backend import Line, emulated_of
 from rig.backends.driver import Timeouts
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.emulated.shaft import traced
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter
 from rig.backends.serial.driver import ByHand, SerialDriver
@@ -24,31 +21,15 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_device import PortAndClock
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
-from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, adapter_of, is_virtual
+from rig.backends.serial.ports import CHIP_PORTS, adapter_of
 from rig.config.schema import DeviceSetup
 from rig.core.faults import Fault
 
 
-@contextmanager
-def serial_line(d: DeviceSetup) -> Iterator[Line]:
-    """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
-    port = d.daq.port
-    if port is not None and is_virtual(d):
-        yield _virtual_line(d, port)
-    elif port in EMULATED_PORTS:
-        with TemporaryDirectory(prefix="rig-") as folder:
-            trace = Path(folder) / "truth.csv"
-            with emulated_board(d, trace=trace) as board:
-                line = _line_of_port(d, board.port, emulated=True)
-                yield line._replace(shaft=partial(traced, trace))
-    elif port is not None:
-        yield _line_of_port(d, port)
-    else:
-        raise ValueError("daq.port is missing")
-
-
-def _virtual_line(d: DeviceSetup, port: str) -> Line:
+def virtual_line(d: DeviceSetup) -> Line:
+    """As of ``Opening``."""
     device: PortAndClock
+    port = d.daq.port or ""
     if port in CHIP_PORTS:
         require_emulator(port)
         from emulated_chips import opening as chips
@@ -62,21 +43,22 @@ def _virtual_line(d: DeviceSetup, port: str) -> Line:
     return Line(line, line, port, emulated=True, shaft=shaft)
 
 
-def _line_of_port(d: DeviceSetup, port: str, *, emulated: bool = False) -> Line:
-    transport = SerialPort(port, d.daq.baud, usb_serial=d.daq.usb_serial)
+def transport(d: DeviceSetup, port: str, *, emulated: bool = False) -> SerialPort:
+    """As of ``Opening``."""
+    opened = SerialPort(port, d.daq.baud, usb_serial=d.daq.usb_serial)
     if d.sensor.encoder is not None:
-        transport.keep_on()
+        opened.keep_on()
     if not emulated:
         try:
             check_adapter(port, adapter_of(d))
         except Fault:
-            transport.close()
+            opened.close()
             raise
-    return Line(transport, host_clock(d), f"serial:{port}", emulated=emulated)
+    return opened
 
 
-def serial_driver(d: DeviceSetup, line: Line) -> SerialDriver:
-    """As of ``LineBackend.driver``."""
+def driver(d: DeviceSetup, line: Line) -> SerialDriver:
+    """As of ``Opening``."""
     return SerialDriver(
         line.transport,
         d.scaling,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.links.usb_adapters import Adapter, adapter_by_name
 from rig.config.schema import DeviceSetup
 
@@ -15,11 +14,6 @@ CHIP_BAUDS = (115200, 1_000_000)  # that the boards' firmware is built for
 def is_emulated(d: DeviceSetup) -> bool:
     """Whether the port is that of an emulated device."""
     return d.daq.port in EMULATED_PORTS
-
-
-def is_virtual(d: DeviceSetup) -> bool:
-    """Whether that device lives in virtual time."""
-    return is_emulated(d) and in_virtual_time(d.daq.port)
 
 
 def adapter_of(d: DeviceSetup) -> Adapter:

@@ -38,12 +38,6 @@ def serial_rules(d: DeviceSetup) -> Iterator[Problem]:
 
 def _keys(d: DeviceSetup) -> Iterator[Problem]:
     daq = d.daq
-    if daq.port is None:
-        yield wrong("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
-    elif daq.port.startswith("emulated") and daq.port not in EMULATED_PORTS:
-        yield wrong("daq.port", f"no {daq.port} for `driver: serial`", f"one of {', '.join(EMULATED_PORTS)}")
-    if d.emulated is None and daq.port in EMULATED_PORTS:
-        yield wrong("emulated", f"`port: {daq.port}` needs this section", "describe the bench: see config/demo.yaml")
     if d.emulated is not None and d.emulated.motor.delay_s is not None and daq.port in EMULATED_PORTS:
         yield wrong("emulated.motor.delay_s", "an emulated board has no such delay", "use driver simulated or modbus")
     if daq.port in CHIP_PORTS and daq.baud not in CHIP_BAUDS:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from rig.backends.backend import Line, Watchdog
-from rig.backends.driver import Driver
+from rig.backends.backend import Opening, Watchdog
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
 from rig.backends.registers.backend import RegisterBackend
@@ -19,9 +15,6 @@ from rig.backends.servo.rules import has_watchdog, servo_rules
 from rig.backends.servo.section import EMULATED_PORTS, ServoKeys
 from rig.config.problems import Problem
 from rig.config.schema import DeviceSetup
-
-if TYPE_CHECKING:  # it loads slowly
-    from rig.backends.emulated.board_process import BoardProcess
 
 _STEP_S = 1e-3  # of a servo's own loop: when within it a duty acts, and a position is sampled, no manual says
 
@@ -32,6 +25,8 @@ class ServoBackend(RegisterBackend):
     name = "servo"
     own_keys = ServoKeys
     emulated_ports = EMULATED_PORTS
+    port_example = "/dev/ttyUSB0, or port: emulated"
+    bench_example = "config/servo.yaml"
     adapter_hint = "daq.servo.adapter"
 
     @override
@@ -118,25 +113,10 @@ class ServoBackend(RegisterBackend):
             )
 
     @override
-    def line(self, d: DeviceSetup) -> AbstractContextManager[Line]:
-        from rig.backends.servo.line import servo_line
+    def opening(self) -> Opening:
+        from rig.backends.servo import line
 
-        return servo_line(d)
-
-    @override
-    def driver(self, d: DeviceSetup, line: Line) -> Driver:
-        from rig.backends.servo.line import servo_driver
-
-        return servo_driver(d, line)
-
-    @override
-    def emulated(
-        self, d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
-    ) -> AbstractContextManager[BoardProcess]:
-        """There is no ``chip``."""
-        from rig.backends.servo.line import emulated_board
-
-        return emulated_board(d, link, trace)
+        return line
 
 
 SERVO = ServoBackend()

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.servo.models import MODELS, ServoModel
 from rig.config import ready
+from rig.config.edit import Value, with_values
 from rig.config.new_bench import AnswerError
+from rig.config.problems import Path
+from rig.config.yaml12 import parse
 
 _READY: Final = {"dynamixel": "servo", "feetech": "servo-sts3215"}
 _OWN: Final = {"servo": ("xl330-m288", 5.0, 12.0), "servo-sts3215": ("sts3215", 7.4, 6.0)}  # model, V, rad/s
-_VOLTS: Final = ("max_V", "ramp_V_s")
-_SPEEDS: Final = ("max_speed_rad_s",)
-_SWINGS: Final = ("target: {amplitude_rad",)
 
 
 @dataclass(frozen=True)
@@ -82,33 +82,38 @@ def text(answers: ServoAnswers) -> str:
         raise AnswerError(
             f"{model.name}: its speed without load is missing", "give --no-load-rpm, from its data sheet, at its supply"
         )
-    written = ready.text(name)
-    written = _put(written, "name", "bench")
-    written = _put(written, "model", model.name)
-    written = _put(written, "id", str(answers.id))
-    written = _put(written, "baud", str(answers.baud))
-    written = _put(written, "supply_V", f"{supply_V:.4g}")
-    written = _put(written, "no_load_speed_rad_s", f"{speed:.3g}")
-    written = written.replace("  servo: {}  ", f"  servo: {{zero_counts: {answers.zero_counts}}}  ")
-    written = _scaled(written, _VOLTS, supply_V / own_V)
-    written = _scaled(written, _SPEEDS, speed / speed_rad_s)
-    written = _scaled(written, _SWINGS, min(speed / speed_rad_s, 1.0))  # in the same time
+    written, faster = ready.text(name), speed / speed_rad_s
+    example = parse(written, name).data
+    by = {
+        ("drive", "max_V"): supply_V / own_V,
+        ("breakaway", "max_V"): supply_V / own_V,
+        ("breakaway", "ramp_V_s"): supply_V / own_V,
+        ("limits", "max_speed_rad_s"): faster,
+        ("relay", "target", "amplitude_rad"): min(faster, 1.0),  # in the same time
+    }
+    values: dict[Path, Value] = {
+        ("name",): "bench",
+        ("daq", "servo", "model"): model.name,
+        ("daq", "servo", "id"): answers.id,
+        ("daq", "baud"): answers.baud,
+        ("sensor", "servo"): {"zero_counts": answers.zero_counts},
+        ("drive", "supply_V"): _digits(supply_V, 4),
+        ("motor", "no_load_speed_rad_s"): _digits(speed, 3),
+        **{path: _digits(factor * _at(example, path), 3) for path, factor in by.items()},
+    }
     if answers.port is not None:
-        written = _put(written, "port", answers.port)
-        if answers.adapter is not None:
-            written = written.replace("\nsensor:", f"    adapter: {answers.adapter}\n\nsensor:", 1).replace(
-                "\n\n    ad", "\n    ad"
-            )
+        values["daq", "port"] = answers.port
         written = written[: written.index("\nemulated:")] + "\n"
-    return written
+        if answers.adapter is not None:
+            values["daq", "servo", "adapter"] = answers.adapter
+    return with_values(written, values)
 
 
-def _put(written: str, key: str, value: str) -> str:
-    """The first line of that key with another value; its comment stays."""
-    return re.sub(rf"(?m)^( *{key}: )[^\s#]+", lambda found: found.group(1) + value, written, count=1)
+def _at(data: Any, path: Path) -> float:
+    for key in path:
+        data = data[key]
+    return float(data)
 
 
-def _scaled(written: str, keys: tuple[str, ...], by: float) -> str:
-    """Every value of these keys times a factor."""
-    pattern = rf"(?m)^( *(?:{'|'.join(keys)}): )([0-9.]+)"
-    return re.sub(pattern, lambda found: f"{found.group(1)}{float(found.group(2)) * by:.3g}", written)
+def _digits(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")

@@ -13,23 +13,18 @@ class Guardian(Protocol):
     @property
     def has_acted(self) -> bool:
         """Whether it has stopped the servo because this process was silent."""
-        ...
 
     def beat(self) -> None:
         """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
-        ...
 
     def waits(self) -> None:
         """The process lives, and asks: a wait for an answer is no silence. Says nothing while nothing drives."""
-        ...
 
     def rest(self) -> None:
         """Nothing drives: silence is no sign of anything."""
-        ...
 
     def end(self, *, restored: bool) -> None:
         """It is needed no more."""
-        ...
 
 
 def beat(guardian: Guardian) -> None:

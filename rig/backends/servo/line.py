@@ -7,11 +7,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rig.backends.backend import Line, emulated_of, host_clock
+from rig.backends.backend import Line, emulated_of
 from rig.backends.driver import Timeouts
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.emulated.words import in_virtual_time
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_adapters import adapter_delay_s
 from rig.backends.links.usb_port import check_adapter
@@ -29,25 +28,21 @@ from rig.config.schema import DeviceSetup, ServoSensor
 from rig.core.calibration import largest_drive_in_units
 
 
-@contextmanager
-def servo_line(d: DeviceSetup) -> Iterator[Line]:
-    """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
-    port = d.daq.port
-    if port is None:
-        raise ValueError("daq.port is missing")
-    if in_virtual_time(port):
-        bus = emulated_bus(d)
-        yield Line(bus, bus, port, emulated=True)
-    elif port in EMULATED_PORTS:
-        with emulated_board(d) as board:
-            yield Line(SerialPort(board.port, d.daq.baud), host_clock(d), f"servo:{board.port}", emulated=True)
-    else:
+def virtual_line(d: DeviceSetup) -> Line:
+    """As of ``Opening``."""
+    bus = emulated_bus(d)
+    return Line(bus, bus, d.daq.port or "", emulated=True)
+
+
+def transport(d: DeviceSetup, port: str, *, emulated: bool = False) -> SerialPort:
+    """As of ``Opening``."""
+    if not emulated:
         check_adapter(port, adapter_of(d.daq, servo_of(d)), "daq.servo.adapter")
-        yield Line(SerialPort(port, d.daq.baud, usb_serial=d.daq.usb_serial), host_clock(d), f"servo:{port}")
+    return SerialPort(port, d.daq.baud, usb_serial=d.daq.usb_serial)
 
 
-def servo_driver(d: DeviceSetup, line: Line) -> ServoDriver:
-    """The driver of the config on a line, not opened yet."""
+def driver(d: DeviceSetup, line: Line) -> ServoDriver:
+    """As of ``Opening``."""
     servo = servo_of(d)
     descriptor = getattr(line.transport, "descriptor", None)
     is_real = d.daq.port not in EMULATED_PORTS and not line.emulated
@@ -107,8 +102,13 @@ def emulated_bus(d: DeviceSetup) -> VirtualServoBus:
 
 
 @contextmanager
-def emulated_board(d: DeviceSetup, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
-    """The emulated bus, running in real time for the block. Raises EmulationError where it does not start."""
+def emulated_board(
+    d: DeviceSetup, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+) -> Iterator[BoardProcess]:
+    """The emulated bus, running in real time for the block; there is no ``chip``.
+
+    Raises EmulationError where it does not start.
+    """
     with ServoBoard() as board:
         board.start([emulated_servo(d)], link, trace, line=_times(d))
         yield board

@@ -20,13 +20,6 @@ _UNITS: Final = 127  # of the watchdog's register, at most
 def servo_rules(d: DeviceSetup) -> Iterator[Problem]:
     """The rules that only a servo has."""
     port, servo = d.daq.port, d.daq.servo
-    if port is None:
-        yield wrong("daq.port", "`driver: servo` needs a port", "/dev/ttyUSB0, or port: emulated")
-    elif port.startswith("emulated"):
-        if port not in EMULATED_PORTS:
-            yield wrong("daq.port", f"no {port} for `driver: servo`", f"one of {', '.join(EMULATED_PORTS)}")
-        elif d.emulated is None:
-            yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/servo.yaml")
     if d.runs_relay:
         yield wrong("relay.where", "`driver: servo` has no relay in the device", "set it to host")
     if d.tachometer is not None:

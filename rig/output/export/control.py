@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import pprint
-
-from rig.output.export.motor import NUMBERS, IdentifiedMotor
-from rig.output.export.tool import IN_NONE, Tool, rendered
+from rig.output.export.motor import IdentifiedMotor
+from rig.output.export.tool import IN_NONE, Tool, python_file
 from rig.output.export.whole_run import ExportedRun
 
 SMOOTH_RAD_S = 1e-3  # friction of the continuous system turns over so small a velocity
@@ -13,14 +11,7 @@ SMOOTH_RAD_S = 1e-3  # friction of the continuous system turns over so small a v
 
 def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
     """``motor_control.py``."""
-    text = rendered(
-        "motor_control.py.j2",
-        head="\n".join(motor.head()).replace("\\", "/").replace('"""', "'''"),
-        model=pprint.pformat(motor.as_json(), width=116, sort_dicts=False),
-        names=pprint.pformat(tuple(NUMBERS), width=100, compact=True),
-        smooth=SMOOTH_RAD_S,
-    )
-    return {"motor_control.py": text}
+    return {"motor_control.py": python_file("motor_control.py.j2", motor, smooth=SMOOTH_RAD_S)}
 
 
 CONTROL = Tool("python-control", files, IN_NONE)

@@ -7,12 +7,11 @@ are in N m, and the actuator gives no more than the supply can.
 from __future__ import annotations
 
 import math
-import pprint
 from xml.sax.saxutils import escape, quoteattr
 
 from rig.model.real_step import mean_cosine
-from rig.output.export.motor import NUMBERS, IdentifiedMotor
-from rig.output.export.tool import NOT_RIGID, Tool, rendered
+from rig.output.export.motor import IdentifiedMotor
+from rig.output.export.tool import NOT_RIGID, Tool, python_file, rendered
 from rig.output.export.whole_run import ExportedRun
 
 STEP_S = 1e-4
@@ -63,13 +62,7 @@ def files(motor: IdentifiedMotor, run: ExportedRun) -> dict[str, bytes]:
         by_hand=by_hand,
         about=[(name, quoteattr(value)) for name, value in _about(motor, alone).items()],
     )
-    code = rendered(
-        "motor_mujoco.py.j2",
-        head="\n".join(motor.head()).replace("\\", "/").replace('"""', "'''"),
-        model=pprint.pformat(motor.as_json(), width=116, sort_dicts=False),
-        torque=a,
-        names=pprint.pformat(tuple(NUMBERS), width=100, compact=True),
-    )
+    code = python_file("motor_mujoco.py.j2", motor, torque=a)
     return {"motor.xml": text, "motor_mujoco.py": code}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pprint
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -10,7 +11,7 @@ import jinja2
 
 from rig.core.errors import CauseError
 from rig.core.package import FOLDER
-from rig.output.export.motor import IdentifiedMotor
+from rig.output.export.motor import NUMBERS, IdentifiedMotor
 from rig.output.export.whole_run import ExportedRun
 
 # A model has no first day: what drifts from the start of the tests to their end. And no torque that is another than its
@@ -58,6 +59,17 @@ def rendered(template: str, **values: object) -> bytes:
         trim_blocks=True,
     )
     return environment.get_template(template).render(**values).encode("utf-8")
+
+
+def python_file(template: str, motor: IdentifiedMotor, **values: object) -> bytes:
+    """A Python file by its template, with the motor in it: ``head`` in its docstring, ``model`` and ``names``."""
+    return rendered(
+        template,
+        head="\n".join(motor.head()).replace("\\", "/").replace('"""', "'''"),
+        model=pprint.pformat(motor.as_json(), width=116, sort_dicts=False),
+        names=pprint.pformat(tuple(NUMBERS), width=100, compact=True),
+        **values,
+    )
 
 
 def constant(name: str) -> bytes:

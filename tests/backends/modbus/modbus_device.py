@@ -9,8 +9,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from rig.backends.emulated.line_faults import Direction
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.rtu_slave import Direction, frame
+from rig.backends.modbus.emulated.rtu_slave import frame
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.section import Modbus
 from rig.config import load

@@ -16,11 +16,11 @@ import pytest
 from evidence import evidence
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.backends.emulated.line_faults import Corruption
+from rig.backends.emulated.line_faults import Corruption, Direction
 from rig.backends.modbus.client import ModbusClient, ModbusLine
 from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
-from rig.backends.modbus.emulated.rtu_slave import Direction, check_sum
+from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.opening import emulated_io_block, modbus_driver
 from rig.backends.modbus.requests import Request

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from rig.backends.backend import Line
 from rig.backends.driver import DeviceInfo, Timeouts
+from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.before import BeforeStore
 from rig.backends.servo.driver import ServoDriver
+from rig.backends.servo.emulated.bus import ServoBus
+from rig.backends.servo.emulated.hearing import named_by_dynamixel, named_by_feetech
 from rig.backends.servo.emulated.servo import EmulatedServo, ServoOptions
 from rig.backends.servo.emulated.virtual_bus import VirtualServoBus
 from rig.backends.servo.line import emulated_servo, setup_of
@@ -23,6 +27,18 @@ CONFIGS = {"dynamixel": CONFIG / "servo.yaml", "feetech": CONFIG / "servo-sts321
 PROTOCOLS = list(CONFIGS)
 BYSTANDERS = (4, 7)
 PERIOD_S = 0.01
+
+
+def addressed(bus: ServoBus) -> Counter[int]:
+    """How many packets, pings apart, went to each id, BROADCAST included; what a group instruction names counts."""
+    counted: Counter[int] = Counter()
+    for _, frame in bus.log:
+        if isinstance(frame, dynamixel.Frame):
+            if frame.instruction != dynamixel.Instruction.PING:
+                counted.update(named_by_dynamixel(frame) or {frame.id})
+        elif frame.code != feetech.Instruction.PING:
+            counted.update(named_by_feetech(frame))
+    return counted
 
 
 class Bench:

@@ -6,6 +6,7 @@ from typing import Any
 
 import further_requests
 import pytest
+from servo_bench import addressed
 from servo_host import DynamixelHost, FeetechHost, Host
 
 from rig.backends.emulated.errors import EmulationError
@@ -89,10 +90,10 @@ def test_group_writes_reach_whom_they_name(kind: type[Host]) -> None:
     address = host.model[name].address
     host.ask(host.codec.sync_write(address, {1: b"\x01", 3: b"\x01"}))
     assert [host.bus.bus.servo(id).value(name) for id in (1, 2, 3)] == [1, 0, 1]
-    assert host.bus.bus.addressed() == {1: 1, 3: 1}
+    assert addressed(host.bus.bus) == {1: 1, 3: 1}
     host.ask(host.codec.write(host.codec.BROADCAST, address, b"\x00"))
     assert [host.bus.bus.servo(id).value(name) for id in (1, 2, 3)] == [0, 0, 0]
-    assert host.bus.bus.addressed() == {1: 1, 3: 1, host.codec.BROADCAST: 1}
+    assert addressed(host.bus.bus) == {1: 1, 3: 1, host.codec.BROADCAST: 1}
 
 
 def test_a_bulk_write_has_addresses_of_its_own() -> None:
@@ -225,7 +226,7 @@ def test_bystanders_neither_move_nor_change() -> None:
     host.ready(500)
     host.sleep(1.0)
     assert [host.bus.bus.servo(id).peek(0, 119) for id in (2, 3)] == seen
-    assert host.bus.bus.addressed().keys() == {1}
+    assert addressed(host.bus.bus).keys() == {1}
     assert [host.bus.truth(id).y_rad for id in (2, 3)] == [0.0, 0.0]
     with pytest.raises(KeyError):
         host.bus.bus.servo(4)

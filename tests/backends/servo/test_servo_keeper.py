@@ -19,7 +19,7 @@ import pytest
 from evidence import evidence
 from servo_bench import PROTOCOLS, Bench
 
-from rig.backends.links.inherited_link import InheritedLink
+from rig.backends.links.open_link import OpenLink
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.servo import keeper as keepers
 from rig.backends.servo.before import BeforeStore, values_of
@@ -178,7 +178,7 @@ def test_a_command_that_hangs_is_stopped_before_it_ends(board: tuple[str, Bench,
     time.sleep(2.0 * SILENCE_S)
     beside = os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
-        link = servo_link(InheritedLink(beside), bench.setup.model, bench.own.id, bench.own.baud, 1.0)
+        link = servo_link(OpenLink(beside), bench.setup.model, bench.own.id, bench.own.baud, 1.0)
         assert wait_for(lambda: stands(link, beside))
     finally:
         os.close(beside)

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import pytest
 from evidence import evidence
-from servo_bench import BYSTANDERS, PROTOCOLS, Bench
+from servo_bench import BYSTANDERS, PROTOCOLS, Bench, addressed
 
 from rig.backends.servo.before import BeforeStore, order_of
 from rig.backends.servo.bus import ServoLink
@@ -64,7 +64,7 @@ def test_a_run_leaves_every_register_as_it_was_and_writes_little(protocol: str) 
     assert bench.wrong() == []
     assert bench.store.load(bench.setup.model) is None
     # of the others it read an id, once each: of a Dynamixel the second one
-    seen = bench.bus.bus.addressed()
+    seen = addressed(bench.bus.bus)
     assert {id: seen[id] for id in BYSTANDERS} == dict.fromkeys(BYSTANDERS, 1)
 
 

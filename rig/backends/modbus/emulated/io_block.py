@@ -173,7 +173,7 @@ class IoBlock:
         """Silence after which it sets 0 V; None: it has no watchdog."""
         if "watchdog" in self._values:
             return self._values["watchdog"] * self.registers.unit_s
-        return self.registers.watchdog_s
+        return self.registers.device_watchdog_s
 
     # ------------------------------------------------------------------ the true state
 
@@ -420,7 +420,7 @@ class IoBlock:
         for f in self.registers.readable[table]:
             at = f.address - address
             if -f.words < at < count:
-                for k, word in enumerate(f.pack(values[f.name], self.registers.low_first)):
+                for k, word in enumerate(f.pack(values[f.name], self.registers.drive.low_first)):
                     if 0 <= at + k < count:
                         words[at + k] = word
         return bytes((2 * count,)) + struct.pack(f">{count}H", *words)
@@ -432,7 +432,7 @@ class IoBlock:
         for f in self.registers.writable:
             at = f.address - address
             if at >= 0 and at + f.words <= len(words):
-                values[f.name] = f.unpack(words[at : at + f.words], self.registers.low_first)
+                values[f.name] = f.unpack(words[at : at + f.words], self.registers.drive.low_first)
                 n += f.words
         if n != len(words):
             raise _Refused(ILLEGAL_ADDRESS)

@@ -9,12 +9,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Self
+from functools import cached_property
+from typing import NamedTuple
 
 from rig.backends.modbus.registers import Register, RegisterMap, Table
-
-if TYPE_CHECKING:  # the process of an emulated device starts without the config
-    from rig.backends.modbus.section import Modbus
 
 STATUS_OF_FAULT = {
     "DEVICE_WATCHDOG": 2,
@@ -54,61 +52,32 @@ class Field(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BlockRegisters:
-    """What is at which address.
+class BlockRegisters(RegisterMap):
+    """What is at which address, with the block's own fields."""
 
-    readable     fields that are read, by table; written ones can be read back from the holding table
-    writable     fields that are written
-    low_first    word order of 32-bit types
-    full         value of the drive at full duty
-    scale, offset_counts   counts = scale x value + offset_counts, of the position
-    arm, stop    values of the control register
-    unit_s       of the watchdog register
-    status_of    value of the status register for each fault
-    watchdog_s   the output's own time-out where no register sets it; None: it has none
-    """
+    @cached_property
+    def writable(self) -> tuple[Field, ...]:
+        """Fields that are written."""
+        return _fields(*self.written.registers, *self.set_when_armed)
 
-    readable: Mapping[Table, tuple[Field, ...]]
-    writable: tuple[Field, ...]
-    low_first: bool
-    full: float
-    scale: float
-    offset_counts: float
-    arm: int
-    stop: int
-    unit_s: float
-    status_of: Mapping[str, int]
-    watchdog_s: float | None
+    @cached_property
+    def readable(self) -> Mapping[Table, tuple[Field, ...]]:
+        """Fields that are read, by table; written ones can be read back from the holding table."""
+        seen, holding = _fields(*self.read.registers), self.position.table == "holding"
+        return {"holding": (*self.writable, *seen) if holding else self.writable, "input": () if holding else seen}
 
-    @classmethod
-    def of(cls, modbus: Modbus) -> Self:
-        """As the section ``daq.modbus`` has it."""
-        found = RegisterMap.of(modbus)
-        pairs = [r for pair in (found.limits, found.rails) if pair is not None for r in pair]
-        written = _fields(found.drive, found.sequence, found.control, found.watchdog, *pairs, found.max_drive)
-        seen = _fields(found.position, found.echo, found.applied, found.status)
-        holding = found.position.table == "holding"
-        return cls(
-            readable={"holding": (*written, *seen) if holding else written, "input": () if holding else seen},
-            writable=written,
-            low_first=found.drive.low_first,
-            full=found.full,
-            scale=found.scale,
-            offset_counts=found.offset_counts,
-            arm=found.arm,
-            stop=found.stop,
-            unit_s=found.unit_s,
-            status_of=_statuses({code: value for value, code in (found.faults or {}).items()}),
-            watchdog_s=found.device_watchdog_s,
-        )
+    @cached_property
+    def status_of(self) -> Mapping[str, int]:
+        """Value of the status register for each fault."""
+        return _statuses({code: value for value, code in (self.faults or {}).items()})
 
     def has(self, name: str) -> bool:
         """Whether there is such a field."""
         return any(f.name == name for fields in self.readable.values() for f in fields)
 
 
-def _fields(*registers: Register | None) -> tuple[Field, ...]:
-    return tuple(Field(r.name, r.address, r.type) for r in registers if r is not None)
+def _fields(*registers: Register) -> tuple[Field, ...]:
+    return tuple(Field(r.name, r.address, r.type) for r in registers)
 
 
 def _statuses(named: Mapping[str, int]) -> dict[str, int]:

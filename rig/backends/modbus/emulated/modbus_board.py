@@ -13,7 +13,8 @@ from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import LineTimes
-from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
+from rig.backends.modbus.registers import RegisterMap
+from rig.backends.modbus.section import Modbus
 from rig.config.schema import Emulated
 
 
@@ -22,9 +23,9 @@ def mbpoll_line(modbus: Modbus, port: str, baud: int) -> str:
 
     modbus  section of the config
     """
-    first, count = span_of(read_in_a_tick(modbus.registers))
+    read = RegisterMap.of(modbus).read
     table = 4 if modbus.registers.position.table == "holding" else 3
-    what = f"-0 -1 -a {modbus.unit} -t {table} -r {first} -c {count}"
+    what = f"-0 -1 -a {modbus.unit} -t {table} -r {read.address} -c {read.words}"
     url = urlsplit(port)
     if url.scheme == "tcp":
         return f"mbpoll -m tcp -p {url.port} {what} {url.hostname}"
@@ -59,7 +60,6 @@ class ModbusBoard(BoardProcess):
         corruption    RTU: damage on the line
         Raises EmulationError where it does not start.
         """
-        self._must_not_run()
         if tcp_port is not None and link is not None:
             raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
         device = Device(

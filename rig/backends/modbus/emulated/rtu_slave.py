@@ -6,16 +6,14 @@ silence. A damaged frame, or one for another unit, gets no answer. A request to 
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from pymodbus.framer import FramerRTU
 
-from rig.backends.emulated.line_faults import Direction as Direction
-from rig.backends.emulated.line_faults import Disturbance as Disturbance
+from rig.backends.emulated.line_faults import Disturbance, disturbed
+from rig.backends.emulated.under_way import UnderWay
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 
@@ -87,43 +85,36 @@ class RtuSlave:
         self.reply_fault = reply_fault
         self.disturbance = disturbance
         self.frames = self.damaged = self.foreign = 0
-        self._coming: list[tuple[float, int, bytes]] = []  # heaps by time, in order of sending where it is the same
-        self._going: list[tuple[float, int, bytes]] = []
-        self._n = 0
+        self._coming, self._going = UnderWay[bytes](), UnderWay[bytes]()
         self._frame = bytearray()
         self._last_bit_s = -math.inf
         self._free_s = -math.inf  # when the last reply has left
 
     def send(self, data: bytes, t_s: float) -> None:
         """The host hands bytes to the wire at ``t_s``, not before what it was advanced to."""
-        for delay_s, arriving in self._disturbed("request", data, t_s):
-            self._push(self._coming, t_s + delay_s, arriving)
+        for delay_s, arriving in disturbed(self.disturbance, "request", data, t_s):
+            self._coming.send(arriving, t_s + delay_s)
 
     def next_event_s(self) -> float:
         """When something happens next without the host: a frame's end, or a reply's; inf for never."""
-        return min(
-            self._coming[0][0] if self._coming else math.inf,
-            self._frame_end_s(),
-            self._going[0][0] if self._going else math.inf,
-        )
+        return min(self._coming.next_s(), self._frame_end_s(), self._going.next_s())
 
     def next_reply_s(self) -> float:
         """When the host gets its next bytes, as far as that is known; inf for never."""
-        return self._going[0][0] if self._going else math.inf
+        return self._going.next_s()
 
     def advance_to(self, t_s: float) -> None:
         """Let time pass to ``t_s`` for line and block."""
         while True:
-            coming_s = self._coming[0][0] if self._coming else math.inf
             end_s = self._frame_end_s()
-            if min(coming_s, end_s) > t_s:
+            if min(self._coming.next_s(), end_s) > t_s:
                 break
-            if end_s <= coming_s:
+            if end_s <= self._coming.next_s():
                 whole = bytes(self._frame)
                 self._frame.clear()
                 self._take(whole, end_s)
             else:
-                _, _, data = heapq.heappop(self._coming)
+                coming_s, data = self._coming.take()
                 self._last_bit_s = max(coming_s, self._last_bit_s) + self.line.wire_s(len(data))
                 self._frame += data
                 del self._frame[_LONGEST_FRAME + 1 :]  # too long is damaged, however long it is
@@ -131,10 +122,7 @@ class RtuSlave:
 
     def receive(self, t_s: float) -> bytes:
         """What has reached the host by ``t_s`` since the last call."""
-        arrived = b""
-        while self._going and self._going[0][0] <= t_s:
-            arrived += heapq.heappop(self._going)[2]
-        return arrived
+        return b"".join(self._going.arrived(t_s))
 
     def _frame_end_s(self) -> float:
         return self._last_bit_s + self.line.silence_s if self._frame else math.inf
@@ -158,13 +146,5 @@ class RtuSlave:
         begins_s = max(t_s + self.line.turnaround_s + answer.late_s, self._free_s)
         reply = frame(answer.unit, answer.pdu)
         self._free_s = begins_s + self.line.wire_s(len(reply))
-        for delay_s, arriving in self._disturbed("reply", reply, begins_s):
-            self._push(self._going, begins_s + self.line.wire_s(len(arriving)) + delay_s, arriving)
-
-    def _disturbed(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
-        return ((0.0, data),) if self.disturbance is None else self.disturbance(direction, data, t_s)
-
-    def _push(self, heap: list[tuple[float, int, bytes]], t_s: float, data: bytes) -> None:
-        if data:
-            self._n += 1
-            heapq.heappush(heap, (t_s, self._n, data))
+        for delay_s, arriving in disturbed(self.disturbance, "reply", reply, begins_s):
+            self._going.send(arriving, begins_s + self.line.wire_s(len(arriving)) + delay_s)

@@ -6,10 +6,9 @@ unit (1), then function code and data. The address of a device on the network it
 
 from __future__ import annotations
 
-import heapq
-import math
 from typing import NamedTuple
 
+from rig.backends.emulated.under_way import UnderWay
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 
@@ -67,8 +66,7 @@ class TcpSlave:
         self.block = block
         self.reply_fault = reply_fault
         self._turnaround_s = turnaround_s
-        self._going: list[tuple[float, int, int, bytes]] = []
-        self._n = 0
+        self._going = UnderWay[tuple[int, bytes]]()
 
     def take(self, connection: int, adu: Adu, t_s: float) -> None:
         """Execute a request that arrived at ``t_s`` on a connection; one to another unit is not answered."""
@@ -78,21 +76,16 @@ class TcpSlave:
         if answer is not None:
             unit = adu.unit if answer.unit == self.block.unit else answer.unit
             reply = Adu(adu.transaction, unit, answer.pdu).pack()
-            self._n += 1
-            heapq.heappush(self._going, (t_s + self._turnaround_s + answer.late_s, self._n, connection, reply))
+            self._going.send((connection, reply), t_s + self._turnaround_s + answer.late_s)
 
     def forget(self, connection: int) -> None:
         """Keep no reply for a connection that is closed: another may get its number."""
-        self._going = [going for going in self._going if going[2] != connection]
-        heapq.heapify(self._going)
+        self._going.change(lambda at_s, going: None if going[0] == connection else (at_s, going))
 
     def next_event_s(self) -> float:
         """When the next reply is due; inf for never."""
-        return self._going[0][0] if self._going else math.inf
+        return self._going.next_s()
 
     def due(self, t_s: float) -> list[tuple[int, bytes]]:
         """Connection and bytes of the replies that are due by ``t_s``, once."""
-        out: list[tuple[int, bytes]] = []
-        while self._going and self._going[0][0] <= t_s:
-            out.append(heapq.heappop(self._going)[2:])
-        return out
+        return self._going.arrived(t_s)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from rig.backends.emulated.line_faults import Disturbance
 from rig.backends.emulated.virtual_time import InVirtualTime, WireInVirtualTime
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock, IoBlockTruth
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
-from rig.backends.modbus.emulated.rtu_slave import Disturbance, LineTimes, RtuSlave
+from rig.backends.modbus.emulated.rtu_slave import LineTimes, RtuSlave
 from rig.backends.modbus.section import Modbus
 from rig.config.schema import Emulated
 from rig.model.bench import DriveWiring, SensorWiring

@@ -8,9 +8,11 @@ nothing passes for a while, or that the connection ends.
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Literal
 
+from typing_extensions import override
+
+from rig.backends.emulated.under_way import UnderWay
 from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.backends.modbus.emulated.virtual_io_block import BlockInVirtualTime
@@ -26,45 +28,38 @@ _CONNECTION = 1
 To = Literal["host", "device"]
 
 
-class _Way:
+class _Way(UnderWay[bytes]):
     """One direction: packets in order, each not before the one ahead of it."""
 
     def __init__(self) -> None:
-        self.blocked_until_s = -math.inf
-        self._packets: deque[tuple[float, bytes]] = deque()
+        super().__init__()
+        self.blocked_until_s = self._last_s = -math.inf
         self._loses_next = False
 
-    def send(self, data: bytes, t_s: float) -> None:
+    def hand_over(self, data: bytes, t_s: float) -> None:
+        """A packet begins its way at ``t_s``."""
         arrives_s = t_s + 8.0 * len(data) / _ETHERNET_BITS_S + SENT_AGAIN_S * self._loses_next
         self._loses_next = False
-        last_s = self._packets[-1][0] if self._packets else -math.inf
-        self._packets.append((max(arrives_s, last_s, self.blocked_until_s), data))
+        self._last_s = max(arrives_s, self._last_s, self.blocked_until_s)
+        self.send(data, self._last_s)
 
     def block(self, until_s: float) -> None:
         """Nothing arrives before ``until_s``, what is under way included."""
         self.blocked_until_s = until_s
-        self._packets = deque((max(arrives_s, until_s), data) for arrives_s, data in self._packets)
+        self.change(lambda arrives_s, data: (max(arrives_s, until_s), data))
 
     def free(self, now_s: float) -> None:
         """What was kept back arrives now."""
-        self.blocked_until_s = -math.inf
-        self._packets = deque((min(arrives_s, now_s), data) for arrives_s, data in self._packets)
+        self.blocked_until_s = self._last_s = -math.inf
+        self.change(lambda arrives_s, data: (min(arrives_s, now_s), data))
 
     def lose_next(self) -> None:
         self._loses_next = True
 
+    @override
     def clear(self) -> None:
-        self._packets.clear()
-        self._loses_next = False
-
-    def next_s(self) -> float:
-        return self._packets[0][0] if self._packets else math.inf
-
-    def arrived(self, t_s: float) -> bytes:
-        data = b""
-        while self.next_s() <= t_s:
-            data += self._packets.popleft()[1]
-        return data
+        super().clear()
+        self._last_s, self._loses_next = -math.inf, False
 
 
 class VirtualTcpBlock(BlockInVirtualTime):
@@ -106,7 +101,7 @@ class VirtualTcpBlock(BlockInVirtualTime):
     def write(self, data: bytes) -> None:
         """Hand ``data`` to the network, which takes no time. Raises Fault LINK_LOST on a connection that has ended."""
         self._check_connection()
-        self._ways["device"].send(data, self._now_s)
+        self._ways["device"].hand_over(data, self._now_s)
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived, or b"" after ``timeout_s`` of virtual time. Raises Fault LINK_LOST as ``write``."""
@@ -114,7 +109,7 @@ class VirtualTcpBlock(BlockInVirtualTime):
         while True:
             self._run_to(self._now_s)
             self._check_connection()
-            data = self._ways["host"].arrived(self._now_s)
+            data = b"".join(self._ways["host"].arrived(self._now_s))
             if data or self._now_s >= until_s:
                 return data
             if self._is_closing and not math.isfinite(self._ways["host"].next_s()):
@@ -177,9 +172,9 @@ class VirtualTcpBlock(BlockInVirtualTime):
         to_device, to_host = self._ways["device"], self._ways["host"]
         while (t_s := min(to_device.next_s(), self._slave.next_event_s())) <= self._now_s:
             if to_device.next_s() <= t_s:
-                self._take(to_device.arrived(t_s), t_s)
+                self._take(b"".join(to_device.arrived(t_s)), t_s)
             for _, reply in self._slave.due(t_s):
-                to_host.send(reply, t_s)
+                to_host.hand_over(reply, t_s)
         self.block.advance_to(self._now_s)
 
     def _take(self, data: bytes, t_s: float) -> None:

@@ -38,7 +38,6 @@ class SerialBoard(BoardProcess):
         adapter  between the device and the port
         Raises EmulationError where it does not start.
         """
-        self._must_not_run()
         options = {"port": port} | ({} if adapter == "none" else {"adapter": adapter})
         return self._launch_module("rig.backends.serial.emulated.serial_process", make, link, trace, **options)
 

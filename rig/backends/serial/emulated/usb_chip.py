@@ -6,8 +6,8 @@ Pure: the caller gives the time.
 from __future__ import annotations
 
 import math
-from collections import deque
 
+from rig.backends.emulated.under_way import UnderWay
 from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter
 
 _ROUNDING = 1e-6  # of a frame
@@ -24,12 +24,11 @@ class UsbChip:
         self._kept = bytearray()  # from the device, not handed on yet
         self._kept_until_s = math.inf
         self._packet_s = 0.0  # when the last packet went
-        self._to_host: deque[tuple[float, bytes]] = deque()
-        self._to_device: deque[tuple[float, bytes]] = deque()
+        self._to_host, self._to_device = UnderWay[bytes](), UnderWay[bytes]()
 
     def from_host(self, data: bytes, t_s: float) -> None:
         """The host has written ``data``."""
-        self._to_device.append((_next_frame_s(t_s), data))
+        self._to_device.send(data, _next_frame_s(t_s))
 
     def from_device(self, data: bytes, t_s: float) -> None:
         """The last bit of ``data`` has come over the line."""
@@ -46,16 +45,16 @@ class UsbChip:
 
     def next_s(self) -> float:
         """When something is due next; inf: nothing is on its way."""
-        return min(self._kept_until_s, *(queue[0][0] for queue in (self._to_host, self._to_device) if queue), math.inf)
+        return min(self._kept_until_s, self._to_host.next_s(), self._to_device.next_s())
 
     def for_host(self, t_s: float) -> bytes:
         """What has reached the host by ``t_s``, and was not taken yet."""
         self._pass(t_s)
-        return _due(self._to_host, t_s)
+        return b"".join(self._to_host.arrived(t_s))
 
     def for_device(self, t_s: float) -> bytes:
         """What goes out on the line at ``t_s``."""
-        return _due(self._to_device, t_s)
+        return b"".join(self._to_device.arrived(t_s))
 
     def _pass(self, t_s: float) -> None:
         """Let the timer run."""
@@ -63,7 +62,7 @@ class UsbChip:
             self._hand_on(self._kept_until_s)
 
     def _hand_on(self, t_s: float) -> None:
-        self._to_host.append((_next_frame_s(t_s), bytes(self._kept)))
+        self._to_host.send(bytes(self._kept), _next_frame_s(t_s))
         self._kept.clear()
         self._kept_until_s = math.inf
         self._packet_s = t_s
@@ -71,10 +70,3 @@ class UsbChip:
 
 def _next_frame_s(t_s: float) -> float:
     return math.ceil(t_s / FRAME_S - _ROUNDING) * FRAME_S
-
-
-def _due(queue: deque[tuple[float, bytes]], t_s: float) -> bytes:
-    data = b""
-    while queue and queue[0][0] <= t_s:
-        data += queue.popleft()[1]
-    return data

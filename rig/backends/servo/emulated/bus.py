@@ -7,20 +7,19 @@ What the host sends while an answer is due or on the wire damages both. A damage
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from rig.backends.emulated.errors import EmulationError
-from rig.backends.emulated.line_faults import Direction, Disturbance
+from rig.backends.emulated.line_faults import Disturbance, disturbed
+from rig.backends.emulated.under_way import UnderWay
 from rig.backends.servo import dynamixel, feetech
 from rig.backends.servo.emulated.dynamixel_servo import DynamixelServo
 from rig.backends.servo.emulated.faults import ReplyFault
 from rig.backends.servo.emulated.feetech_servo import FeetechServo
-from rig.backends.servo.emulated.hearing import Dynamixels, Feetechs, named_by_dynamixel, named_by_feetech
+from rig.backends.servo.emulated.hearing import Dynamixels, Feetechs
 from rig.backends.servo.emulated.servo import ServoOptions, known_model
 from rig.backends.servo.emulated.violation import Violation
 from rig.backends.servo.packets import Skipped
@@ -101,11 +100,9 @@ class ServoBus:
         else:
             self.servos = [FeetechServo(s, noted, o) for s, o in zip(servos, outputs, strict=True)]
             self._protocol = Feetechs()
-        self._coming: list[tuple[float, int, Any]] = []  # heaps by time, in order of sending where it is the same
-        self._packets: list[tuple[float, int, Any]] = []
-        self._going: list[tuple[float, int, bytes]] = []
-        self._echoes: list[tuple[float, int, bytes]] = []
-        self._n = 0
+        self._coming = UnderWay[tuple[bytes, bool]]()  # and whether it is another master's
+        self._packets = UnderWay[Any]()
+        self._going = UnderWay[tuple[bytes, bool]]()  # and whether it is an answer, not an echo
         self._last_bit_s = -math.inf  # of the host
         self._free_s = -math.inf  # when the last answer has left the wire
 
@@ -121,62 +118,37 @@ class ServoBus:
                 return servo
         raise KeyError(id)
 
-    def addressed(self) -> Counter[int]:
-        """How many packets, pings apart, went to each id, BROADCAST included; what a group instruction names counts."""
-        counted: Counter[int] = Counter()
-        for _, frame in self.log:
-            if isinstance(frame, dynamixel.Frame):
-                if frame.instruction != dynamixel.Instruction.PING:
-                    counted.update(named_by_dynamixel(frame) or {frame.id})
-            elif frame.code != feetech.Instruction.PING:
-                counted.update(named_by_feetech(frame))
-        return counted
-
     # ------------------------------------------------------------------ the host's end
 
     def send(self, data: bytes, t_s: float) -> None:
         """The host hands bytes to the wire at ``t_s``, not before what it was advanced to."""
-        for delay_s, arriving in self._disturbed("request", data, t_s):
-            self._push(self._coming, t_s + delay_s, (arriving, False))
+        for delay_s, arriving in disturbed(self.disturbance, "request", data, t_s):
+            self._coming.send((arriving, False), t_s + delay_s)
 
     def another_master(self, data: bytes, t_s: float) -> None:
         """Somebody else on the bus sends bytes at ``t_s``: servos hear them, and so does the host."""
-        self._push(self._coming, t_s, (data, True))
+        self._coming.send((data, True), t_s)
 
     def receive(self, t_s: float) -> bytes:
         """What has reached the host by ``t_s`` since the last call."""
-        arrived = b""
-        while (heap := self._first()) is not None and heap[0][0] <= t_s:
-            arrived += heapq.heappop(heap)[2]
-        return arrived
-
-    def _first(self) -> list[tuple[float, int, bytes]] | None:
-        """Where the next bytes for the host are."""
-        return min((heap for heap in (self._going, self._echoes) if heap), key=lambda heap: heap[0], default=None)
+        return b"".join(data for data, _ in self._going.arrived(t_s))
 
     def next_reply_s(self) -> float:
         """When the host gets its next bytes, as far as that is known; inf for never."""
-        heap = self._first()
-        return math.inf if heap is None else heap[0][0]
+        return self._going.next_s()
 
     def next_event_s(self) -> float:
         """When something happens next on the wire without the host; inf for never."""
-        return min(
-            (heap[0][0] for heap in (self._coming, self._packets, self._going, self._echoes) if heap), default=math.inf
-        )
+        return min(self._coming.next_s(), self._packets.next_s(), self._going.next_s())
 
     def advance_to(self, t_s: float) -> None:
         """Let time pass to ``t_s`` for wire and servos; none if that is past."""
-        while True:
-            coming_s = self._coming[0][0] if self._coming else math.inf
-            packet_s = self._packets[0][0] if self._packets else math.inf
-            if min(coming_s, packet_s) > t_s:
-                break
-            if packet_s <= coming_s:
-                at_s, _, frame = heapq.heappop(self._packets)
+        while min(self._coming.next_s(), self._packets.next_s()) <= t_s:
+            if self._packets.next_s() <= self._coming.next_s():
+                at_s, frame = self._packets.take()
                 self._execute(frame, at_s)
             else:
-                at_s, _, (data, is_foreign) = heapq.heappop(self._coming)
+                at_s, (data, is_foreign) = self._coming.take()
                 self._arrive(data, at_s, is_foreign=is_foreign)
         for servo in self.servos:
             servo.advance_to(t_s)
@@ -186,18 +158,16 @@ class ServoBus:
 
     def _arrive(self, data: bytes, t_s: float, *, is_foreign: bool) -> None:
         """Bytes of a host begin on the wire."""
-        if not data:
-            return
         stream, line = self._protocol.stream, self.line
         begins_s = max(t_s, self._last_bit_s)
         if begins_s - self._last_bit_s > _SILENCE_S:
             self.damaged += sum(isinstance(flushed, Skipped) for flushed in stream.flush())
         self._last_bit_s = begins_s + line.wire_s(len(data))
         if line.echo or is_foreign:
-            self._push(self._echoes, self._last_bit_s + line.adapter_s, data)
+            self._going.send((data, False), self._last_bit_s + line.adapter_s)
         if begins_s < self._free_s:
             self.collisions += 1
-            self._going = [(at_s, n, _inverted(answer)) for at_s, n, answer in self._going]
+            self._going.change(lambda at_s, sent: (at_s, (_inverted(sent[0]) if sent[1] else sent[0], sent[1])))
             return
         at = -len(stream.pending)
         for taken in stream.feed(data):
@@ -205,7 +175,7 @@ class ServoBus:
             if isinstance(taken, Skipped):
                 self.damaged += 1
             else:
-                self._push(self._packets, begins_s + line.wire_s(max(at, 0)), taken)
+                self._packets.send(taken, begins_s + line.wire_s(max(at, 0)))
 
     def _execute(self, frame: Any, t_s: float) -> None:
         """A packet's last byte has arrived."""
@@ -223,17 +193,10 @@ class ServoBus:
                 self.damaged += len(self._packets)
                 self._packets.clear()
             ends_s = begins_s + self.line.wire_s(len(data))
-            for delay_s, arriving in self._disturbed("reply", data, begins_s):
+            for delay_s, arriving in disturbed(self.disturbance, "reply", data, begins_s):
                 arrives_s = begins_s + self.line.wire_s(len(arriving)) + self.line.adapter_s + delay_s
-                self._push(self._going, arrives_s, arriving)
+                self._going.send((arriving, True), arrives_s)
         self._free_s = ends_s if ends_s > t_s else self._free_s
-
-    def _disturbed(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
-        return ((0.0, data),) if self.disturbance is None else self.disturbance(direction, data, t_s)
-
-    def _push(self, heap: list[tuple[float, int, Any]], t_s: float, data: Any) -> None:
-        self._n += 1
-        heapq.heappush(heap, (t_s, self._n, data))
 
 
 def _to(on_output: Callable[[int, float, float], None], place: int) -> Callable[[float, float], None]:

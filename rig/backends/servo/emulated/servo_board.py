@@ -39,7 +39,6 @@ class ServoBoard(BoardProcess):
         violations    file that each violation is appended to, as ``violations_in`` reads it
         Raises EmulationError where it does not start.
         """
-        self._must_not_run()
         line = LineTimes() if line is None else line
         ServoBus(servos, line)  # what it cannot be is said here
         device = Device(tuple(servos), line, follows_baud, reply_fault, corruption)
