@@ -66,6 +66,7 @@ class ServoKeeper:
         descriptors = (descriptor, heard, memory)
         try:
             self._heart = Heartbeat(memory)
+            self.waits = self._heart.waits
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "rig.running.keeper.silence", *map(str, descriptors)],
                 stdin=subprocess.PIPE,
@@ -104,17 +105,12 @@ class ServoKeeper:
 
     def beat(self) -> None:
         """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
-        if words := self._halts.words:
+        if self._halts.event() is not None and (words := self._halts.words):
             raise Fault("SERVO_UNWATCHED", words)
         self._heart.beat()
         if not self._drives:  # it sleeps until it is told
             self._tell(_LOOK)
             self._drives = True
-
-    def waits(self) -> None:
-        """The process lives, and asks. Says nothing while nothing drives."""
-        if self._drives:
-            self._heart.beat()
 
     def rest(self) -> None:
         """Nothing drives. What it did before is over."""
