@@ -222,7 +222,8 @@ class ServoDriver(RegisterDriver[Ask]):
         """As of ``RegisterDriver``. While armed it is one function, for the reason that ``BusClient.asked`` is one.
 
         What is unusual is looked at by a method of its own. Where the servo tells no clock, it is asked at another
-        place within its step each tick: the mean is then the truth.
+        place within its step each tick: the mean is then the truth. Raises Fault also by what ``_check_duty``,
+        ``_check_health`` and the servo's clock say.
         """
         if not self._armed:
             return super().read()
