@@ -6,6 +6,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 from rig.core.signals import Limits
@@ -125,7 +126,7 @@ class DriveMap:
         if self.full_units <= 0:
             raise ValueError("full_units must be > 0")
 
-    @property
+    @cached_property  # asked for in every tick
     def full_V(self) -> float:
         """Largest drive that the bridge can give, V."""
         return self.supply_V - self.bridge_drop_V

@@ -24,7 +24,7 @@ class Halts:
     @property
     def is_stopped(self) -> bool:
         """Whether it is stopped now, as by SIGSTOP; False where it has ended, and where the system does not tell."""
-        return self._event() == _STOPPED
+        return self.event() == _STOPPED
 
     @property
     def words(self) -> str:
@@ -32,8 +32,7 @@ class Halts:
 
         To be asked often: one system call while it works.
         """
-        if (event := self._event()) is None:
-            self._since_s = math.inf
+        if (event := self.event()) is None:
             return ""
         if event != _STOPPED:
             return f"the keeper ended with status {self._process.poll()}"
@@ -41,7 +40,7 @@ class Halts:
         self._since_s = min(self._since_s, now_s)
         return "somebody has stopped the keeper, as by SIGSTOP" if now_s - self._since_s > _WAKES_S else ""
 
-    def _event(self) -> int | None:
+    def event(self) -> int | None:
         """_STOPPED, _ENDED or another code of SIGCHLD that says so; None: it goes on."""
         if not _LOOKS:
             return None if self._process.poll() is None else _ENDED
@@ -49,4 +48,7 @@ class Halts:
             told = os.waitid(os.P_PID, self._process.pid, _LOOKS)
         except ChildProcessError:  # somebody has waited for it
             return _ENDED
-        return None if told is None else told.si_code
+        if told is None:
+            self._since_s = math.inf
+            return None
+        return told.si_code

@@ -33,6 +33,11 @@ class Heartbeat:
         """It lives, and may drive."""
         self._words[_HEARD_S] = time.monotonic()
 
+    def waits(self) -> None:
+        """It lives, and asks. Says nothing at rest."""
+        if self._words[_HEARD_S] != AT_REST:
+            self._words[_HEARD_S] = time.monotonic()
+
     def rest(self) -> None:
         """Nothing drives. That it was found silent is over."""
         self._words[_HEARD_S] = AT_REST

@@ -62,7 +62,7 @@ class _Modbus(Protocol[Request]):
         return self._framing.encode(request.pdu, self._line.unit, self._number)
 
     @override
-    def take(self, data: bytes) -> Frame | None:
+    def take(self, data: bytes, request: Request) -> Frame | None:
         return self._framing.take(data)
 
     @override

@@ -70,8 +70,12 @@ class Protocol(ABC, Generic[Req]):
     def encode(self, request: Req) -> bytes:
         """The bytes of a request."""
 
+    def expected(self, data: bytes, request: Req) -> Any:
+        """The ``Frame`` that ``data`` is, where that is quickly seen to be the reply as it must be; else None."""
+        return None
+
     @abstractmethod
-    def take(self, data: bytes) -> Any:
+    def take(self, data: bytes, request: Req) -> Any:
         """The ``Frame`` that ``data`` begins with; None while it is not whole. Raises Damaged where it never will."""
 
     @abstractmethod
@@ -147,32 +151,102 @@ class BusClient(Generic[Req]):
             self.wait((LATE_TIMEOUTS - 1) * timeout_s)
         return self.asked(request, timeout_s)
 
-    def asked(self, request: Req, timeout_s: float) -> Reply:
-        """Outside the tick: throw away whatever is not the reply, until the time is over. Raises as ``in_tick``."""
-        self._drain()
-        return self._exchange(request, timeout_s, strict=False)
+    def asked(
+        self, request: Req, timeout_s: float, *, in_tick: bool = False, until_s: float = -math.inf, idle_s: float = 0.0
+    ) -> Reply:
+        """The reply to a request.
 
-    def in_tick(self, request: Req, timeout_s: float, *, after_silence: bool, idle_s: float = 0.0) -> Reply:
-        """Within the tick: anything but the reply is a fault, and what follows it on the line is suspect.
-
-        after_silence  whether bytes that nobody asked for, before the request, are a fault too
-        idle_s         for so long nothing is asked
+        in_tick  anything but the reply is a fault, bytes before the request that nobody asked for are one, and what
+                 follows on the line is suspect; else what is not the reply is thrown away, until the time is over
+        until_s  it may come until then, too, however short ``timeout_s`` is
+        idle_s   for so long nothing is asked
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, or the device's refusal.
+
+        It is one function because each call of another one costs as much as all that most of them do: between two
+        ticks the processor has forgotten them.
         """
+        transport, protocol, now_s = self._transport, self._protocol, self._transport.now_s
+        begins_s = now_s()
+        timeout_s = max(timeout_s, until_s - begins_s)
+        data = b""
         try:
-            unasked = self._drain(idle_s)
-            if after_silence and unasked >= _UNASKED_BYTES:
-                raise self.misfit(
-                    f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
-                )
-            return self._exchange(request, timeout_s, strict=True)
+            if idle_s > 0.0 or begins_s < self._quiet_until_s or (data := transport.read(0.0)):
+                unasked = self._drain(data, begins_s + idle_s)
+                if in_tick and unasked >= _UNASKED_BYTES:
+                    raise self.misfit(
+                        f"{unasked} bytes that nobody asked for: another master, or two answers to one request"
+                    )
+                data = b""
+            asked = protocol.encode(request)
+            from_s = now_s()
+            transport.write(asked)
+            by_s = now_s()  # it left between these two
+            self._counts["exchanges"] += 1
+            until_s = by_s + timeout_s
+            left_s = timeout_s
+            objection: Fault | None = None
+            while True:
+                # when the time is over whatever is there still counts: it is this process that was late, then
+                more = transport.read(left_s if left_s > 0.0 else 0.0)
+                if not more and left_s <= 0.0:
+                    break
+                data += more
+                received_s = now_s()
+                self._quiet_until_s = received_s + protocol.pause_s
+                left_s = until_s - received_s
+                while data:
+                    frame: Frame | None = None
+                    try:
+                        frame = protocol.expected(data, request)
+                        if frame is None:
+                            frame = protocol.take(data, request)
+                            if frame is None:
+                                break
+                            protocol.check(frame, request)
+                    except Damaged as damaged:
+                        objection = self.misfit(f"asked for {request.about}: {damaged}")
+                    except Fault as fault:
+                        objection = self._counted(fault)
+                        if fault.code == protocol.refusal:
+                            raise
+                    else:
+                        length = frame.length
+                        if len(data) > length:
+                            self._count_extra(data, length, strict=in_tick)
+                        if (ways := self._reckoned.get((len(asked), length))) is None:
+                            ways = self._reckoned[len(asked), length] = self._reckoned_s(len(asked), length)
+                        to_device_s, reckoned_s = ways
+                        # a host that stood still while it sent, did so before the request left, unless the reply was
+                        # there too soon
+                        since_s = by_s if received_s - by_s >= _TOO_SOON * self._pace * reckoned_s else from_s
+                        took_s = received_s - since_s
+                        # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply
+                        # waits for the adapter, the system's buffers and this process (measured in docs/modbus.md); of
+                        # an exchange quicker than the sum both ways were
+                        to_s = self._pace * to_device_s
+                        if reckoned_s > 0.0:
+                            to_s = min(to_s, took_s * to_device_s / reckoned_s)
+                        return _new(Reply, (frame.pdu, since_s + to_s, took_s, reckoned_s, received_s - from_s))
+                    if in_tick:
+                        raise objection
+                    # where replies that were late come together, the one to this request is the last
+                    dropped = frame.length if frame is not None and protocol.late_come_together else len(data)
+                    self._counts["stale_bytes"] += dropped
+                    data = data[dropped:]
+            self._counts["timeouts"] += 1
+            about = request.about
+            if data:
+                raise self.misfit(f"asked for {about}: {len(data)} bytes that are no whole reply, {data[:24].hex(' ')}")
+            raise objection or Fault(
+                "LINK_TIMEOUT", f"no reply from {protocol.name} within {timeout_s * 1e3:g} ms, asked for {about}"
+            )
         except Fault:
-            self.is_suspect = True
+            self.is_suspect = self.is_suspect or in_tick
             raise
 
     def unheard(self, request: Req, wait_s: float) -> None:
         """Send a request and throw away all that comes within ``wait_s``. After it nothing is suspect."""
-        self._drain()
+        self._drain(b"", -math.inf)
         data = self._protocol.encode(request)
         self._transport.write(data)
         self._quiet_until_s = self._transport.now_s() + self._protocol.wire_s(len(data)) + self._protocol.pause_s
@@ -187,102 +261,27 @@ class BusClient(Generic[Req]):
 
     # ------------------------------------------------------------------ bytes
 
-    def _drain(self, idle_s: float = 0.0) -> int:
+    def _drain(self, data: bytes, until_s: float) -> int:
         """Throw away what came unasked, and let the line be silent as long as it must; how many bytes.
 
-        idle_s  that this must take at least; what comes meanwhile came before the next request
+        data     what has come already
+        until_s  what comes before came ahead of the next request
         """
-        thrown, now_s = 0, self._transport.now_s()
-        until_s = now_s + idle_s
+        thrown = 0
         while True:
-            left_s = max(self._quiet_until_s, until_s) - now_s
+            thrown += len(data)
+            self._throw_away(data)
+            if thrown > _ENDLESS_BYTES:
+                raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
+            left_s = max(self._quiet_until_s, until_s) - self._transport.now_s()
             data = self._transport.read(left_s if left_s > 0.0 else 0.0)
-            if data:
-                thrown += len(data)
-                self._throw_away(data)
-                if thrown > _ENDLESS_BYTES:
-                    raise self.misfit(f"{thrown} bytes that nobody asked for, and more: the line is never quiet")
-            elif left_s <= 0.0:
+            if not data and left_s <= 0.0:
                 return thrown
-            now_s = self._transport.now_s()
 
     def _throw_away(self, data: bytes) -> None:
         if data:
             self._counts["stale_bytes"] += len(data)
             self._quiet_until_s = self._transport.now_s() + self._protocol.pause_s
-
-    def _exchange(self, request: Req, timeout_s: float, *, strict: bool) -> Reply:
-        """Send a request and await its reply; raises as ``in_tick``.
-
-        It is one function because each call of another one costs as much as all that most of them do: between two
-        ticks the processor has forgotten them.
-
-        strict  the first thing that comes is the reply, or a fault; else what does not fit is thrown away
-        """
-        transport, protocol = self._transport, self._protocol
-        now_s = transport.now_s
-        asked = protocol.encode(request)
-        from_s = now_s()
-        transport.write(asked)
-        by_s = now_s()  # it left between these two
-        self._counts["exchanges"] += 1
-        until_s = by_s + timeout_s
-        left_s = timeout_s
-        data = b""
-        objection: Fault | None = None
-        while True:
-            # when the time is over whatever is there still counts: it is this process that was late, then
-            more = transport.read(left_s if left_s > 0.0 else 0.0)
-            if not more and left_s <= 0.0:
-                break
-            data += more
-            received_s = now_s()
-            self._quiet_until_s = received_s + protocol.pause_s
-            left_s = until_s - received_s
-            while data:
-                frame: Frame | None = None
-                try:
-                    frame = protocol.take(data)
-                    if frame is None:
-                        break
-                    protocol.check(frame, request)
-                except Damaged as damaged:
-                    objection = self.misfit(f"asked for {request.about}: {damaged}")
-                except Fault as fault:
-                    objection = self._counted(fault)
-                    if fault.code == protocol.refusal:
-                        raise
-                else:
-                    length = frame.length
-                    if len(data) > length:
-                        self._count_extra(data, length, strict=strict)
-                    if (ways := self._reckoned.get((len(asked), length))) is None:
-                        ways = self._reckoned[len(asked), length] = self._reckoned_s(len(asked), length)
-                    to_device_s, reckoned_s = ways
-                    # a host that stood still while it sent, did so before the request left, unless the reply was there
-                    # too soon
-                    since_s = by_s if received_s - by_s >= _TOO_SOON * self._pace * reckoned_s else from_s
-                    took_s = received_s - since_s
-                    # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits
-                    # for the adapter, the system's buffers and this process (measured in docs/modbus.md); of an
-                    # exchange quicker than the sum both ways were
-                    until_executed_s = self._pace * to_device_s
-                    if reckoned_s > 0.0:
-                        until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)
-                    return _new(Reply, (frame.pdu, since_s + until_executed_s, took_s, reckoned_s, received_s - from_s))
-                if strict:
-                    raise objection
-                # where replies that were late come together, the one to this request is the last
-                dropped = frame.length if frame is not None and protocol.late_come_together else len(data)
-                self._counts["stale_bytes"] += dropped
-                data = data[dropped:]
-        self._counts["timeouts"] += 1
-        about = request.about
-        if data:
-            raise self.misfit(f"asked for {about}: {len(data)} bytes that are no whole reply, {data[:24].hex(' ')}")
-        raise objection or Fault(
-            "LINK_TIMEOUT", f"no reply from {protocol.name} within {timeout_s * 1e3:g} ms, asked for {about}"
-        )
 
     def _count_extra(self, data: bytes, length: int, *, strict: bool) -> None:
         """Bytes beyond the reply are stale; within the tick many of them are a fault."""

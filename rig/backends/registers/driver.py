@@ -20,6 +20,7 @@ from rig.core.calibration import Scaling, hard_limits_in_counts, largest_drive_i
 from rig.core.faults import Fault
 from rig.core.signals import Limits, Order, Sample
 
+_new = tuple.__new__  # of a named tuple, without a call in between
 UNHURRIED_S = 0.1  # least time-out of a request outside the tick; a stop uses the tick's time-out
 _STOPPING_S = 0.02  # longest wait for a stop: three of them are shorter than most watchdogs
 _INTRODUCTIONS = 20  # reads that measure the round trip
@@ -81,7 +82,9 @@ class RegisterDriver(ABC, Generic[Req]):
         self._late_in_a_row = 0  # replies that came after the time-out
         self._units = 0  # drive as last commanded
         self._t_u_s = math.nan
+        self._sampled_s = math.nan  # when the position of the last reading was
         self._driven_s = -math.inf  # when the device last executed a drive
+        self._acts_s = 0.0  # for so long its watchdog lets that act
 
     @property
     def order(self) -> Order:
@@ -132,11 +135,7 @@ class RegisterDriver(ABC, Generic[Req]):
     def _check_drive_is_0(self) -> None:
         """The last look before the device is armed, with drive 0 written. Raises Fault."""
 
-    def _sampled_s(self, reply: Reply) -> float:
-        """When the position of a reading was sampled, s."""
-        return reply.executed_s
-
-    def _acting_V(self, values: Mapping[str, float], reply: Reply) -> float:
+    def _acting_V(self, values: Mapping[str, float]) -> float:
         """The drive that acts since the last write, V: as the device reports it, else as commanded."""
         units = self._units if self._armed else 0
         if self._map.applied is not None:
@@ -176,6 +175,7 @@ class RegisterDriver(ABC, Generic[Req]):
             self._client.patiently(self._setting(self._map.control, self._map.arm), self._unhurried_s)
         self._await_armed()
         self._armed = True
+        self._acts_s = 0.0 if self.failsafe is None else min(self.failsafe.time_s, LONGEST_WATCHDOG_S)
 
     def read(self) -> Sample:
         """Sample the bench.
@@ -185,6 +185,7 @@ class RegisterDriver(ABC, Generic[Req]):
         that its status names.
         """
         reply = self._tick_reading() if self._armed else self._unhurried_reading()
+        self._sampled_s = reply.executed_s
         values = self._values(self._read_span, reply)
         if self._armed:
             self._check_armed(values)
@@ -195,14 +196,8 @@ class RegisterDriver(ABC, Generic[Req]):
         except ValueError as error:
             raise self._client.misfit(f"{self._map.position}: {error}") from error
         self._seq = (self._seq + 1) & 0xFFFF
-        return Sample(
-            t_s=self._sampled_s(reply),
-            y_rad=self.calibration.to_rad(counts),
-            y_counts=counts,
-            t_u_s=self._t_u_s,
-            u_V=self._acting_V(values, reply),
-            seq=self._seq,
-        )
+        y_rad, u_V = self.calibration.to_rad(counts), self._acting_V(values)
+        return _new(Sample, (self._sampled_s, y_rad, counts, math.nan, self._t_u_s, u_V, self._seq))
 
     def write(self, u_V: float) -> None:
         """Set the drive.
@@ -482,15 +477,16 @@ class RegisterDriver(ABC, Generic[Req]):
     def _exchange(self, request: Req, idle_s: float = 0.0) -> Reply:
         """The exchange of a tick, after ``idle_s`` in which nothing is asked.
 
-        While armed it waits for as long as the device's watchdog lets the last drive act.
+        It waits for as long as the device's watchdog lets the last drive act.
         One request is under way at a time, so what comes late can only be its reply. Where one reply after the other is
         late, the link is not fit for the period: LINK_TIMEOUT.
         """
-        wait_s = self._timeout_s
-        if self._armed and self.failsafe is not None:
-            held_s = self._transport.now_s() - self._driven_s
-            wait_s = max(wait_s, min(self.failsafe.time_s, LONGEST_WATCHDOG_S) - held_s)
-        reply = self._client.in_tick(request, wait_s, after_silence=self._armed, idle_s=idle_s)
+        try:
+            until_s = self._driven_s + self._acts_s
+            reply = self._client.asked(request, self._timeout_s, in_tick=True, until_s=until_s, idle_s=idle_s)
+        except Fault as fault:
+            self._explain(fault)
+            raise
         self._late_in_a_row = self._late_in_a_row + 1 if reply.round_trip_s > self._timeout_s else 0
         if self._late_in_a_row >= _LATE_REPLIES:
             raise Fault(
@@ -499,6 +495,9 @@ class RegisterDriver(ABC, Generic[Req]):
                 f"last one {1e3 * reply.round_trip_s:.0f} ms",
             )
         return reply
+
+    def _explain(self, fault: Fault) -> None:
+        """Raise the fault that is behind one of the link, where the driver knows it."""
 
     def _writing_drive(self, units: int) -> Req:
         return self._writing(self._written_span, self._drive_cells(units))

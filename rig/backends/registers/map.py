@@ -124,12 +124,14 @@ class RegisterSpan:
 
     def values(self, words: Sequence[int]) -> dict[str, float]:
         """What they hold, by name. Raises ValueError for another number of cells, and as ``Register.unpack``."""
-        if self._bytes is not None:
-            if len(words) != self.words:
-                raise ValueError(f"{len(words)} bytes where {self} has {self.words}")
-            held: dict[str, float] = dict(zip(self._names, self._bytes.unpack(bytes(words)), strict=True))
-            for r in self._signed:
-                held[r.name] = r.signed(held[r.name])
+        if (parts := self._bytes) is not None:
+            form, names, signed = parts
+            if len(words) != form.size:
+                raise ValueError(f"{len(words)} bytes where {self} has {form.size}")
+            held: dict[str, float] = dict(zip(names, form.unpack(bytes(words)), strict=True))
+            for name, below, r in signed:
+                if held[name] >= below:
+                    held[name] = r.signed(held[name])
             return held
         first = self.address
         return {r.name: r.unpack(words[r.address - first : r.address - first + r.words]) for r in self.registers}
@@ -139,23 +141,19 @@ class RegisterSpan:
         return tuple(sorted(self.registers, key=lambda r: r.address))
 
     @cached_property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(r.name for r in self._in_order)
+    def _bytes(self) -> tuple[struct.Struct, tuple[str, ...], tuple[tuple[str, int, Register], ...]] | None:
+        """How all of it lies in bytes, low first: taken apart at once in each tick. None where cells are no bytes.
 
-    @cached_property
-    def _signed(self) -> tuple[Register, ...]:
-        return tuple(r for r in self.registers if r.sign_bit is not None)
-
-    @cached_property
-    def _bytes(self) -> struct.Struct | None:
-        """How all of it lies in bytes, low first: taken apart at once in each tick. None where cells are no bytes."""
+        Also the names in that order, and of those with a sign bit name and least raw value that has bits from it on.
+        """
         if not all(r.cell_bytes == 1 and r.low_first for r in self.registers):
             return None
         form, at = "<", self.address
         for r in self._in_order:
             form += f"{r.address - at}x{_LETTERS[r.type]}"
             at = r.address + r.words
-        return struct.Struct(form)
+        signed = tuple((r.name, 1 << r.sign_bit, r) for r in self.registers if r.sign_bit is not None)
+        return struct.Struct(form), tuple(r.name for r in self._in_order), signed
 
     def pack(self, values: Mapping[str, float]) -> list[int]:
         """Cells for values by name; raises ValueError where a register cannot hold its value."""

@@ -78,7 +78,6 @@ class Bus(Protocol[Ask]):
         self.name = f"servo {id}"
         self.turnaround_s = TURNAROUND_S
         self._baud = baud
-        self._sent, self._begins, self._length = b"", b"", 0
 
     @property
     def id(self) -> int:
@@ -92,22 +91,30 @@ class Bus(Protocol[Ask]):
 
     @override
     def encode(self, request: Ask) -> bytes:
-        self._sent, _, _, self._begins, self._length = request
-        return self._sent
+        return request.data
 
     @override
-    def take(self, data: bytes) -> Answer | None:
-        if data == self._plain and not self.echoes:  # the answer to each drive
+    def expected(self, data: bytes, request: Ask) -> Answer | None:
+        _, _, replies, begins, length = request
+        if self.echoes:
+            return None
+        if data == self._plain and not replies:  # the answer to each drive
             return self._done
-        self.echoes = self.echoes or data.startswith(self._sent)
+        if len(data) == length and data.startswith(begins) and isinstance(body := self.body_of(data), bytes):
+            pdu = body[self._said :]
+            # an echo has its instruction for an error; a shorter answer that is stuffed is as long on the wire
+            if not pdu[0] and len(pdu) - 1 == replies:
+                return _new(Answer, (self._id, pdu, length))
+        return None
+
+    @override
+    def take(self, data: bytes, request: Ask) -> Answer | None:
+        sent = request.data
+        self.echoes = self.echoes or data.startswith(sent)
         if not self.echoes:
-            if len(data) == self._length and data.startswith(self._begins):
-                body = self.body_of(data)
-                if isinstance(body, bytes):
-                    return _new(Answer, (self._id, body[self._said :], self._length))
             return self.answer(data)
-        own = len(self._sent)
-        if data[:own] != self._sent[: len(data)]:
+        own = len(sent)
+        if data[:own] != sent[: len(data)]:
             raise Damaged(f"the adapter echoed otherwise than was sent: {data[:24].hex(' ')}")
         found = self.answer(data[own:]) if len(data) > own else None
         return None if found is None else found._replace(length=own + found.length)

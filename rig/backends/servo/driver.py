@@ -29,7 +29,9 @@ from rig.backends.servo.steps import STEP_S, WRAPS, Steps
 from rig.core.calibration import Scaling
 from rig.core.faults import Fault
 from rig.core.link_turn import turn_on
-from rig.core.signals import Limits
+from rig.core.signals import Limits, Sample
+
+_new = tuple.__new__  # of a named tuple, without a call in between
 
 _REST_COUNTS: Final = 1  # that a shaft at rest may move by
 _REST_S: Final = 0.04  # for which it must
@@ -120,7 +122,9 @@ class ServoDriver(RegisterDriver[Ask]):
         self._is_changed = False  # its registers are not as before
         self._slope_units_s = math.inf  # by which the duty is ramped
         self._ways: deque[_Way] = deque(maxlen=_WAYS)  # the latest drives since it was armed
+        self._steady_s = math.inf  # from then on the duty is the last drive's
         self._drives: dict[int, Ask] = {}  # what writes each drive
+        self._volts: dict[float, float] = {}  # of each duty
         self._position: int | None = None  # as last read
         self._errors = 0  # error byte of the last answer
         self._strange = 0  # readings in a row of a duty that is not what was written
@@ -129,7 +133,6 @@ class ServoDriver(RegisterDriver[Ask]):
         self._tick: tuple[float, float] | None = None  # the servo's clock, ms, and the host's, s
         self._steps = Steps()
         self._dithered = 0.0  # share of a step
-        self._sampled_at_s = math.nan  # of the last reading's step
 
     # ------------------------------------------------------------------ requests
 
@@ -159,19 +162,16 @@ class ServoDriver(RegisterDriver[Ask]):
         return reply.pdu[1:]
 
     @override
-    def _exchange(self, request: Ask, idle_s: float = 0.0) -> Reply:
-        """As of ``RegisterDriver``; an answer that tells of an error is a fault by its name."""
-        try:
-            reply = super()._exchange(request, idle_s)
-        except Fault as fault:
-            if self._guardian is not None and self._guardian.has_acted:  # it speaks on the bus, too
-                raise stopped_by_keeper() from fault
-            raise
-        if (said := reply.pdu[0]) and self._bus.alerts(reply.pdu):
-            self._raise_alert(said)
+    def _explain(self, fault: Fault) -> None:
+        if self._guardian is not None and self._guardian.has_acted:  # it speaks on the bus, too
+            raise stopped_by_keeper() from fault
+
+    def _check_alert(self, reply: Reply) -> None:
+        """An answer that tells of an error is a fault by its name."""
+        if self._bus.alerts(reply.pdu):
+            self._raise_alert(reply.pdu[0])
         else:
             self._doubted = 0
-        return reply
 
     # ------------------------------------------------------------------ the life of a run
 
@@ -212,7 +212,60 @@ class ServoDriver(RegisterDriver[Ask]):
         super().arm(limits)
         self._find_steps()
         self._ways.clear()
-        self._ways.append(_Way(self._transport.now_s(), 0.0, 0.0, self._slope_units_s))
+        self._steady_s = self._transport.now_s()
+        self._ways.append(_Way(self._steady_s, 0.0, 0.0, self._slope_units_s))
+
+    @override
+    def read(self) -> Sample:
+        """As of ``RegisterDriver``. While armed it is one function, for the reason that ``BusClient.asked`` is one.
+
+        What is unusual is looked at by a method of its own. Where the servo tells no clock, it is asked at another
+        place within its step each tick: the mean is then the truth. Raises Fault also by what ``_check_duty``,
+        ``_check_health`` and the servo's clock say.
+        """
+        if not self._armed:
+            return super().read()
+        guardian, setup, idle_s = self._guardian, self._setup, 0.0
+        if guardian is not None:
+            guardian.waits()  # for as long as the servo's own watchdog may: else the keeper acts just before
+        if not self._steps.is_known:
+            self._dithered = (self._dithered + _GOLDEN) % 1.0
+            idle_s = self._dithered * STEP_S
+        reply = self._exchange(self._sampling, idle_s)
+        if reply.pdu[0] or self._doubted:
+            self._check_alert(reply)
+        values = self._values(self._read_span, reply)
+        now_s, units, counts = self._transport.now_s(), self._units, round(values["position"]) - setup.zero_counts
+        applied, supply_V = values["applied"], values["voltage"] * self._voltage_scale
+        try:
+            if self._steady_s <= now_s + STEP_S and abs(applied - units) <= _STEPS_OFF:
+                self._strange = 0
+            else:
+                self._check_duty(applied)
+            if values["temperature"] < setup.hot_degC and supply_V >= (1.0 - _SAG_SHARE) * setup.supply_V:
+                self._bad = 0
+            else:
+                self._check_health(values)
+            if "tick" in values:
+                told = values["tick"], now_s
+                before, self._tick = self._tick or told, told
+                passed_s, took_s = STEP_S * ((told[0] - before[0]) % WRAPS), now_s - before[1]
+                if abs(passed_s - took_s) > _TICK_SLACK_S:  # its clock begins anew where it restarts
+                    words = f"its clock went on by {passed_s:.3f} s, the host's by {took_s:.3f} s: it has restarted"
+                    raise Fault("DEVICE_RESET", words)
+        except Fault as fault:
+            if fault.code.startswith("LINK_"):
+                raise
+            raise Fault(fault.code, f"{fault.detail}; at {counts:g} counts") from fault
+        # as the servo reports it; where it ramps its duty, what it ramps to: the ramp is in ``t_u_s``
+        duty = applied if self._strange or self._slope_units_s == math.inf else units
+        if (u_V := self._volts.get(duty)) is None:
+            assert self._map.applied is not None
+            acting = self._checked(self._map.applied, self._map.drive_units, duty)
+            u_V = self._volts[duty] = self.drive_map.to_volts(acting)
+        self._seq = (self._seq + 1) & 0xFFFF
+        y_rad = self.calibration.to_rad(counts)
+        return _new(Sample, (self._sampled_s, y_rad, counts, math.nan, self._t_u_s, u_V, self._seq))
 
     @override
     def safe_stop(self) -> bool:
@@ -389,40 +442,24 @@ class ServoDriver(RegisterDriver[Ask]):
             raise self._client.misfit(str(error)) from error
         values["position"] = self._unwrapped(round(values["position"]))
         if "tick" in values:
-            self._sampled_at_s = self._steps.take(round(values["tick"]), reply.executed_s)
+            self._sampled_s = self._steps.take(round(values["tick"]), reply.executed_s)
+        else:
+            self._sampled_s = reply.executed_s - 0.5 * STEP_S
         return values
 
     def _unwrapped(self, position: int) -> int:
         """The position over turns, the first one within half a turn of zero. Raises Fault SENSOR_JUMP."""
-        turn = self._setup.model.counts_per_turn
-        last = self._position
+        turn, zero, last = self._setup.model.counts_per_turn, self._setup.zero_counts, self._position
         if last is None:
-            from_zero = position - self._setup.zero_counts
+            from_zero = position - zero
             self._position = position - turn * math.floor(from_zero / turn + 0.5)
             return self._position
         step = (position - last + turn // 2) % turn - turn // 2
         if 2 * abs(step) >= turn // 2 and self._armed:
-            zero = self._setup.zero_counts
-            raise Fault(
-                "SENSOR_JUMP",
-                f"from {last - zero} to {last + step - zero} counts in one tick: {step / turn:+.2f} turns",
-            )
+            words = f"from {last - zero} to {last + step - zero} counts in one tick: {step / turn:+.2f} turns"
+            raise Fault("SENSOR_JUMP", words)
         self._position = last + step
         return self._position
-
-    @override
-    def _sampled_s(self, reply: Reply) -> float:
-        return self._sampled_at_s if self._steps.is_known else reply.executed_s - 0.5 * STEP_S
-
-    @override
-    def _tick_reading(self) -> Reply:
-        """Where the servo tells no clock, at another place within its step each tick: the mean is then the truth."""
-        if self._guardian is not None:
-            self._guardian.waits()  # for as long as the servo's own watchdog may: else the keeper acts just before
-        if self._steps.is_known:
-            return self._exchange(self._sampling)
-        self._dithered = (self._dithered + _GOLDEN) % 1.0
-        return self._exchange(self._sampling, self._dithered * STEP_S)
 
     @override
     def _tick_writing(self, units: int) -> None:
@@ -430,19 +467,22 @@ class ServoDriver(RegisterDriver[Ask]):
         if self._guardian is not None:
             beat(self._guardian)
         try:
-            self._t_u_s = self._driven_s = self._exchange(
-                self._drives.get(units) or self._writing_drive(units)
-            ).executed_s
+            reply = self._exchange(self._drives.get(units) or self._writing_drive(units))
+            if reply.pdu[0] or self._doubted:
+                self._check_alert(reply)
         except Fault as fault:
             raise self._why_refused(fault) from fault
+        self._t_u_s = self._driven_s = reply.executed_s
         steps = self._steps
         begins_s = steps.next_s(self._t_u_s) if steps.is_known else self._t_u_s + 0.5 * STEP_S
-        before = self._ways[-1].at(begins_s)  # until then the drive of before is ramped on
-        self._ways.append(_Way(begins_s, before, units, self._slope_units_s))
+        # until then the drive of before is ramped on
+        before = self._units if begins_s >= self._steady_s else self._ways[-1].at(begins_s)
+        self._ways.append(_new(_Way, (begins_s, before, units, self._slope_units_s)))
         # a ramp gives what a step in its middle gives
         way_s = abs(units - before) / self._slope_units_s if math.isfinite(self._slope_units_s) else 0.0
         # of a ramp that was ended early its drive never acted: it ends where it began
         self._t_u_s = begins_s + 0.5 * way_s if math.isnan(last_s) else max(begins_s + 0.5 * way_s, last_s)
+        self._steady_s = begins_s + way_s
 
     def _may_act(self) -> tuple[float, float]:
         """Least and largest duty that a reading of now may tell, steps: by each drive of the last milliseconds."""
@@ -457,25 +497,6 @@ class ServoDriver(RegisterDriver[Ask]):
         return min(duties), max(duties)
 
     @override
-    def _acting_V(self, values: Mapping[str, float], reply: Reply) -> float:
-        """As the servo reports it; where it ramps its duty, what it ramps to: the ramp is in ``t_u_s``."""
-        if self._armed and math.isfinite(self._slope_units_s) and not self._strange:
-            return self.drive_map.to_volts(self._units)
-        return super()._acting_V(values, reply)
-
-    @override
-    def _check_armed(self, values: Mapping[str, float]) -> None:
-        """Whether duty, heat, supply and clock are as they must be. Raises Fault, which tells where the shaft was."""
-        try:
-            self._check_duty(values)
-            self._check_health(values)
-            self._check_tick(values)
-        except Fault as fault:
-            if fault.code.startswith("LINK_"):
-                raise
-            raise Fault(fault.code, f"{fault.detail}; at {self._counts(values)}") from fault
-
-    @override
     def _check_pause(self, values: Mapping[str, float]) -> None:
         """Whether it still has no error, and nobody has switched its torque on."""
         if self._bus.alerts(bytes((self._errors,))):
@@ -487,18 +508,14 @@ class ServoDriver(RegisterDriver[Ask]):
             raise Fault("SECOND_MASTER" if self._is_off else "STOP_UNCONFIRMED", words)
         self._check_health(values)
 
-    def _check_duty(self, values: Mapping[str, float]) -> None:
+    def _check_duty(self, applied: float) -> None:
         """A servo that drives otherwise than it was told has restarted, protects itself, or has another master."""
-        applied = values["applied"]
-        # in most readings it is what the last drive gives; whether it may be another one is looked at only then
-        is_strange = abs(applied - self._ways[-1].at(self._transport.now_s() + STEP_S)) > _STEPS_OFF
-        if is_strange:
-            low, high = self._may_act()
-            is_strange = not low - _STEPS_OFF <= applied <= high + _STEPS_OFF
+        low, high = self._may_act()
+        is_strange = not low - _STEPS_OFF <= applied <= high + _STEPS_OFF
         self._strange = self._strange + 1 if is_strange else 0
         if not is_strange:
             return
-        words = f"{self._map.applied} reads {values['applied']:g}, but {self._units} was written"
+        words = f"{self._map.applied} reads {applied:g}, but {self._units} was written"
         if self._watchdog_has_acted():
             raise Fault("DEVICE_WATCHDOG", words)
         if self._strange < _IN_A_ROW:
@@ -519,21 +536,6 @@ class ServoDriver(RegisterDriver[Ask]):
         if hot:
             raise Fault("SERVO_HOT", f"{values['temperature']:g} degC, daq.servo.hot_degC is {setup.hot_degC}")
         raise Fault("SERVO_SUPPLY", f"{supply_V:.1f} V, of {setup.supply_V:g} V")
-
-    def _check_tick(self, values: Mapping[str, float]) -> None:
-        """The servo's clock begins anew where it restarts."""
-        if "tick" not in values:
-            return
-        now_s = self._transport.now_s()
-        before, self._tick = self._tick, (values["tick"], now_s)
-        if before is None:
-            return
-        passed_s = STEP_S * ((values["tick"] - before[0]) % WRAPS)
-        if abs(passed_s - (now_s - before[1])) > _TICK_SLACK_S:
-            raise Fault(
-                "DEVICE_RESET",
-                f"its clock went on by {passed_s:.3f} s, the host's by {now_s - before[1]:.3f} s: it has restarted",
-            )
 
     def _raise_alert(self, said: int) -> None:
         """Raise the fault that the servo's error register names, or LINK_*.

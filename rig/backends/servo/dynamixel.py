@@ -21,7 +21,7 @@ SHORTEST = 10
 
 _HEADER = b"\xff\xff\xfd\x00"
 _BEGIN, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
-_POLYNOMIAL = 0x8005
+_TRINOMIAL = 0x8003  # x^15 + x + 1
 _TURNS = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # what Clear wants to hear before it forgets the turns
 
 
@@ -58,25 +58,21 @@ ERRORS: Mapping[int, str] = {
 }
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ _POLYNOMIAL) & 0xFFFF if crc & 0x8000 else crc << 1
-        table.append(crc)
-    return tuple(table)
-
-
-_CRC_TABLE = _crc_table()
-
-
 def crc16(data: bytes, start: int = 0) -> int:
-    """CRC-16 of bytes, polynomial 0x8005, high bit first; ``start``: that of the bytes before."""
-    table, crc = _CRC_TABLE, start
-    for byte in data:
-        crc = (crc << 8 ^ table[crc >> 8 ^ byte]) & 0xFFFF
-    return crc
+    """CRC-16 of bytes, polynomial 0x8005, high bit first; ``start``: that of the bytes before.
+
+    The bits are a polynomial, and the CRC is its rest by x^16 + x^15 + x^2 + 1 = (x + 1)(x^15 + x + 1). By the second
+    factor x^(15 n) is x^n + 1 where n is a power of 2: half of all bits are folded onto the other half at once. The
+    first one says that the rest has as many ones as the whole, but for an even number. No table: between two ticks the
+    processor has forgotten it.
+    """
+    whole = rest = int.from_bytes(data, "big") << 16 ^ start << 8 * len(data)
+    n = 1 << (whole.bit_length() // 15).bit_length()
+    while n > 1:
+        n >>= 1
+        while high := rest >> 15 * n:
+            rest ^= high << 15 * n ^ high << n ^ high
+    return rest ^ _TRINOMIAL if (rest.bit_count() ^ whole.bit_count()) & 1 else rest
 
 
 class Frame(NamedTuple):

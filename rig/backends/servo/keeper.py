@@ -64,6 +64,7 @@ class ServoKeeper:
         descriptors = (descriptor, heard, memory)
         try:
             self._heart = Heartbeat(memory)
+            self.waits = self._heart.waits
             self._process = subprocess.Popen(
                 # no word of it is rig, whatever folder rig is in: `pkill -9 -f rig` must not end both
                 [str(Path(sys.executable).resolve()), "-I", "-S", "-c", _BEGINS, *map(str, descriptors)],
@@ -111,17 +112,12 @@ class ServoKeeper:
 
     def beat(self) -> None:
         """The process lives, and may drive. Raises Fault SERVO_UNWATCHED where nobody hears it."""
-        if words := self._halts.words:
+        if self._halts.event() is not None and (words := self._halts.words):
             raise Fault("SERVO_UNWATCHED", words)
         self._heart.beat()
         if not self._drives:  # it sleeps until it is told
             self._tell(_LOOK)
             self._drives = True
-
-    def waits(self) -> None:
-        """The process lives, and asks. Says nothing while nothing drives."""
-        if self._drives:
-            self._heart.beat()
 
     def rest(self) -> None:
         """Nothing drives. What it did before is over."""
