@@ -49,8 +49,8 @@ class OutputErrorProblem:
         """Which entries of the full vector are fitted."""
         return np.array([*self.free, *([True] * (2 * len(self.windows)))])
 
-    def solve(self, x0: Array, enough: Enough = ENOUGH) -> Solution:
-        """Local least-squares solution from the full vector ``x0``."""
+    def solve(self, x0: Array, enough: Enough = ENOUGH, iterations: int = ITERATIONS) -> Solution:
+        """Local least-squares solution from the full vector ``x0``, after so many iterations at most."""
         names = tuple(name for name, is_free in zip(NAMES, self.free, strict=True) if is_free)
         cut = Cut.of_windows(self.windows)
         cut = cut.rests_once() if self.once else cut
@@ -58,7 +58,7 @@ class OutputErrorProblem:
         shared = x0[:SHARED].tolist()
         motor = RealMotor(math.exp(shared[0]), math.exp(shared[1]), *shared[2:])
         motor = problem.moved(motor, np.zeros(len(names)))  # inside its bounds
-        return Solution(solve(begun(problem, motor, x0[SHARED:].reshape(-1, 2)), ITERATIONS, enough))
+        return Solution(solve(begun(problem, motor, x0[SHARED:].reshape(-1, 2)), iterations, enough))
 
 
 @dataclass(frozen=True, eq=False)

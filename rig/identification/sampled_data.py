@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,8 @@ ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
 ROWS_OF_STEPS = 8000  # of a coarse sensor, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
 FAR_FROM_NOISE, FAR = 8.0, Enough(0.0, 1e-4)  # residual over noise of a fit whose last digits mean nothing
-SAME = 1e-6  # difference of squares of two fits that ended in the same place
+COMPARED = 30  # iterations of a part, at most: a start that needs more has lost its way
+SAME = 1e-5  # difference of squares of two fits that ended in the same place
 ROUNDS_OF_GAIN = 3
 SCORED_ROWS = 600  # of all tests: by so many starts are compared
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
@@ -113,7 +115,7 @@ def fit(
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; `SampledData.judge` judges it.
     Raises IdentifyError if there is nothing to fit.
     """
-    return _white_fit(tests, starts, free_delay=free_delay, periods_s=periods_s).estimate()
+    return _white_fit(tests, starts, free_delay=free_delay, periods_s=periods_s).estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +138,7 @@ class _WhiteFit:
         """RMS residual, rad."""
         return math.sqrt(self.best.cost / self.best.residual.size)
 
+    @cached_property
     def estimate(self) -> Estimate:
         """The estimate, fitted again with the noise that its residual shows."""
         found = _estimate(*_with_noise(*rests_once(self.problem, self.best)), self.tests, self.periods_s)
@@ -221,7 +224,7 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
     noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
     most_rad = max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
     if white.rms_rad <= most_rad:
-        found = white.estimate()
+        found = white.estimate
         if found.converged and found.rms_rad <= most_rad:
             return found
     free = any(test.t_u_s is None for test in tests)
@@ -230,13 +233,13 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
     try:
         pieces, blocks = fit_in_pieces(thin, free_delay=free)
     except IdentifyError:
-        return white.estimate()  # too short for pieces
+        return white.estimate  # too short for pieces
     motor = pieces.motor
     start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
     again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s, earlier=white)
     if again.best.converged and (not white.best.converged or again.rms_rad < white.rms_rad):
         white = again
-    found = white.estimate()
+    found = white.estimate
     if found.converged and not found.rms_rad > PIECES_FROM * noise:
         return found
     delay_s = found.delay_s if free else 0.0
@@ -318,7 +321,7 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
         part = replace(problem, windows=windows)
         x0s = candidates if best is None else [best.x]
         rows = sum(window.t_s.size for window in windows)
-        tried = side_by_side(lambda x0, part=part: part.solve(x0, ROUGHLY), x0s, rows)  # type: ignore[misc]
+        tried = side_by_side(lambda x0, part=part: part.solve(x0, ROUGHLY, COMPARED), x0s, rows)  # type: ignore[misc]
         found = min(tried, key=lambda solution: solution.cost)
         if best is not None:
             found = found.after(best)

@@ -308,12 +308,10 @@ class TimeSeries:
     def _noise_rad(self) -> float:
         scatter = 0.0
         if len(self) >= 5:
-            t = np.lib.stride_tricks.sliding_window_view(self.t_s, 5)
-            y = np.lib.stride_tricks.sliding_window_view(self.y_rad, 5)
-            apart = (t[:, :, None] - t[:, None, :]) / self.period_s
-            apart[:, range(5), range(5)] = 1.0
-            weights = 1.0 / apart.prod(axis=2)
-            differences = np.sum(weights * y, axis=1) / np.linalg.norm(weights, axis=1)
+            each = np.lib.stride_tricks.sliding_window_view
+            t, y = list(each(self.t_s / self.period_s, 5).T), each(self.y_rad, 5).T
+            weights = [1.0 / math.prod(own - other for other in t if other is not own) for own in t]
+            differences = sum(w * one for w, one in zip(weights, y, strict=True)) / np.sqrt(sum(w * w for w in weights))
             scatter = 1.4826 * float(np.median(np.abs(differences)))
         return float(max(scatter, self.resolution_rad() / np.sqrt(12.0)))
 
