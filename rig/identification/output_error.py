@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.choice import AT_NOISE
-from rig.identification.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve, unit
+from rig.identification.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import PARAMETERS
 from rig.identification.noise import WHITE, Noise
 from rig.model.real_motor import RealMotor, index
 from rig.model.sensitivity import Theta
-from rig.run_folder.recording.series import TimeSeries, Window
+from rig.run_folder.recording.series import TimeSeries, Window, noise_of_all_rad
 
 Array = NDArray[np.float64]
 
@@ -110,8 +110,7 @@ class Solution:
         if not normal.is_finite:
             return False
         step, _ = normal.step(self.fit.problem.held(self.fit.motor, normal.gradient), 0.0)
-        covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(self.fit)
-        return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.maximum(np.diag(covariance), 0.0))))
+        return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))))
 
     @property
     def cost(self) -> float:
@@ -134,7 +133,7 @@ def rests_once(problem: OutputErrorProblem, found: Solution) -> tuple[OutputErro
 
     Where it leaves more, rows at rest differ from it by what it lacks, and each shows that for as long as it lasts.
     """
-    noise_rad = math.sqrt(sum(window.series.noise_rad() ** 2 for window in problem.windows) / len(problem.windows))
+    noise_rad = noise_of_all_rad([window.series for window in problem.windows])
     if found.rms_rad > AT_NOISE * noise_rad or Cut.of_windows(problem.windows).rests_once().weight is None:
         return problem, found
     problem = replace(problem, once=True)

@@ -41,7 +41,14 @@ from rig.identification.verdict import spread_rad as test_spread_rad
 from rig.model.real_motor import Frame, RealMotor, readings_of, windows_of
 from rig.model.sensitivity import Theta, position
 from rig.run_folder.recording.errors import IdentifyError
-from rig.run_folder.recording.series import TimeSeries, Window, joined_times_s, spread_rad
+from rig.run_folder.recording.series import (
+    TimeSeries,
+    Window,
+    delays_of_all_s,
+    joined_times_s,
+    noise_of_all_rad,
+    spread_rad,
+)
 from rig.run_folder.recording.stage import StageKind
 
 Array = NDArray[np.float64]
@@ -183,7 +190,7 @@ def _fitted(
     if earlier is not None and earlier.thin is not None and math.isclose(earlier.thin.cost, thin.cost, rel_tol=SAME):
         return earlier
     states = [value for window in problem.windows for value in initial_state(window)]
-    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    noise_rad = noise_of_all_rad(tests)
     enough = ENOUGH if thin.rms_rad < FAR_FROM_NOISE * noise_rad else FAR
     best = problem.solve(np.concatenate((thin.x[:SHARED], states)), enough).after(thin)
     return _WhiteFit(problem, best, tests, periods_s, thin=thin)
@@ -193,7 +200,7 @@ def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, flo
     """Bounds of a delay that is fitted, s. 0 must not lie at one: a column that is off by a row is a negative delay."""
     if not free_delay:
         return None
-    return min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests)
+    return delays_of_all_s(tests)
 
 
 def _of_fewer_rows(
@@ -221,7 +228,7 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
     is fitted again with its noise; the other one needs none.
     """
     white = _white_fit(tests, starts, periods_s=periods_s)
-    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    noise = noise_of_all_rad(tests)
     most_rad = max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
     if white.rms_rad <= most_rad:
         found = white.estimate

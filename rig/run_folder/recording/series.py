@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -361,6 +361,16 @@ class Window:
         """Its first ``length_s`` seconds, but at least 60 samples."""
         count = max(SHORTEST_WINDOW, int(np.searchsorted(self.t_s, self.t_s[0] + length_s, side="right")))
         return self if self.first + count >= self.stop else replace(self, stop=self.first + count)
+
+
+def noise_of_all_rad(tests: Sequence[TimeSeries]) -> float:
+    """Root mean square of the white noise on their positions, rad; as ``TimeSeries.noise_rad``."""
+    return math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+
+
+def delays_of_all_s(tests: Sequence[TimeSeries]) -> tuple[float, float]:
+    """Bounds of one delay that any of them may have, s."""
+    return min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests)
 
 
 def joined_times_s(windows: Iterable[Window]) -> Array:
