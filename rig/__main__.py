@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import sys
@@ -14,6 +15,9 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 
+OBJECTS = 20_000  # new ones between two searches for garbage: 80,000 are made while rig loads, and they stay
+
+
 def never_stop_at_a_letter() -> None:
     """Print a letter that a terminal or pipe has no code for, such as ±, as a question mark, not as a traceback."""
     for stream in (sys.stdout, sys.stderr):
@@ -24,6 +28,7 @@ def never_stop_at_a_letter() -> None:
 def run() -> None:
     """Load the commands and run the one that was asked for."""
     never_stop_at_a_letter()
+    gc.set_threshold(OBJECTS)
     try:
         ctrl_c.begin()
         from rig.cli import main

@@ -17,7 +17,7 @@ import numpy as np
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_residual_rad
 from rig.identification.lowest import lowest
-from rig.run_folder.recording.series import Steps, TimeSeries
+from rig.run_folder.recording.series import Steps, TimeSeries, noise_of_all_rad
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a limit is looked for; with it at most that,
 CUTS = 0.1  # or this residual over that without it
@@ -28,7 +28,7 @@ FEWEST_SIZES, BEYOND = 6, 0.02  # sizes of drives beyond the limit, at least, an
 
 def clipped_at_V(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     """The largest drive that the motor got, V; inf where no limit shows."""
-    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    noise_rad = noise_of_all_rad(tests)
     largest_V = max(float(np.abs(test.steps.u_V).max()) for test in tests)
     sizes = np.unique(np.round(np.abs(np.concatenate([test.steps.u_V for test in tests])) / (BEYOND * largest_V)))
     if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or sizes.size < FEWEST_SIZES:

@@ -39,7 +39,7 @@ from rig.identification.opinion import RecordingEstimate, agree, differences, me
 from rig.identification.output_error import refit
 from rig.model.real_motor import Frame, RealMotor
 from rig.model.sensitivity import Theta
-from rig.run_folder.recording.series import TimeSeries, Window, spread_rad
+from rig.run_folder.recording.series import TimeSeries, Window, noise_of_all_rad, spread_rad
 from rig.run_folder.recording.stage import StageKind
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ class _Sensor:
     @classmethod
     def of(cls, estimate: Estimate, tests: Sequence[TimeSeries]) -> _Sensor:
         """As the tests show it: their residual is noise, and all that a plain motor leaves out."""
-        shown = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+        shown = noise_of_all_rad(tests)
         wander = WHITE if estimate.coloured is None else Noise(estimate.coloured[0], estimate.coloured[1] ** 2)
         white = estimate.rms_rad / math.sqrt(1.0 + wander.ratio)
         return cls(max(shown, white), max(test.resolution_rad() for test in tests), wander)

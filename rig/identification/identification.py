@@ -40,7 +40,7 @@ from rig.model.real_motor import FramedMotor
 from rig.run_folder.recording.curves import Curves
 from rig.run_folder.recording.errors import IdentifyError
 from rig.run_folder.recording.recording import Recording
-from rig.run_folder.recording.series import LATENCY_S, TimeSeries
+from rig.run_folder.recording.series import LATENCY_S, TimeSeries, noise_of_all_rad
 from rig.run_folder.recording.servo_law import OwnLoop, least_known
 from rig.run_folder.recording.stage import StageKind, kind_of
 from rig.run_folder.results import (
@@ -526,7 +526,7 @@ def _add_motor_law(
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
-    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in data.tests])))
+    noise_rad = noise_of_all_rad(data.tests)
     if law.predicts is not None and law.estimate is not None:
         law = replace(law, estimate=by_prediction(law.estimate, law.predicts, noise_rad))
         found.motor_law = law
@@ -596,7 +596,7 @@ def _beyond_laws(plain: Estimate, tests: Sequence[TimeSeries]) -> str | None:
     """What is wrong in the tests that laws would only imitate; None if nothing is known to be."""
     if any(is_cut_off(test) for test in tests):
         return "the position was cut off, and laws would only imitate that"
-    noise_rad = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    noise_rad = noise_of_all_rad(tests)
     if plain.verdict == "refused" and other_times_explain(slipped_rms_rad(plain, tests), plain.rms_rad, noise_rad):
         return "the drive acted at other times than t_u_s says, and laws would only imitate that"
     return None

@@ -22,12 +22,10 @@ from rig.identification.departures.fit import (
     POSITIVE,
     Enough,
     Fit,
-    Normal,
     Problem,
     begun,
     limits_of,
     solve,
-    unit,
 )
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.pieces import Cut, parabolas
@@ -38,7 +36,7 @@ from rig.identification.side_by_side import side_by_side
 from rig.identification.thinning import thinned
 from rig.model.real_motor import Frame, RealMotor
 from rig.model.real_step import mean_cosine
-from rig.run_folder.recording.series import TimeSeries, Window
+from rig.run_folder.recording.series import TimeSeries, Window, delays_of_all_s, noise_of_all_rad
 
 Array = NDArray[np.float64]
 
@@ -64,15 +62,11 @@ def fit_in_pieces(tests: Sequence[TimeSeries], *, free_delay: bool) -> tuple[Fit
 
     tests   of at most some 4,000 rows
     """
-    delay_s = (
-        (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
-        if free_delay
-        else (0.0, 0.0)
-    )
+    delay_s = delays_of_all_s(tests) if free_delay else (0.0, 0.0)
     whole = Cut.whole(tests, delay_s[1])
     core = tuple(name for name in CORE if name != "bias_V" or not one_way(tests))
     free = (*core, DELAY) if free_delay else core
-    sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    sigma = noise_of_all_rad(tests)
     sigma = max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad)
     largest_V = max(float(np.abs(window.steps.u_V).max()) for window in whole.windows)
     longest_s = max(window.duration_s for window in whole.windows)
@@ -137,7 +131,7 @@ def plain_residual_rad(tests: Sequence[TimeSeries], plain: Estimate) -> float:
     """
     rows = math.ceil(sum(len(test) for test in tests) / MOST_ROWS)
     thin = [thinned(test, rows) for test in tests]
-    delay_s = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
+    delay_s = delays_of_all_s(tests)
     cut = Cut.whole(thin, delay_s[1]).every(PIECE_S)
     free = tuple(name for name in (*CORE, DELAY) if name != "bias_V" or not one_way(tests))
     motor = RealMotor(plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, max(plain.delay_s, 0.0))
@@ -202,13 +196,11 @@ def of_pieces(pieces: Fit, plain: Estimate, tests: Sequence[TimeSeries]) -> Esti
     plain   of the same tests: its method and its rows, and its delay where that is known
     """
     cut, free, motor = pieces.problem.cut, pieces.problem.free, pieces.motor
-    normal = Normal.of(pieces.rows, cut)
-    covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(pieces))
     size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in free])
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     own = [k for k, name in enumerate(free) if name in INDEX]
     at = [INDEX[free[k]] for k in own]
-    full[np.ix_(at, at)] = (covariance * np.outer(size, size))[np.ix_(own, own)]
+    full[np.ix_(at, at)] = (pieces.covariance * np.outer(size, size))[np.ix_(own, own)]
     delay = motor.delay_s if DELAY in free else plain.delay_s
     values = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, delay)
     quantile = student_975(max(1, cut.freedom - len(free)))

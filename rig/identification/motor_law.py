@@ -21,7 +21,7 @@ from rig.identification.departures.budget import COVERAGE, OTHER, Budget, Entry,
 from rig.identification.departures.choice import AT_NOISE, Choice, Chooser, as_likely, levels
 from rig.identification.departures.coupled import coupling_rad_s, takes_enough
 from rig.identification.departures.departure import Departure
-from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, Normal, solve, sums_of_pieces, unit
+from rig.identification.departures.fit import CORE, DELAY, POSITIVE, Fit, Known, solve, sums_of_pieces, unit
 from rig.identification.departures.fit import start as begin
 from rig.identification.departures.in_place import bare_fits, gained, in_place, nearly_as_good
 from rig.identification.departures.laws import DRIFT_EACH, LEVEL_EACH, SOFT_COUPLING, level_each
@@ -63,7 +63,7 @@ from rig.identification.verdict import (
     sizes_of,
 )
 from rig.model.real_motor import FramedMotor, RealMotor
-from rig.run_folder.recording.series import TimeSeries, Window
+from rig.run_folder.recording.series import TimeSeries, Window, delays_of_all_s, noise_of_all_rad
 from rig.run_folder.recording.stage import StageKind
 from rig.run_folder.results import (
     Answer,
@@ -355,7 +355,7 @@ class Beginning:
     ) -> Beginning:
         """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
         free_delay = any(test.t_u_s is None for test in tests)
-        longest = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
+        longest = delays_of_all_s(tests)
         delay_s = longest if free_delay else (0.0, 0.0)
         whole = Cut.whole(tests, delay_s[1], of)
         motor = RealMotor(
@@ -369,7 +369,7 @@ class Beginning:
         travel_rad = (frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad)
         linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
         bench = whole.every(0.5 * cycle_s).bench(motor, linearity_rad)
-        sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+        sigma = noise_of_all_rad(tests)
         if plain.rms_rad <= AT_NOISE * sigma:
             whole = whole.rests_once()
         turns_one_way = one_way(tests)
@@ -431,7 +431,7 @@ def motor_law(
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
     further = [(_slow(series, plain.tau_s), number) for series, number in further]
-    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    noise_rad = noise_of_all_rad(tests)
     leaves = LEAVES if rows <= MOST_ROWS else LONG_LEAVES
     most = FEWER_ROWS if plain.rms_rad > leaves * noise_rad and not all_rows else MOST_ROWS
     folded = [_folded(test, rows, most, plain.tau_s) for test in tests]
@@ -478,8 +478,7 @@ def motor_law(
     of_windows = [*names, *(names[number] for _, number in further)]
     parts = choice.fit.with_own_noise
     fit = joined(parts, of_windows) if was_known else parts
-    normal = Normal.of(fit.rows, fit.problem.cut)
-    covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
+    covariance = fit.covariance
     whole = replace(begun.whole, frames=parts.problem.cut.frames[: len(tests)])
     blocks = Blocks.of(whole, fit.motor.tau_s)
     predicts = held_out(blocks, begun.chooser.problem(blocks.cut, choice.laws, math.inf), fit.motor)

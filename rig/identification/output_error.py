@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identification.departures.choice import AT_NOISE
-from rig.identification.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve, unit
+from rig.identification.departures.fit import CORE, DELAY, Enough, Fit, Normal, Problem, begun, limits_of, solve
 from rig.identification.departures.pieces import Cut
 from rig.identification.estimate import PARAMETERS
 from rig.identification.noise import WHITE, Noise
 from rig.model.real_motor import RealMotor, index
 from rig.model.sensitivity import Theta
-from rig.run_folder.recording.series import TimeSeries, Window
+from rig.run_folder.recording.series import TimeSeries, Window, noise_of_all_rad
 
 Array = NDArray[np.float64]
 
@@ -49,8 +49,8 @@ class OutputErrorProblem:
         """Which entries of the full vector are fitted."""
         return np.array([*self.free, *([True] * (2 * len(self.windows)))])
 
-    def solve(self, x0: Array, enough: Enough = ENOUGH) -> Solution:
-        """Local least-squares solution from the full vector ``x0``."""
+    def solve(self, x0: Array, enough: Enough = ENOUGH, iterations: int = ITERATIONS) -> Solution:
+        """Local least-squares solution from the full vector ``x0``, after so many iterations at most."""
         names = tuple(name for name, is_free in zip(NAMES, self.free, strict=True) if is_free)
         cut = Cut.of_windows(self.windows)
         cut = cut.rests_once() if self.once else cut
@@ -58,7 +58,7 @@ class OutputErrorProblem:
         shared = x0[:SHARED].tolist()
         motor = RealMotor(math.exp(shared[0]), math.exp(shared[1]), *shared[2:])
         motor = problem.moved(motor, np.zeros(len(names)))  # inside its bounds
-        return Solution(solve(begun(problem, motor, x0[SHARED:].reshape(-1, 2)), ITERATIONS, enough))
+        return Solution(solve(begun(problem, motor, x0[SHARED:].reshape(-1, 2)), iterations, enough))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +110,7 @@ class Solution:
         if not normal.is_finite:
             return False
         step, _ = normal.step(self.fit.problem.held(self.fit.motor, normal.gradient), 0.0)
-        covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(self.fit)
-        return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.maximum(np.diag(covariance), 0.0))))
+        return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))))
 
     @property
     def cost(self) -> float:
@@ -134,7 +133,7 @@ def rests_once(problem: OutputErrorProblem, found: Solution) -> tuple[OutputErro
 
     Where it leaves more, rows at rest differ from it by what it lacks, and each shows that for as long as it lasts.
     """
-    noise_rad = math.sqrt(sum(window.series.noise_rad() ** 2 for window in problem.windows) / len(problem.windows))
+    noise_rad = noise_of_all_rad([window.series for window in problem.windows])
     if found.rms_rad > AT_NOISE * noise_rad or Cut.of_windows(problem.windows).rests_once().weight is None:
         return problem, found
     problem = replace(problem, once=True)

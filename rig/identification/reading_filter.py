@@ -8,7 +8,6 @@ to the last bit. Some filter twice. Behind a filter of resistor and capacitor th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_residual_rad
 from rig.identification.lowest import lowest
 from rig.identification.preprocessing import unfiltered
-from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
 
 LEAVES = 3.0  # residual over the sensor's noise from which on a filter is looked for
 CUTS = 0.5  # residual with the filter over that without it, at most
@@ -44,7 +43,7 @@ class ReadingFilter(NamedTuple):
 
 def reading_filter(tests: Sequence[TimeSeries], plain: Estimate) -> ReadingFilter | None:
     """The filter of the readings; None where none shows."""
-    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    noise_rad = noise_of_all_rad(tests)
     if not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or any(test.t_u_s is not None for test in tests):
         return None
     without = plain_residual_rad(tests, plain)

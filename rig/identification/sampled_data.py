@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,14 @@ from rig.identification.verdict import spread_rad as test_spread_rad
 from rig.model.real_motor import Frame, RealMotor, readings_of, windows_of
 from rig.model.sensitivity import Theta, position
 from rig.run_folder.recording.errors import IdentifyError
-from rig.run_folder.recording.series import TimeSeries, Window, joined_times_s, spread_rad
+from rig.run_folder.recording.series import (
+    TimeSeries,
+    Window,
+    delays_of_all_s,
+    joined_times_s,
+    noise_of_all_rad,
+    spread_rad,
+)
 from rig.run_folder.recording.stage import StageKind
 
 Array = NDArray[np.float64]
@@ -56,7 +64,8 @@ ROWS_OF_TAU = 5.0  # rows taken as one in a time constant, at least
 ROWS_OF_STEPS = 8000  # of a coarse sensor, at least
 ROUGHLY = Enough(0.0, 1e-6)  # of a fit that another one follows
 FAR_FROM_NOISE, FAR = 8.0, Enough(0.0, 1e-4)  # residual over noise of a fit whose last digits mean nothing
-SAME = 1e-6  # difference of squares of two fits that ended in the same place
+COMPARED = 30  # iterations of a part, at most: a start that needs more has lost its way
+SAME = 1e-5  # difference of squares of two fits that ended in the same place
 ROUNDS_OF_GAIN = 3
 SCORED_ROWS = 600  # of all tests: by so many starts are compared
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
@@ -113,7 +122,7 @@ def fit(
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; `SampledData.judge` judges it.
     Raises IdentifyError if there is nothing to fit.
     """
-    return _white_fit(tests, starts, free_delay=free_delay, periods_s=periods_s).estimate()
+    return _white_fit(tests, starts, free_delay=free_delay, periods_s=periods_s).estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +145,7 @@ class _WhiteFit:
         """RMS residual, rad."""
         return math.sqrt(self.best.cost / self.best.residual.size)
 
+    @cached_property
     def estimate(self) -> Estimate:
         """The estimate, fitted again with the noise that its residual shows."""
         found = _estimate(*_with_noise(*rests_once(self.problem, self.best)), self.tests, self.periods_s)
@@ -180,7 +190,7 @@ def _fitted(
     if earlier is not None and earlier.thin is not None and math.isclose(earlier.thin.cost, thin.cost, rel_tol=SAME):
         return earlier
     states = [value for window in problem.windows for value in initial_state(window)]
-    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    noise_rad = noise_of_all_rad(tests)
     enough = ENOUGH if thin.rms_rad < FAR_FROM_NOISE * noise_rad else FAR
     best = problem.solve(np.concatenate((thin.x[:SHARED], states)), enough).after(thin)
     return _WhiteFit(problem, best, tests, periods_s, thin=thin)
@@ -190,7 +200,7 @@ def _delays_s(tests: Sequence[TimeSeries], free_delay: bool) -> tuple[float, flo
     """Bounds of a delay that is fitted, s. 0 must not lie at one: a column that is off by a row is a negative delay."""
     if not free_delay:
         return None
-    return min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests)
+    return delays_of_all_s(tests)
 
 
 def _of_fewer_rows(
@@ -218,10 +228,10 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
     is fitted again with its noise; the other one needs none.
     """
     white = _white_fit(tests, starts, periods_s=periods_s)
-    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    noise = noise_of_all_rad(tests)
     most_rad = max(PIECES_FROM * noise, NEGLIGIBLE * test_spread_rad(tests))
     if white.rms_rad <= most_rad:
-        found = white.estimate()
+        found = white.estimate
         if found.converged and found.rms_rad <= most_rad:
             return found
     free = any(test.t_u_s is None for test in tests)
@@ -230,13 +240,13 @@ def nearest(tests: Sequence[TimeSeries], starts: Sequence[Start] | None, periods
     try:
         pieces, blocks = fit_in_pieces(thin, free_delay=free)
     except IdentifyError:
-        return white.estimate()  # too short for pieces
+        return white.estimate  # too short for pieces
     motor = pieces.motor
     start = Start(motor.tau_s, motor.K_rad_s_V, motor.fc_V)
     again = _white_fit(tests, [start], free_delay=free, periods_s=periods_s, earlier=white)
     if again.best.converged and (not white.best.converged or again.rms_rad < white.rms_rad):
         white = again
-    found = white.estimate()
+    found = white.estimate
     if found.converged and not found.rms_rad > PIECES_FROM * noise:
         return found
     delay_s = found.delay_s if free else 0.0
@@ -299,7 +309,7 @@ def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErro
         if noise.white:
             break
         problem = replace(problem, noise=noise)
-        best = problem.solve(best.x).after(best)
+        best = problem.solve(best.x, ROUGHLY).after(best)
     return problem, best
 
 
@@ -318,7 +328,7 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_
         part = replace(problem, windows=windows)
         x0s = candidates if best is None else [best.x]
         rows = sum(window.t_s.size for window in windows)
-        tried = side_by_side(lambda x0, part=part: part.solve(x0, ROUGHLY), x0s, rows)  # type: ignore[misc]
+        tried = side_by_side(lambda x0, part=part: part.solve(x0, ROUGHLY, COMPARED), x0s, rows)  # type: ignore[misc]
         found = min(tried, key=lambda solution: solution.cost)
         if best is not None:
             found = found.after(best)

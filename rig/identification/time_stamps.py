@@ -6,7 +6,6 @@ far better with the stamps that belong to them.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from rig.identification.estimate import Estimate
 from rig.identification.in_pieces import plain_residual_rad
-from rig.run_folder.recording.series import TimeSeries
+from rig.run_folder.recording.series import TimeSeries, noise_of_all_rad
 
 LEAVES = 3.0  # residual over the sensor's noise from which on other stamps are tried
 UNEVEN = 0.05  # scatter of the steps of time over a period: of more even rows nobody can tell, and it does not matter
@@ -26,7 +25,7 @@ def stamps_off_by(tests: Sequence[TimeSeries], plain: Estimate) -> int:
 
     Raises IdentifyError if the tests are too short for pieces.
     """
-    noise_rad = math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+    noise_rad = noise_of_all_rad(tests)
     uneven = max(float(np.std(np.diff(test.t_s))) / test.period_s for test in tests)
     known = any(test.t_u_s is not None or test.edges is not None for test in tests)
     if known or not plain.is_motor or plain.rms_rad < LEAVES * noise_rad or uneven < UNEVEN:

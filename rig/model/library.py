@@ -191,9 +191,10 @@ def room(count: int) -> Array:
 
 def address(values: NDArray[Any]) -> int:
     """Where ``values``, of any unit, are; they have to live as long as the call."""
-    if values.flags.writeable and values.size:  # a third of the time that the other way takes
+    try:  # a quarter of the time that the other way takes
         return ctypes.addressof(_START.from_buffer(values.data))
-    return int(values.ctypes.data)
+    except (TypeError, ValueError):  # it is read only, or has gaps
+        return int(values.ctypes.data)
 
 
 def filled(values: Array, *shape: int) -> int:

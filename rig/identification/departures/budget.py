@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, product
+from itertools import chain, combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
 PRESENT = 0.1  # probability of a law before the record is looked at
+BEFORE = PRESENT / (1.0 - PRESENT)  # its odds
 MOST_TOGETHER = 3  # laws that are looked at together,
 MOST_SETS = 2000  # but where they have more starts than that together
 BY_ROUNDING = 1e-3  # of 1, which each nuisance has beforehand
@@ -221,28 +222,22 @@ class Hidden:
     @classmethod
     def of(cls, shifts: Shifts, nuisances: Sequence[Nuisance], by_size: Sequence[Profile] = ()) -> Hidden:
         """All sets of one, two and three of the laws. A law that is known size by size is that where it is alone."""
-        before = PRESENT / (1.0 - PRESENT)
         weights: list[Array] = []
         means: list[Array] = []
         variances: list[Array] = []
         names: list[tuple[str, ...]] = []
         known = {profile.law.name for profile in by_size}
         for profile in by_size:
-            weights.append(profile.odds if profile.found else before * profile.odds)
+            weights.append(profile.odds if profile.found else BEFORE * profile.odds)
             means.append(profile.moves)
             variances.append(profile.spread**2)
             names += [(profile.law.name,)] * profile.odds.size
-        columns = {one.first: tuple(one.columns) for one in nuisances}
-        for every in _sets(nuisances):
-            sets = [chosen for chosen in every if len(chosen) > 1 or chosen[0].law.name not in known]
-            if not sets:
-                continue
-            at = np.array([sum((columns[one.first] for one in chosen), ()) for chosen in sets])
+        for at, prior, laws in _sets(nuisances, known):
             odds, mean, variance = shifts.by(at)
-            weights.append(odds * [math.prod(before / one.starts for one in chosen) for chosen in sets])
+            weights.append(odds * prior)
             means.append(mean)
             variances.append(variance)
-            names += [tuple(one.law.name for one in chosen) for chosen in sets]
+            names += laws
         if not names:
             return cls()
         weight = np.concatenate(weights)
@@ -284,15 +279,27 @@ def instead_of(instead: Sequence[InPlace]) -> Iterator[Entry]:
         yield Entry(f"{OTHER}{most.law.name}", tau, gain, friction, laws=(most.law.name, most.other.name))
 
 
-def _sets(nuisances: Sequence[Nuisance]) -> Iterator[list[tuple[Nuisance, ...]]]:
-    """All sets of one, two and three laws, those with as many columns together."""
-    starts: dict[str, list[Nuisance]] = defaultdict(list)
+def _sets(
+    nuisances: Sequence[Nuisance], known: Collection[str]
+) -> Iterator[tuple[NDArray[np.int64], Array, list[tuple[str, ...]]]]:
+    """All sets of one, two and three laws, those with as many columns together; none of one law that is ``known``.
+
+    Each set's columns (m, d), its odds beforehand (m,), and its laws.
+    """
+    starts: dict[tuple[str, int], list[Nuisance]] = defaultdict(list)
     for one in nuisances:
-        starts[one.law.name].append(one)
-    alike: dict[int, list[tuple[Nuisance, ...]]] = defaultdict(list)
+        starts[one.law.name, one.count].append(one)
+    alike: dict[int, list[tuple[NDArray[np.int64], Array, list[tuple[str, ...]]]]] = defaultdict(list)
     for count in range(1, MOST_TOGETHER + 1):
-        for laws in combinations(starts.values(), count):
-            if count == 1 or math.prod(map(len, laws)) <= MOST_SETS:
-                for chosen in product(*laws):
-                    alike[sum(one.count for one in chosen)].append(chosen)
-    yield from alike.values()
+        for keys in combinations(starts, count):
+            laws, each = tuple(name for name, _ in keys), [starts[key] for key in keys]
+            many = math.prod(map(len, each))
+            if len(set(laws)) < count or (laws[0] in known if count == 1 else many > MOST_SETS):
+                continue
+            which = np.indices([len(one) for one in each]).reshape(count, many)
+            columns = [np.array([[*one.columns] for one in of])[k] for of, k in zip(each, which, strict=True)]
+            odds = math.prod(BEFORE / of[0].starts for of in each)
+            alike[sum(size for _, size in keys)].append((np.hstack(columns), np.full(many, odds), [laws] * many))
+    for every in alike.values():
+        at, prior, laws_of = zip(*every, strict=True)
+        yield np.concatenate(at), np.concatenate(prior), [*chain.from_iterable(laws_of)]

@@ -62,6 +62,7 @@ STEPS_SHOW = 2.0  # coloured noise over white noise in a residual that is a coar
 LAW_BLOCK = (0.5, 6.0)  # length of blocks in which a law must show, s, and in time constants: the longer of both
 FINE = 1e-3  # error in blocks of a plain motor that needs no law
 NOTHING_OF_RANGE = 0.01  # size of a law over its range, below which it is rounding
+LOST = 30.0  # residual over noise from which on rows are not compared with noise, but with what a fit leaves of most
 BENT = 2.0  # growth of the residual in a fit with its noise beyond which it is no noise
 FAR, FIRST_CUT = 8.0, 0.08  # residual over noise of a fit where a law must show at once, by this share of it
 LEAPS = (0.35, 0.5, 0.7, 0.85, 1.2, 1.45, 1.7, 2.0)  # sizes that are looked at beside that of a law that leaps, over it
@@ -166,8 +167,7 @@ class Chooser:
                     break
                 continue
             most_rad = math.inf if fit is None else max(GROWN * max(fit.rms_rad, self.sigma_rad), hidden_rad)
-            problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
-            longer, found = self._at_best_shape(solve(start(problem, motor)), laws), laws
+            longer, found = self._at_best_shape(solve(self._begun(cut, laws, motor)), laws), laws
             if not leaps or longer.rms_rad <= most_rad:
                 longer, found = self._of_one_turn(*self._settle(longer, laws))
             growth.append((cut.longest_s, longer.rms_rad))
@@ -189,6 +189,20 @@ class Chooser:
                 break
             fit, laws = self._less(fit, laws, least)
         return Choice(laws, fit, tuple(growth))
+
+    def _begun(self, cut: Cut, laws: tuple[Departure, ...], motor: RealMotor) -> Fit:
+        """The motor on these pieces, to be fitted so that rows count less which are farther off than the others.
+
+        Where it leaves far more than noise, nearly all are farther off than noise is, and a fit by their sizes takes
+        many times the steps.
+        """
+        fit = start(self.problem(cut, laws, ROBUST * self.sigma_rad), motor)
+        if fit.rms_rad <= LOST * self.sigma_rad:
+            return fit
+        by_squares = solve(refitted(fit, replace(fit.problem, robust_rad=math.inf)), LEAP_ITERATIONS)
+        if by_squares.scatter_rad <= LOST * self.sigma_rad:
+            return fit
+        return refitted(by_squares, replace(fit.problem, robust_rad=ROBUST * by_squares.scatter_rad))
 
     @property
     def _within_steps(self) -> bool:

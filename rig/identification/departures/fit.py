@@ -256,6 +256,12 @@ class Fit:
         return self.problem.cut.derivatives(self.motor, self.starts, free)
 
     @cached_property
+    def covariance(self) -> Array:
+        """Of the free numbers, (m, m), by the scatter of its residual; of the logarithms of ``POSITIVE``."""
+        normal = Normal.of(self.rows, self.problem.cut)
+        return np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(self))
+
+    @cached_property
     def with_own_noise(self) -> Fit:
         """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
         problem = replace(self.problem, robust_rad=math.inf, noise=self.problem.cut.noise_of(self.residual_rad))

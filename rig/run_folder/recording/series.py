@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -308,12 +308,10 @@ class TimeSeries:
     def _noise_rad(self) -> float:
         scatter = 0.0
         if len(self) >= 5:
-            t = np.lib.stride_tricks.sliding_window_view(self.t_s, 5)
-            y = np.lib.stride_tricks.sliding_window_view(self.y_rad, 5)
-            apart = (t[:, :, None] - t[:, None, :]) / self.period_s
-            apart[:, range(5), range(5)] = 1.0
-            weights = 1.0 / apart.prod(axis=2)
-            differences = np.sum(weights * y, axis=1) / np.linalg.norm(weights, axis=1)
+            each = np.lib.stride_tricks.sliding_window_view
+            t, y = list(each(self.t_s / self.period_s, 5).T), each(self.y_rad, 5).T
+            weights = [1.0 / math.prod(own - other for other in t if other is not own) for own in t]
+            differences = sum(w * one for w, one in zip(weights, y, strict=True)) / np.sqrt(sum(w * w for w in weights))
             scatter = 1.4826 * float(np.median(np.abs(differences)))
         return float(max(scatter, self.resolution_rad() / np.sqrt(12.0)))
 
@@ -363,6 +361,16 @@ class Window:
         """Its first ``length_s`` seconds, but at least 60 samples."""
         count = max(SHORTEST_WINDOW, int(np.searchsorted(self.t_s, self.t_s[0] + length_s, side="right")))
         return self if self.first + count >= self.stop else replace(self, stop=self.first + count)
+
+
+def noise_of_all_rad(tests: Sequence[TimeSeries]) -> float:
+    """Root mean square of the white noise on their positions, rad; as ``TimeSeries.noise_rad``."""
+    return math.sqrt(sum(test.noise_rad() ** 2 for test in tests) / len(tests))
+
+
+def delays_of_all_s(tests: Sequence[TimeSeries]) -> tuple[float, float]:
+    """Bounds of one delay that any of them may have, s."""
+    return min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests)
 
 
 def joined_times_s(windows: Iterable[Window]) -> Array:
