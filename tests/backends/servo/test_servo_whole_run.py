@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import pytest
 from evidence import evidence
-from servo_bench import BYSTANDERS, PROTOCOLS, Bench
+from servo_bench import BYSTANDERS, PROTOCOLS, Bench, addressed
 
 from rig.control.loop.runner import Loop
 from rig.running import session
@@ -47,5 +47,5 @@ def test_after_any_end_all_is_as_it_was_and_no_other_servo_was_touched(
     assert bench.servo.eeprom_writes.total() <= (4 if protocol == "dynamixel" else 0)
     assert [servo.eeprom_writes.total() for servo in bench.bystanders] == others
     assert all(not servo.is_on and servo.truth().duty == 0.0 for servo in bench.bystanders)
-    seen = bench.bus.bus.addressed()  # of the others rig reads an id, once each
+    seen = addressed(bench.bus.bus)  # of the others rig reads an id, once each
     assert {id: seen[id] for id in BYSTANDERS} == dict.fromkeys(BYSTANDERS, 1)
