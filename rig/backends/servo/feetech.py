@@ -78,7 +78,7 @@ def _take(data: bytes | bytearray, at: int) -> tuple[Frame, int] | str | None:
 
 def body_of(packet: bytes) -> bytes | str:
     """Code and parameters of a packet of the right length; or why it is damaged."""
-    if ~sum(packet[2:-1]) & 0xFF != packet[-1]:  # ``check_sum``, without a call in between
+    if check_sum(packet[2:-1]) != packet[-1]:
         return "check sum"
     return packet[4:-1]
 
