@@ -315,7 +315,7 @@ class PortBackend(LineBackend):
             return
         if d.daq.usb_serial is not None and not port.startswith("/"):
             yield wrong("daq.usb_serial", f"{port} is no port on USB", "remove it")
-        if port.startswith("emulated") and not self.is_emulated(d):
+        if port.startswith("emulated") and port not in self.emulated_ports:
             hint = "it is `emulated` now" if port == _FORMER_PORT else f"one of {', '.join(self.emulated_ports)}"
             yield wrong("daq.port", f"no {port} for `driver: {self.name}`", hint)
         elif self.is_emulated(d) and d.emulated is None:
