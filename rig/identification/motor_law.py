@@ -446,7 +446,8 @@ def motor_law(
         whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
         choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
         choice = behind_a_gear(choice, begun.chooser, whole, begun.cycle_s)
-        if most == FEWER_ROWS < of_rows and choice.fit.rms_rad <= EXPLAINED * begun.chooser.sigma_rad:
+        says_more = most == FEWER_ROWS < of_rows and not begun.chooser.within_steps
+        if says_more and choice.fit.rms_rad <= EXPLAINED * begun.chooser.sigma_rad:
             return motor_law(
                 tests, plain, periods_s, stated, further, recording_of,
                 level_V=level_V, was_known=was_known, all_rows=True,

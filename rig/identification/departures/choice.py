@@ -154,7 +154,7 @@ class Chooser:
         if self.candidates and not laws and self._steps_hide(whole, motor):
             return replace(self, candidates=()).choose(whole, motor, cycle_s)
         growth: list[tuple[float, float]] = []
-        hidden_rad = HIDDEN * self.sigma_rad if self._within_steps else 0.0
+        hidden_rad = HIDDEN * self.sigma_rad if self.within_steps else 0.0
         fit: Fit | None = None
         lengths_s = [*(cycles * cycle_s for cycles in CYCLES), math.inf]
         while lengths_s:
@@ -205,7 +205,7 @@ class Chooser:
         return refitted(by_squares, replace(fit.problem, robust_rad=ROBUST * by_squares.scatter_rad))
 
     @property
-    def _within_steps(self) -> bool:
+    def within_steps(self) -> bool:
         """Whether rows lie within the steps of a coarse sensor: then their errors are not white, whatever they seem."""
         return self.bench.path_per_row_rad <= OF_STEP * self.step_rad
 
@@ -215,7 +215,7 @@ class Chooser:
         In blocks the plain motor leaves so little beyond them that the best law could not take away half of what is
         asked.
         """
-        if not self._within_steps:
+        if not self.within_steps:
             return False
         blocks = Blocks.of(whole, motor.tau_s, LAW_BLOCK)
         noise = np.array(blocks.cut.lengths) * self.sigma_rad**2
@@ -289,13 +289,13 @@ class Chooser:
         together. A coarse sensor leaves its steps, which are never white.
         """
         tells_all = len(fit.problem.cut.begins) == len(whole.begins)
-        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self._within_steps:
+        if tells_all and fit.rms_rad <= AT_NOISE * self.sigma_rad and not self.within_steps:
             return fit, laws
         blocks = Blocks.of(whole, fit.motor.tau_s, LAW_BLOCK)
         rows = np.array(blocks.cut.lengths)
         noise = rows * self.sigma_rad**2
         chance = noise
-        if self._within_steps:  # rows within a step are no further readings
+        if self.within_steps:  # rows within a step are no further readings
             steps = np.maximum(rows * self.bench.path_per_row_rad / self.step_rad, 1.0)
             chance = noise * np.minimum(np.sqrt(2.0 / steps), 1.0)
         known: dict[tuple[Departure, ...], Array] = {}
@@ -331,7 +331,7 @@ class Chooser:
         return first if together >= self.asked.cuts else (fit, laws)
 
     def _asks_blocks(self, fit: Fit) -> bool:
-        return self._within_steps or not fit.problem.noise.white
+        return self.within_steps or not fit.problem.noise.white
 
     def _is_shown_beside(self, fit: Fit, law: Departure) -> bool:
         """Whether what is known from beside the tests alone asks for the law: no block of them need show it."""
@@ -474,7 +474,7 @@ class Chooser:
             trial = at_best_size(trial, law) if law.leaps else trial
             return _gain(fit, trial) - price(law), trial, (*laws, law)
 
-        is_far = self._within_steps or fit.rms_rad > FAR * self.sigma_rad
+        is_far = self.within_steps or fit.rms_rad > FAR * self.sigma_rad
         near = Enough(NEAR * self.asked.entry * unit(fit), 0.0) if is_far else ENOUGH
         first = self.promises(seen, laws)[:TRIED]
         wanted = [one for one in first if one.law.name not in left and one.gain >= price(one.law)]
