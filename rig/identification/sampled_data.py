@@ -309,7 +309,7 @@ def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErro
         if noise.white:
             break
         problem = replace(problem, noise=noise)
-        best = problem.solve(best.x, ROUGHLY).after(best)
+        best = problem.solve(best.x).after(best)
     return problem, best
 
 
