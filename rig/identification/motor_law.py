@@ -440,6 +440,7 @@ def motor_law(
     remarks = [WITH_DEAD_BAND] if begun.chooser.bench.goes_along else []
     stiff: Choice | None = None
     level: dict[str, float] = {}
+    left_out: list[str] = []
     for left in reversed(range(ROUNDS + 1)):
         of_rows = rows + sum(len(series) for series, _ in further)
         beside = [(_folded(series, of_rows, most, plain.tau_s), number) for series, number in further]
@@ -448,10 +449,11 @@ def motor_law(
         choice = behind_a_gear(choice, begun.chooser, whole, begun.cycle_s)
         says_more = most == FEWER_ROWS < of_rows and not begun.chooser.within_steps
         if says_more and choice.fit.rms_rad <= EXPLAINED * begun.chooser.sigma_rad:
-            return motor_law(
+            law = motor_law(
                 tests, plain, periods_s, stated, further, recording_of,
                 level_V=level_V, was_known=was_known, all_rows=True,
             )  # fmt: skip
+            return replace(law, remarks=(*left_out, *law.remarks))
         if not further and len(set(names)) > 1:
             level = levels(choice.fit.with_own_noise, names)
             for each, drift in (
@@ -471,10 +473,11 @@ def motor_law(
             else:
                 choice = stiff
         kept, disagree = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
-        remarks += disagree
+        left_out += disagree
         if not disagree:
             break
         further = kept if left > 1 else ()
+    remarks += left_out
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     of_windows = [*names, *(names[number] for _, number in further)]
     parts = choice.fit.with_own_noise

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.identification import IdentifyError, identify
+from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_test
+from rig.identification import IdentifyError, identify, sampled_data
 from rig.identification.identification import Identification
 from rig.identification.measurements import Measurements
+from rig.identification.motor_law import motor_law
 from rig.identification.records import sound_rows
 from rig.run_folder.recording.reader import read
 from rig.run_folder.recording.recording import Recording
@@ -97,6 +99,22 @@ def test_a_strange_stretch_of_the_search_is_left_out_and_the_verdict_stays(
     search = next(record for record in touched.motor_law.records if record.name == "search")
     assert search.rows is not None
     assert rows.start <= search.rows[0] < search.rows[1] < middle
+
+
+def test_a_stretch_that_is_left_out_is_told_where_laws_are_chosen_again_from_all_rows() -> None:
+    """With the strange stretch the laws leave more than noise; without it little else, so all rows count then."""
+    motor, law = PlainMotor(0.3, 3.0, 0.3), Departures(force_V=0.3, force_phase_rad=1.0)
+    bench = Bench(noise_rad=0.0005, lsb_rad=4.2 / 16384)
+    records = []
+    for k, gains_V in enumerate(((0.8, 1.1), (0.6, 0.9), (0.7, 1.0))):
+        seen = relay_test(motor, law, bench, gains_V, 800, (10.0 * k, 40.0), np.random.SeedSequence(k))
+        records.append(TimeSeries(seen.t_s, seen.y_rad, seen.t_s + bench.delay_s, seen.u_V, name=f"record-{k}"))
+    *tests, third = records
+    third.y_rad[500:560] += 0.25 * np.sin(np.linspace(0.0, np.pi, 60))
+    found = motor_law(tests, sampled_data.fit(tests), [None, None], further=[(third, 0)])
+    assert [one.law.name for one in found.found] == ["force_over_position"]
+    assert [record.rows for record in found.records] == [(0, 799), (0, 799), (0, 493)]
+    assert [words.partition(":")[0] for words in found.remarks] == ["record-2"]
 
 
 def test_a_name_that_no_record_has_is_refused_with_those_there_are(run: Recording) -> None:
